@@ -1,0 +1,1 @@
+"""geodrake: what a robot's model is missing, found in its measurements, and then fixed."""

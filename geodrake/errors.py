@@ -1,0 +1,41 @@
+"""Errors of geodrake: what was wrong, with the values, and what to do about it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class GeodrakeError(Exception):
+    """Base of every error that geodrake raises on purpose.
+
+    Args:
+        problem: What was wrong, with the values, as one or more full sentences.
+        advice: What the user can do about it; appended to the message.
+        evidence: The values behind the message, kept as `evidence` for programs.
+    """
+
+    def __init__(self, problem: str, *, advice: str = "", **evidence: Any) -> None:
+        super().__init__(f"{problem} {advice}".strip())
+        self.problem = problem
+        self.advice = advice
+        self.evidence = evidence
+
+
+class ArgumentError(GeodrakeError, ValueError):
+    """A function or command got an argument it cannot take (shape, range, name)."""
+
+
+class LogError(GeodrakeError):
+    """A log cannot be read, or says too little to be used."""
+
+
+class ModelError(GeodrakeError):
+    """A model file cannot be read, or does not describe a usable robot."""
+
+
+class IdentificationError(GeodrakeError):
+    """A program for the parameters has no usable solution."""
+
+
+class OutputError(GeodrakeError):
+    """A result cannot be written where it was asked for."""
