@@ -1,0 +1,183 @@
+"""What a physical effect is: the base classes of the family.
+
+A robot model is a sum of effects, DESIGN's Eq. (1):
+
+    effort needed = Y_rb(q, v, v̇) φ + Σ_e Y_e(motion; s_e) μ_e
+
+An effect instance is bound to its place (a joint, a pair of joints, a body) and to its shape
+parameters s_e; its linear parameters μ_e are what a fit finds.
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One linear parameter of an effect: its name, SI unit and admissible interval."""
+
+    name: str
+    unit: str
+    lower: float = -np.inf
+    upper: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Motion of one joint, each field (N,): what a joint effect is a function of.
+
+    Attributes:
+        q: Position, rad or m.
+        v: Velocity, rad/s or m/s.
+        vd: Acceleration, rad/s² or m/s².
+        load: Effort the rigid-body model needs at this joint, N·m or N (never the measured one).
+        sign_v: Direction of motion in [-1, 1]: sgn(v), smoothed where |v| is too small to tell.
+    """
+
+    q: Array
+    v: Array
+    vd: Array
+    load: Array
+    sign_v: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """Motion of all joints over N samples, as effects see it.
+
+    Attributes:
+        joints: Names of the nv velocities.
+        q: (N, nv) position belonging to each velocity (NaN for joints of several degrees).
+        v: (N, nv) velocities.
+        vd: (N, nv) accelerations.
+        load: (N, nv) effort that the rigid-body model needs.
+        sign_width: (nv,) speed below which the direction of motion is not known.
+        body_columns: Maps a body name to its (N, nv, 10) inertial regressor.
+    """
+
+    joints: tuple[str, ...]
+    q: Array
+    v: Array
+    vd: Array
+    load: Array
+    sign_width: Array
+    body_columns: Callable[[str], Array]
+
+    def joint(self, name: str) -> JointMotion:
+        """The motion of one joint.
+
+        Raises:
+            ArgumentError: There is no such joint.
+        """
+        i = self.index(name)
+        v = self.v[:, i]
+        return JointMotion(
+            self.q[:, i], v, self.vd[:, i], self.load[:, i], self.direction(v, self.sign_width[i])
+        )
+
+    def index(self, name: str) -> int:
+        """The column of a joint; ArgumentError if there is no such joint."""
+        if name not in self.joints:
+            raise ArgumentError(
+                f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
+            )
+        return self.joints.index(name)
+
+    @staticmethod
+    def direction(v: Array, width: float | Array) -> Array:
+        """Smoothed sign of a velocity, tanh(v / width); the plain sign for width 0."""
+        return np.sign(v) if np.all(width == 0) else np.tanh(v / width)
+
+
+class Effect(abc.ABC):
+    """A physical effect at its place: regressor, parameters, force law, and what it looks like.
+
+    Subclasses are frozen dataclasses whose fields are the place and the shape parameters.
+
+    Class attributes:
+        name: Name in commands, files and reports.
+        parameters: The linear parameters, in the order of the regressor's columns.
+        signature: What the effect looks like in a residual, in words.
+        confused_with: Names of effects that a log may not tell apart from this one.
+        places: "joint", "joint_pair", "body" or "log": what an instance is bound to.
+    """
+
+    name: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    signature: ClassVar[str] = ""
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    places: ClassVar[str]
+
+    @property
+    @abc.abstractmethod
+    def where(self) -> tuple[str, ...]:
+        """Names of the joints or bodies that the effect acts at."""
+
+    @abc.abstractmethod
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """Regressor columns, one entry per joint whose effort the effect changes.
+
+        Returns:
+            Joint name -> (N, k) columns, k = len(parameters), so that the effort needed at the
+            joint is columns @ parameters. Effects *add* to the effort needed.
+        """
+
+    def regressor(self, motion: RobotMotion) -> Array:
+        """The dense regressor Y_e, (N, nv, k)."""
+        dense = np.zeros((len(motion.v), len(motion.joints), len(self.parameters)))
+        for joint, columns in self.rows(motion).items():
+            dense[:, motion.index(joint)] = columns
+        return dense
+
+    def effort(self, motion: RobotMotion, mu: Array) -> Array:
+        """Effort needed because of the effect, (N, nv): the force law is its negative."""
+        return self.regressor(motion) @ np.asarray(mu, float)
+
+    @property
+    def shape(self) -> dict[str, Any]:
+        """The fields that are not the place: the shape parameters by name."""
+        place = {"joint", "joints", "body"}
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class JointEffect(Effect):
+    """An effect of one joint's own motion. Subclasses define `name`, `parameters`, `columns`."""
+
+    joint: str
+    places: ClassVar[str] = "joint"
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The joint."""
+        return (self.joint,)
+
+    @abc.abstractmethod
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """One (N,) column per parameter, from the motion of the joint."""
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The columns at the joint itself."""
+        return {self.joint: np.stack(list(self.columns(motion.joint(self.joint))), -1)}
+
+    @classmethod
+    def candidates(cls, joint: str, peak_speed: float) -> Iterable[JointEffect]:
+        """Instances a diagnosis should try at a joint: one, or one for every shape on a grid.
+
+        Args:
+            joint: Name of the joint.
+            peak_speed: Largest speed of the joint in the log, rad/s or m/s.
+        """
+        del peak_speed
+        return (cls(joint),)
