@@ -15,7 +15,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
+from pydrake.systems.framework import Context
+
+from geodrake.bodies import Member, lumped_bodies
 
 Array = NDArray[np.float64]
 
@@ -189,3 +193,29 @@ def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
         return SpatialInertia.Zero()
     unit = UnitInertia(*(phi[4:7] / mass), *(phi[[7, 9, 8]] / mass))
     return SpatialInertia(mass, phi[1:4] / mass, unit, skip_validity_check=True)
+
+
+def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -> Array:
+    """Inertial parameters of a plant's bodies.
+
+    Args:
+        plant: A finalized plant.
+        context: Where to read the parameters; the plant's default values if None.
+
+    Returns:
+        (nb, 10) parameters of `geodrake.bodies.lumped_bodies(plant)`, each in the frame of its
+        representative.
+    """
+    if context is None:
+        context = plant.CreateDefaultContext()
+
+    def parameters(member: Member) -> Array:
+        spatial = plant.get_body(member.index).CalcSpatialInertiaInBodyFrame(context)
+        return change_frame(
+            from_spatial_inertia(spatial),
+            member.X_RB.rotation().matrix(),
+            member.X_RB.translation(),
+        )
+
+    lumps = [sum(map(parameters, body.members)) for body in lumped_bodies(plant)]
+    return np.array(lumps).reshape(-1, PARAMETERS_PER_BODY)
