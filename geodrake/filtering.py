@@ -1,0 +1,245 @@
+"""Signals: zero-phase filtering with decimation, differentiation, and the bandwidth of a motion.
+
+Arrays have samples along axis 0. Measured efforts and regressor columns go through the same
+`ZeroPhaseFilter`, so that filtering changes neither the parameters nor the model (1) of the
+design, and what is left of white noise is nearly white again after decimation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.signal import oaconvolve, upfirdn, welch
+
+from geodrake.errors import ArgumentError, LogError
+
+Array = NDArray[np.float64]
+
+HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
+_KAISER_SHAPE = 6.76  # 70 dB: the passband is flat to 3e-4
+_HALFWIDTH = 6  # in output samples; the passband then ends at 0.64 of the bandwidth
+_LARGEST_EXCESS = 1.1  # output rate over 2·bandwidth; above it the filtered noise is correlated
+_DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
+_LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth over that of the velocity
+_WELCH_SECONDS = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class ZeroPhaseFilter:
+    """Symmetric low-pass filter (windowed sinc) with decimation.
+
+    Attributes:
+        half: (L+1,) right half of the kernel, centre first; the whole sums to one.
+        decimation: Input samples for each output sample.
+        period: Time between input samples, s.
+        bandwidth: Frequency that passes with half its amplitude, Hz.
+    """
+
+    half: Array
+    decimation: int
+    period: float
+    bandwidth: float
+
+    @property
+    def kernel(self) -> Array:
+        """(2L+1,) kernel, dimensionless."""
+        return np.concatenate([self.half[:0:-1], self.half])
+
+    @property
+    def halfwidth(self) -> int:
+        """L: how many input samples an output sees before, and after, its own instant."""
+        return len(self.half) - 1
+
+    @property
+    def output_period(self) -> float:
+        """Time between output samples, s."""
+        return self.decimation * self.period
+
+    @property
+    def noise_gain(self) -> float:
+        """Standard deviation of white noise of unit standard deviation, once filtered."""
+        return float(np.linalg.norm(self.kernel))
+
+    def output_count(self, n: int) -> int:
+        """How many outputs `n` input samples support fully."""
+        return max(0, (n - 2 * self.halfwidth - 1) // self.decimation + 1)
+
+    def output_indices(self, n: int) -> NDArray[np.intp]:
+        """(K,) index, among `n` input samples, of the instant of each output of `apply`."""
+        return self.halfwidth + self.decimation * np.arange(self.output_count(n))
+
+    def apply(self, columns: ArrayLike) -> Array:
+        """Filter and decimate, keeping the outputs whose window lies inside the data.
+
+        Args:
+            columns: (N, ...) samples.
+
+        Returns:
+            (K, ...) filtered samples at `output_indices(N)`.
+        """
+        columns = np.asarray(columns, float)
+        count = self.output_count(len(columns))
+        if count == 0:
+            return np.empty((0, *columns.shape[1:]))
+        # Leading zeros put the first fully supported sample on the decimated grid.
+        lead = -2 * self.halfwidth % self.decimation
+        kernel = np.concatenate([np.zeros(lead), self.kernel])
+        first = (len(kernel) - 1) // self.decimation
+        return upfirdn(kernel, columns, down=self.decimation, axis=0)[first : first + count]
+
+    def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
+        """Input slices whose outputs, one after another, are those of all `n` samples at once.
+
+        Args:
+            n: Number of input samples.
+            size: Most samples in a slice; raised to what one output needs.
+
+        Yields:
+            Input slice, and the number of outputs that `apply` gives for it.
+        """
+        count, window = self.output_count(n), 2 * self.halfwidth + 1
+        each = max(1, self.output_count(size))
+        for begin in range(0, count, each):
+            outputs = min(each, count - begin)
+            start = begin * self.decimation
+            yield slice(start, start + (outputs - 1) * self.decimation + window), outputs
+
+    def smooth(self, signal: ArrayLike) -> Array:
+        """Low-pass at the full rate; both ends are continued by odd reflection.
+
+        Args:
+            signal: (N, ...) samples; the first and last L outputs lean on the reflection.
+
+        Returns:
+            (N, ...) smoothed samples.
+        """
+        signal = np.asarray(signal, float)
+        padding = [(self.halfwidth,) * 2] + [(0, 0)] * (signal.ndim - 1)
+        padded = np.pad(signal, padding, mode="reflect", reflect_type="odd")
+        kernel = self.kernel.reshape(-1, *(1,) * (signal.ndim - 1))
+        return oaconvolve(padded, kernel, mode="valid", axes=0)
+
+
+def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
+    """Low-pass filter that decimates to about twice its bandwidth.
+
+    Args:
+        period: Time between input samples, s.
+        bandwidth: Wanted bandwidth, Hz, at most a quarter of the sampling rate. The result's is up
+            to 15 % larger where decimation by a whole number would leave the noise correlated.
+
+    Raises:
+        ArgumentError: If the bandwidth is not positive or too large for the sampling rate.
+    """
+    highest = HIGHEST_BANDWIDTH / period
+    if not 0.0 < bandwidth <= highest * (1 + 1e-9):
+        raise ArgumentError(
+            f"A bandwidth of {bandwidth:g} Hz does not fit a sampling rate of {1 / period:g} Hz.",
+            advice=f"Choose a bandwidth above 0 and up to {highest:g} Hz.",
+            bandwidth=bandwidth,
+            period=period,
+        )
+    decimation = int(0.5 / (bandwidth * period) + 1e-6)
+    bandwidth = max(bandwidth, 0.5 / (decimation * period * _LARGEST_EXCESS))
+    offsets = np.arange(_HALFWIDTH * decimation + 1)
+    window = np.kaiser(2 * len(offsets) - 1, _KAISER_SHAPE)[len(offsets) - 1 :]
+    half = np.sinc(2.0 * bandwidth * period * offsets) * window
+    return ZeroPhaseFilter(half / (2.0 * half.sum() - half[0]), decimation, period, bandwidth)
+
+
+def differentiate(signal: ArrayLike, period: float) -> Array:
+    """Time derivative of a smooth uniformly sampled signal, by its quintic spline.
+
+    Args:
+        signal: (N, ...) samples, at least 6.
+        period: Time between samples, s.
+
+    Returns:
+        (N, ...) derivatives, without lag; relative error below 1e-3 up to a quarter of the rate.
+    """
+    signal = np.asarray(signal, float)
+    time = period * np.arange(len(signal))
+    return make_interp_spline(time, signal, k=5).derivative()(time)
+
+
+def resample(time: Array, smooth: Array, sharp: Array, period: float) -> tuple[Array, ...]:
+    """Move jittered samples to uniform instants, starting with the first.
+
+    Args:
+        time: (N,) increasing time stamps, s.
+        smooth: (N, m) signals to interpolate by a cubic spline (positions, velocities).
+        sharp: (N, n) signals to interpolate linearly, without overshoot (efforts).
+        period: Time between the new samples, s.
+
+    Returns:
+        New time stamps (K,), smooth (K, m) and sharp (K, n).
+    """
+    count = int((time[-1] - time[0]) / period + 1e-3) + 1
+    grid = np.minimum(time[0] + period * np.arange(count), time[-1])
+    linear = np.stack([np.interp(grid, time, column) for column in sharp.T], 1)
+    return grid, CubicSpline(time, smooth)(grid), linear
+
+
+def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
+    """Bandwidth that holds the motion and little of the position's noise.
+
+    The spectrum of the acceleration falls where the motion ends and rises again, as f⁴, where
+    the position's noise is differentiated twice; the bandwidth is where it is lowest between
+    4 and 10 times the frequency that holds 99.9 % of the velocity's power, and at most a quarter
+    of the sampling rate. Joints count alike: the spectra are multiplied.
+
+    Args:
+        pieces: Positions (N, n) of moving joints and their sampling period, s, for each piece.
+
+    Returns:
+        Bandwidth, Hz.
+
+    Raises:
+        LogError: If every piece has too few samples for a spectrum.
+    """
+    pieces = [(position, period) for position, period in pieces if len(position) >= 32]
+    if not pieces:
+        raise LogError(
+            "No piece of the log has the 32 samples in a row that a spectrum needs.",
+            advice="Record a longer motion without gaps.",
+        )
+    longest = min(_WELCH_SECONDS, max(len(position) * period for position, period in pieces))
+    highest = HIGHEST_BANDWIDTH / max(period for _, period in pieces)
+    edges = highest * 2.0 ** (np.arange(-np.floor(6 * np.log2(highest * longest / 4)), 1.0) / 6)
+    frequency = np.sqrt(edges[1:] * edges[:-1])
+    power = _acceleration_power(pieces, edges)
+    power[1:-1] = np.exp(  # the valley is wide: a lone low bin must not decide
+        0.25 * np.log(power[:-2]) + 0.5 * np.log(power[1:-1]) + 0.25 * np.log(power[2:])
+    )
+    velocity = power / frequency**2
+    peak = int(np.argmax(velocity))
+    valley = peak + int(np.argmin(power[peak:]))
+    held = np.cumsum((velocity * frequency)[: valley + 1])
+    motion = frequency[np.searchsorted(held, 0.999 * held[-1])]
+    inside = (frequency >= _LEAST_MARGIN * motion) & (frequency <= _LARGEST_MARGIN * motion)
+    if not inside.any():
+        return float(highest)
+    # Below the dynamic range everything is equally good, and the lowest frequency is taken.
+    return float(frequency[inside][np.argmin(power[inside])])
+
+
+def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> Array:
+    """(m,) spectrum of the acceleration in bands, the geometric mean over joints, peak 1."""
+    total, bands = 0.0, np.diff(edges)[:, None]
+    for position, period in pieces:
+        acceleration = np.diff(position, 2, axis=0) / period**2
+        length = min(len(acceleration), round(_WELCH_SECONDS / period))
+        # Differences take away the trend and most of the dynamic range; the window's side lobes,
+        # below −92 dB, take care of the rest.
+        frequency, density = welch(
+            acceleration, 1 / period, "blackmanharris", length, axis=0, detrend=False
+        )
+        cumulative = np.cumsum(density, axis=0) * frequency[1]
+        at_edges = [np.interp(edges, frequency, column) for column in cumulative.T]
+        total = total + len(position) * period * np.diff(np.stack(at_edges, 1), axis=0) / bands
+    relative = np.maximum(total / np.max(total, axis=0), _DYNAMIC_RANGE)
+    return np.exp(np.log(relative).mean(axis=1))

@@ -1,0 +1,144 @@
+"""Validation folds: whole trajectories, or long blocks of time with gaps between them.
+
+Residuals of real robots are correlated over many samples, so that folds of single samples call
+nearly every smooth regressor real. Folds here are as far apart in time as the data allow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.motion import Trajectory
+
+_ENOUGH_TRAJECTORIES = 4
+_FOLDS = 8
+_LEAST_OUTPUTS = 10  # filtered samples in a fold
+_LARGEST_GAP = 0.05  # of a block
+_CORRELATION_SECONDS = 0.5  # of what friction and elasticity leave in a residual
+
+
+@dataclass(frozen=True)
+class Block:
+    """A stretch of the filtered samples of one segment.
+
+    Attributes:
+        trajectory: Index of the trajectory.
+        segment: Index of the segment in the trajectory.
+        start: First of the segment's filtered samples that is in the block.
+        stop: First one after the block.
+    """
+
+    trajectory: int
+    segment: int
+    start: int
+    stop: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What is held out together.
+
+    Attributes:
+        name: Where it comes from, in words.
+        blocks: Its samples, as blocks.
+    """
+
+    name: str
+    blocks: tuple[Block, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.blocks))
+
+
+def validation_blocks(
+    trajectories: Sequence[Trajectory],
+    *,
+    blocks: int | None = None,
+    gap_seconds: float | None = None,
+) -> tuple[Fold, ...]:
+    """Split trajectories into folds that share no filtered sample and are apart in time.
+
+    Four trajectories or more are one fold each; fewer are cut into blocks of equal length, about
+    eight in all. Samples in the gaps between blocks belong to no fold.
+
+    Args:
+        trajectories: The prepared logs.
+        blocks: Blocks for each trajectory, if it is to be cut; fewer where a block would have less
+            than ten filtered samples.
+        gap_seconds: Time between neighbouring blocks, s; by default the length of the filter's
+            window and half a second, at most 5 % of a block.
+
+    Raises:
+        ArgumentError: If there is no trajectory, or `blocks` or `gap_seconds` is out of range.
+        LogError: If the trajectories are too short for two folds.
+    """
+    if not trajectories or (blocks is not None and blocks < 1) or (gap_seconds or 0.0) < 0.0:
+        raise ArgumentError(
+            f"Folds need a trajectory, at least one block and no negative gap; got "
+            f"{len(trajectories)} trajectories, blocks={blocks}, gap_seconds={gap_seconds}."
+        )
+    wanted = blocks or max(1, _FOLDS // len(trajectories))
+    if blocks is None and len(trajectories) >= _ENOUGH_TRAJECTORIES:
+        wanted = 1
+    folds = tuple(
+        fold
+        for index, trajectory in enumerate(trajectories)
+        for fold in _cut(trajectory, index, wanted, gap_seconds)
+    )
+    if len(folds) < 2:
+        outputs = sum(trajectories[0].output_counts)
+        raise LogError(
+            f"Log {trajectories[0].name!r} is too short to hold anything out: it gives {outputs} "
+            f"filtered samples, and two blocks with a gap need more than {2 * _LEAST_OUTPUTS}.",
+            advice="Give a longer log, a second one, or a larger bandwidth.",
+            outputs=outputs,
+        )
+    return folds
+
+
+def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | None) -> list[Fold]:
+    counts = np.array(trajectory.output_counts)
+    ends = np.cumsum(counts)
+    total, period = int(ends[-1]), trajectory.filter.output_period
+    window = 2 * trajectory.filter.halfwidth * trajectory.filter.period
+    for pieces in range(wanted, 0, -1):
+        gap = int(np.ceil((window + _CORRELATION_SECONDS) / period))
+        gap = min(gap, max(1, int(_LARGEST_GAP * total / pieces)))
+        if gap_seconds is not None:
+            gap = int(np.ceil(gap_seconds / period))
+        length = (total - gap * (pieces - 1)) // pieces
+        if length >= _LEAST_OUTPUTS:
+            break
+    if pieces == 1:
+        gap = 0
+    cuts = np.linspace(0, total + gap, pieces + 1).round().astype(int)
+    folds = []
+    for start, stop in zip(cuts[:-1], cuts[1:] - gap, strict=True):
+        begin = np.maximum(start, ends - counts)
+        end = np.minimum(stop, ends)
+        blocks = tuple(
+            Block(index, k, int(begin[k] - ends[k] + counts[k]), int(end[k] - ends[k] + counts[k]))
+            for k in np.flatnonzero(end > begin)
+        )
+        folds.append(Fold(_name(trajectory, blocks, pieces), blocks))
+    return folds
+
+
+def _name(trajectory: Trajectory, blocks: Sequence[Block], pieces: int) -> str:
+    if pieces == 1:
+        return trajectory.name
+    first, last = (
+        segment.time[trajectory.filter.output_indices(len(segment))[sample]]
+        for segment, sample in (
+            (trajectory.segments[blocks[0].segment], blocks[0].start),
+            (trajectory.segments[blocks[-1].segment], blocks[-1].stop - 1),
+        )
+    )
+    return f"{trajectory.name} {first:.1f}–{last:.1f} s"

@@ -1,0 +1,262 @@
+"""Motions and measured logs, and the way from a raw log to smooth uniform segments."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.filtering import ZeroPhaseFilter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog:
+    """What was measured at the joints of a robot; rows may hold NaN where nothing was.
+
+    Attributes:
+        name: What messages call the log.
+        joints: Names of the n joints.
+        time: (N,) time stamps, s, increasing, not necessarily uniform.
+        position: (N, n) joint positions, rad or m.
+        effort: (N, n) joint efforts, N·m or N.
+        velocity: (N, n) joint velocities, rad/s or m/s, if measured.
+        acceleration: (N, n) joint accelerations, rad/s² or m/s², if measured.
+        notes: What was noticed while reading, in words.
+
+    Raises:
+        ArgumentError: If the shapes do not fit together.
+        LogError: If time runs backwards, repeats or stands still.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    time: Array
+    position: Array
+    effort: Array
+    velocity: Array | None = None
+    acceleration: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        shape = (len(self.time), len(self.joints))
+        for quantity in ("position", "effort", "velocity", "acceleration"):
+            values = getattr(self, quantity)
+            if values is not None and np.shape(values) != shape:
+                raise ArgumentError(
+                    f"The {quantity} of log {self.name!r} has shape {np.shape(values)}; its "
+                    f"{shape[0]} time stamps and {shape[1]} joints need {shape}.",
+                    shape=np.shape(values),
+                )
+        if len(set(self.joints)) != len(self.joints):
+            raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
+        _check_time(self.name, np.asarray(self.time, float))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def select(self, joints: Sequence[str]) -> JointLog:
+        """The log of some of its joints, in the order given.
+
+        Args:
+            joints: Names of joints that the log has.
+
+        Raises:
+            LogError: If the log lacks one of them; the message offers the nearest names.
+        """
+        for joint in joints:
+            if joint not in self.joints:
+                raise LogError(
+                    f"Log {self.name!r} has no joint {joint!r}{_nearest(joint, self.joints)}.",
+                    advice="Rename the log's columns, or record that joint too.",
+                    joint=joint,
+                )
+        order = [self.joints.index(joint) for joint in joints]
+        pick = {
+            quantity: values[:, order]
+            for quantity in ("position", "effort", "velocity", "acceleration")
+            if (values := getattr(self, quantity)) is not None
+        }
+        return replace(self, joints=tuple(joints), **pick)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Positions, velocities and accelerations in Drake's order, sample by sample.
+
+    Attributes:
+        q: (N, nq) generalized positions.
+        v: (N, nv) generalized velocities.
+        vd: (N, nv) generalized accelerations.
+        time: (N,) instants, s, if they matter.
+    """
+
+    q: Array
+    v: Array
+    vd: Array
+    time: Array | None = None
+
+    def __post_init__(self) -> None:
+        times = () if self.time is None else np.shape(self.time)
+        lengths = {len(self.q), len(self.v), len(self.vd), *times}
+        if len(lengths) > 1 or np.shape(self.v) != np.shape(self.vd):
+            raise ArgumentError(
+                f"A motion needs as many samples of everything, and v like v̇; it got q "
+                f"{np.shape(self.q)}, v {np.shape(self.v)}, v̇ {np.shape(self.vd)}, time {times}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, samples: slice) -> Motion:
+        time = None if self.time is None else self.time[samples]
+        return Motion(self.q[samples], self.v[samples], self.vd[samples], time)
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A piece of a log without gaps, at uniform instants.
+
+    Positions, velocities and accelerations are smooth and belong together. Efforts are resampled
+    but not filtered: they and the regressors pass the same filter later.
+
+    Attributes:
+        time: (N,) instants, s, `period` apart.
+        position: (N, n) smoothed positions, rad or m.
+        velocity: (N, n) velocities, rad/s or m/s.
+        acceleration: (N, n) accelerations, rad/s² or m/s².
+        effort: (N, n) efforts as measured, N·m or N.
+        period: Time between samples, s.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    period: float
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One log, prepared for identification.
+
+    Attributes:
+        name: Name of the log.
+        joints: Names of the n joints, in the log's order.
+        segments: Its pieces without gaps, in time.
+        filter: What efforts and regressors of every segment are to be filtered by.
+        notes: What was done to the log and chosen from it, in words.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    filter: ZeroPhaseFilter
+    notes: tuple[str, ...] = ()
+
+    @property
+    def output_counts(self) -> tuple[int, ...]:
+        """How many filtered and decimated samples each segment gives."""
+        return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
+
+
+def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
+    """The log with its joints in the model's order.
+
+    Args:
+        log: A log of exactly the model's joints, in any order.
+        model_joints: Names of the model's joints.
+
+    Raises:
+        LogError: If log or model has a joint that the other lacks; the message offers the
+            nearest names.
+    """
+    for joint in log.joints:
+        if joint not in model_joints:
+            raise LogError(
+                f"The model has no joint {joint!r}, which log {log.name!r} has"
+                f"{_nearest(joint, model_joints)}.",
+                advice="Rename the log's columns, or leave that joint's columns out.",
+                joint=joint,
+            )
+    return log.select(model_joints)
+
+
+def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
+    """A sentence for the user if efforts look like another unit than N·m or N; else None.
+
+    Args:
+        log: The log.
+        effort_limits: (n,) limits of the model's joints, N·m or N; zeros and infinities say
+            nothing.
+    """
+    limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
+    known = np.isfinite(limits) & (limits > 0)
+    if not known.any():
+        return None
+    peaks = _peaks(log.effort)
+    ratio = np.where(known, peaks / np.where(known, limits, 1.0), np.nan)
+    worst = int(np.nanargmax(ratio))
+    if ratio[worst] > 3.0:
+        return (
+            f"Efforts are in other units by the look of it: {log.joints[worst]} peaks at "
+            f"{peaks[worst]:.4g}, {ratio[worst]:.0f} times the model's limit of "
+            f"{limits[worst]:.4g} N·m or N. N·mm, motor torque or ticks?"
+        )
+    if ratio[worst] < 0.01:
+        return (
+            f"Efforts are in other units by the look of it: no joint goes beyond 1 % of the "
+            f"model's limit; {log.joints[worst]} comes nearest with {peaks[worst]:.3g} of "
+            f"{limits[worst]:.4g} N·m or N. Motor current, a share of the limit, or kN·m?"
+        )
+    return None
+
+
+def position_unit_hint(log: JointLog) -> str | None:
+    """A sentence for the user if joint positions look like degrees; else None."""
+    peaks = _peaks(log.position)
+    worst = int(np.argmax(peaks))
+    if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:
+        return (
+            f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
+            f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m."
+        )
+    return None
+
+
+def _peaks(values: Array) -> Array:
+    """(n,) largest magnitude of each column, 0 where nothing was measured."""
+    return np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=0, initial=0.0)
+
+
+def _nearest(name: str, others: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, others, n=3, cutoff=0.4) or others
+    return f" (nearest: {', '.join(map(repr, close))})" if close else ""
+
+
+def _check_time(name: str, time: Array) -> None:
+    rows = np.flatnonzero(np.isfinite(time))
+    steps = np.diff(time[rows])
+    if np.all(steps > 0):
+        return
+    first = int(np.argmax(steps <= 0))
+    before, after = rows[first] + 1, rows[first + 1] + 1
+    what = (
+        "is constant" if not steps.any() else "repeats" if steps[first] == 0 else "runs backwards"
+    )
+    raise LogError(
+        f"Time {what} in log {name!r}: row {before} has {time[before - 1]:.9g} s and row {after} "
+        f"has {time[after - 1]:.9g} s.",
+        advice="Log the instant each sample was measured at, with enough digits, and sort or "
+        "remove rows so that time increases.",
+        row=int(after),
+    )

@@ -1,0 +1,255 @@
+"""From raw logs to smooth uniform segments: gaps, standstills, jitter, bandwidth, derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.filtering import (
+    ZeroPhaseFilter,
+    choose_bandwidth,
+    design_filter,
+    differentiate,
+    resample,
+)
+from geodrake.motion import JointLog, Segment, Trajectory
+
+Array = NDArray[np.float64]
+
+LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
+_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
+_LEAST_ROWS = 8  # of a piece worth resampling
+_STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
+_STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
+_SPEED_AGREEMENT = 0.1  # relative RMS of measured velocity − derivative of position
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """A stretch of a log between gaps, at uniform instants."""
+
+    time: Array
+    position: Array
+    velocity: Array | None
+    effort: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Uniform:
+    """A log in uniform pieces, and which of its joints move."""
+
+    log: JointLog
+    pieces: tuple[_Piece, ...]
+    period: float
+    noise: Array
+    moving: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+
+def prepare_log(log: JointLog, *, bandwidth: float | None = None) -> Trajectory:
+    """Prepare one log; see `prepare_logs`."""
+    return prepare_logs([log], bandwidth=bandwidth)[0]
+
+
+def prepare_logs(
+    logs: Sequence[JointLog], *, bandwidth: float | None = None
+) -> tuple[Trajectory, ...]:
+    """Turn raw logs into smooth uniform segments and the filter for efforts and regressors.
+
+    A log is split at NaN rows and gaps, resampled to its median time step, low-passed without lag
+    and differentiated, and standstills at its two ends are left out. Measured velocities are
+    used when they agree with the positions.
+
+    Args:
+        logs: The logs, all of the same joints.
+        bandwidth: Common bandwidth, Hz; by default chosen from the data.
+
+    Raises:
+        ArgumentError: If there is no log, joints differ, or the bandwidth does not fit.
+        LogError: If a log is still throughout, or too short for the bandwidth.
+    """
+    if not logs or any(log.joints != logs[0].joints for log in logs):
+        raise ArgumentError(
+            f"Logs to prepare must be of the same joints; got {[log.joints for log in logs]}.",
+            advice="Match every log to the model's joints first.",
+        )
+    uniform = [_make_uniform(log) for log in logs]
+    how = "as asked for" if bandwidth is not None else "chosen from the data"
+    if bandwidth is None:
+        moving = np.any([each.moving for each in uniform], axis=0)
+        bandwidth = choose_bandwidth(
+            [(piece.position[:, moving], each.period) for each in uniform for piece in each.pieces]
+        )
+    return tuple(_prepare(each, bandwidth, how) for each in uniform)
+
+
+def _make_uniform(log: JointLog) -> _Uniform:
+    notes = list(log.notes)
+    velocity = log.velocity
+    if velocity is not None and np.isnan(velocity).mean() > 0.1:
+        velocity = None
+        notes.append("measured velocities have too many empty cells and are not used")
+    measured = [log.position, log.effort] + ([] if velocity is None else [velocity])
+    complete = np.isfinite(np.column_stack([log.time, *measured])).all(axis=1)
+    rows = np.flatnonzero(complete)
+    steps = np.diff(log.time[rows])
+    if len(steps) == 0:
+        raise LogError(
+            f"Log {log.name!r} has {len(rows)} rows without empty cells out of {len(log)}.",
+            advice="Log time, position and effort of every joint in the same row.",
+        )
+    period = float(np.median(steps))
+    gap = (steps > max(_GAP_STEPS * period, _GAP_SECONDS)) | (np.diff(rows) > 1)
+    runs = np.split(rows, np.flatnonzero(gap) + 1)
+    if gap.any():
+        longest = int(np.argmax(np.where(gap, steps, 0.0)))
+        notes.append(
+            f"split into {len(runs)} pieces at gaps and empty cells, the longest {steps[longest]:.3g}"
+            f" s at t = {log.time[rows[longest]]:.2f} s"
+        )
+    pieces = []
+    for run in runs:
+        if len(run) < _LEAST_ROWS:
+            continue
+        smooth = log.position[run] if velocity is None else np.hstack([log.position, velocity])[run]
+        time, signals, effort = resample(log.time[run], smooth, log.effort[run], period)
+        position, speed = signals[:, : len(log.joints)], signals[:, len(log.joints) :]
+        pieces.append(_Piece(time, position, None if velocity is None else speed, effort))
+    noise, moving = _find_moving(log, pieces, period)
+    return _Uniform(log, tuple(pieces), period, noise, moving, tuple(notes))
+
+
+def _find_moving(
+    log: JointLog, pieces: Sequence[_Piece], period: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Noise deviation (n,) of each position, and which joints (n,) move."""
+    if not pieces:
+        raise LogError(
+            f"Log {log.name!r} has no {_LEAST_ROWS} rows in a row without a gap or an empty cell.",
+            advice="Record without dropouts, or log all joints in the same row.",
+        )
+    seconds = sum(len(piece.time) for piece in pieces) * period
+    bends = np.concatenate([np.diff(piece.position, 2, axis=0) for piece in pieces])
+    noise = np.median(np.abs(bends), axis=0) / (0.6745 * np.sqrt(6.0))
+    position = np.concatenate([piece.position for piece in pieces])
+    reach = np.ptp(position, axis=0)
+    moving = reach > np.maximum(_STILL_NOISE * noise, _STILL_RANGE)
+    if not moving.any():
+        most = int(np.argmax(reach))
+        raise LogError(
+            f"Log {log.name!r} is still throughout: in its {seconds:.3g} s no joint moves by more "
+            f"than {_STILL_RANGE:g} rad (m) and {_STILL_NOISE:.0f} times its position noise; "
+            f"{log.joints[most]} comes nearest with {reach[most]:.3g}, noise {noise[most]:.2g}.",
+            advice="Record several seconds in which each joint of interest moves back and forth.",
+        )
+    return noise, moving
+
+
+def _prepare(uniform: _Uniform, bandwidth: float, how: str) -> Trajectory:
+    log, period = uniform.log, uniform.period
+    low_pass = design_filter(period, bandwidth)
+    notes = list(uniform.notes)
+    notes.append(
+        f"bandwidth {low_pass.bandwidth:.3g} Hz {how}; efforts decimated {1 / period:.4g} → "
+        f"{1 / low_pass.output_period:.4g} Hz"
+    )
+    velocities, note = _choose_velocities(uniform, low_pass)
+    notes += [note] if note else []
+    segments = []
+    too_short = 0.0
+    for piece, velocity, kept in zip(
+        uniform.pieces, velocities, _keep(uniform, velocities, low_pass, notes), strict=True
+    ):
+        if low_pass.output_count(kept.stop - kept.start) == 0:
+            too_short += len(piece.time) * period
+            continue
+        segments.append(
+            Segment(
+                piece.time[kept],
+                low_pass.smooth(piece.position)[kept],
+                velocity[kept],
+                differentiate(velocity, period)[kept],
+                piece.effort[kept],
+                period,
+            )
+        )
+    if too_short:
+        notes.append(f"left out {too_short:.3g} s in pieces too short for the filter, or still")
+    trajectory = Trajectory(log.name, log.joints, tuple(segments), low_pass, tuple(notes))
+    outputs = sum(trajectory.output_counts)
+    if outputs < LEAST_OUTPUTS:
+        seconds = sum(len(piece.time) for piece in uniform.pieces) * period
+        ends = 4 * low_pass.halfwidth * period
+        raise LogError(
+            f"Log {log.name!r} is too short: its {seconds:.3g} s give {outputs} filtered samples "
+            f"at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are needed.",
+            advice=f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
+            "motion in one piece, or ask for a larger bandwidth.",
+        )
+    return trajectory
+
+
+def _choose_velocities(
+    uniform: _Uniform, low_pass: ZeroPhaseFilter
+) -> tuple[list[Array], str | None]:
+    """Smooth velocities of each piece: measured ones if they agree with the positions."""
+    derived = [
+        differentiate(low_pass.smooth(piece.position), uniform.period) for piece in uniform.pieces
+    ]
+    measured = [
+        low_pass.smooth(piece.velocity) for piece in uniform.pieces if piece.velocity is not None
+    ]
+    if not measured:
+        return derived, None
+    truth = np.concatenate(derived)
+    error = np.sqrt(np.mean((np.concatenate(measured) - truth) ** 2, axis=0))
+    size = np.sqrt(np.mean(truth**2, axis=0))
+    relative = np.where(uniform.moving, error / np.where(uniform.moving, size, 1.0), 0.0)
+    worst = int(np.argmax(relative))
+    if relative[worst] <= _SPEED_AGREEMENT:
+        return measured, None
+    return derived, (
+        f"measured velocities are not used: that of {uniform.log.joints[worst]} is "
+        f"{100 * relative[worst]:.0f} % off the derivative of its position"
+    )
+
+
+def _keep(
+    uniform: _Uniform, velocities: Sequence[Array], low_pass: ZeroPhaseFilter, notes: list[str]
+) -> Iterator[slice]:
+    """Samples of each piece to keep.
+
+    Within L samples of a piece's end, smoothing leans on reflected data, which is right only
+    for a joint at rest: those samples go. Of a standstill at an end of the log only the L samples
+    that the filter needs to reach the first moving one stay.
+    """
+    peak = np.max([np.abs(velocity).max(axis=0) for velocity in velocities], axis=0)
+    cutoff = low_pass.bandwidth
+    # White noise of the position, low-passed and differentiated.
+    noise = uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
+    threshold = np.maximum(_STILL_SPEED * peak, _SPEED_NOISE * noise)
+    moving = [
+        np.flatnonzero((np.abs(velocity) > threshold)[:, uniform.moving].any(axis=1))
+        for velocity in velocities
+    ]
+    busy = [k for k, samples in enumerate(moving) if len(samples)]
+    reach = low_pass.halfwidth
+    for k, (velocity, samples) in enumerate(zip(velocities, moving, strict=True)):
+        count = len(velocity)
+        if not busy or k < busy[0] or k > busy[-1]:
+            yield slice(0, 0)
+            continue
+        before = int(samples[0]) if len(samples) else count
+        after = count - 1 - int(samples[-1]) if len(samples) else count
+        first, last = max(reach - before, 0), max(reach - after, 0)
+        if k == busy[0] and before > reach:
+            first = before - reach
+            notes.append(f"left out {first * uniform.period:.2f} s of standstill at the start")
+        if k == busy[-1] and after > reach:
+            last = after - reach
+            notes.append(f"left out {last * uniform.period:.2f} s of standstill at the end")
+        yield slice(first, max(first, count - last))
