@@ -19,13 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
+from geodrake.manifolds import Interval, Manifold
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One linear parameter of an effect: its name, SI unit and admissible interval."""
+    """One linear parameter of an effect: its name, SI unit and admissible interval.
+
+    Units are those of a revolute joint; at a prismatic joint read N for N·m and m for rad.
+    """
 
     name: str
     unit: str
@@ -96,8 +100,9 @@ class RobotMotion:
 
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:
-        """Smoothed sign of a velocity, tanh(v / width); the plain sign for width 0."""
-        return np.sign(v) if np.all(width == 0) else np.tanh(v / width)
+        """Smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0."""
+        known = np.asarray(width) == 0
+        return np.where(known, np.sign(v), np.tanh(v / np.where(known, 1.0, width)))
 
 
 class Effect(abc.ABC):
@@ -145,6 +150,14 @@ class Effect(abc.ABC):
         return self.regressor(motion) @ np.asarray(mu, float)
 
     @property
+    def manifold(self) -> Manifold:
+        """The barrier-Hessian manifold that the linear parameters live on."""
+        return Interval(
+            tuple(parameter.lower for parameter in self.parameters),
+            tuple(parameter.upper for parameter in self.parameters),
+        )
+
+    @property
     def shape(self) -> dict[str, Any]:
         """The fields that are not the place: the shape parameters by name."""
         place = {"joint", "joints", "body"}
@@ -169,7 +182,13 @@ class JointEffect(Effect):
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """The columns at the joint itself."""
-        return {self.joint: np.stack(list(self.columns(motion.joint(self.joint))), -1)}
+        columns = self.columns(motion.joint(self.joint))
+        if len(columns) != len(self.parameters):
+            raise ArgumentError(
+                f"{self.name} has {len(self.parameters)} parameters and {len(columns)} columns.",
+                advice="Let columns() return one column for each entry of `parameters`.",
+            )
+        return {self.joint: np.stack(list(columns), -1)}
 
     @classmethod
     def candidates(cls, joint: str, peak_speed: float) -> Iterable[JointEffect]:
@@ -181,3 +200,37 @@ class JointEffect(Effect):
         """
         del peak_speed
         return (cls(joint),)
+
+
+@dataclass(frozen=True)
+class JointPairEffect(Effect):
+    """An effect that ties two joints together. Subclasses define `name`, `parameters`, `rows`."""
+
+    joints: tuple[str, str]
+    places: ClassVar[str] = "joint_pair"
+
+    def __post_init__(self) -> None:
+        if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
+            raise ArgumentError(f"{self.name} needs two different joints; it got {self.joints}.")
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The two joints."""
+        return self.joints
+
+    @classmethod
+    def candidates(cls, joints: tuple[str, str]) -> Iterable[JointPairEffect]:
+        """Instances a diagnosis should try at a pair of joints."""
+        return (cls(joints),)
+
+
+def require_positive(effect: Effect, *names: str) -> None:
+    """Refuses shape parameters of an effect that are not positive and finite.
+
+    Raises:
+        ArgumentError: One of the named fields is not.
+    """
+    for name in names:
+        value = getattr(effect, name)
+        if not 0.0 < value < np.inf:
+            raise ArgumentError(f"{effect.name} needs a positive {name}; it got {value}.")

@@ -1,0 +1,36 @@
+"""Friction that differs between the two directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+
+
+@dataclass(frozen=True)
+class AsymmetricFriction(JointEffect):
+    """Dry and viscous friction with magnitudes of their own in each direction.
+
+    effort = F₊ + c₊ v where v > 0, and −F₋ + c₋ v where v < 0; F in N·m, c in N·m·s/rad, all ≥ 0.
+
+    It contains Coulomb and viscous friction (F₊ = F₋, c₊ = c₋), so it replaces that pair. It always
+    brakes: at rest it is zero, and effort · v ≥ 0.
+    """
+
+    name = "asymmetric_friction"
+    parameters = (
+        Parameter("coulomb_positive", "N·m", lower=0.0),
+        Parameter("coulomb_negative", "N·m", lower=0.0),
+        Parameter("viscous_positive", "N·m·s/rad", lower=0.0),
+        Parameter("viscous_negative", "N·m·s/rad", lower=0.0),
+    )
+    signature = "a step at reversals, and slopes or heights that differ between the directions"
+    confused_with = ("effort_offset", "coulomb_friction", "viscous_friction")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[max(sgn v, 0), min(sgn v, 0), max(v, 0), min(v, 0)]."""
+        s, v = joint.sign_v, joint.v
+        return [np.maximum(s, 0.0), np.minimum(s, 0.0), np.maximum(v, 0.0), np.minimum(v, 0.0)]

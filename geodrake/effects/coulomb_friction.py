@@ -1,0 +1,25 @@
+"""Dry friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+
+
+@dataclass(frozen=True)
+class CoulombFriction(JointEffect):
+    """Dry friction of a joint ([Lee2019] Eq. (5.2.2)).
+
+    effort = F sgn v, with F ≥ 0 in N·m.
+    """
+
+    name = "coulomb_friction"
+    parameters = (Parameter("coulomb", "N·m", lower=0.0),)
+    signature = "a step of constant height wherever the joint reverses"
+    confused_with = ("load_dependent_friction", "asymmetric_friction", "stribeck_friction")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[sgn v]."""
+        return [joint.sign_v]

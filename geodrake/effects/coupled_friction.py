@@ -1,0 +1,52 @@
+"""Friction of an actuator that turns with two joints at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointPairEffect, Parameter, RobotMotion
+from geodrake.errors import ArgumentError
+
+
+@dataclass(frozen=True)
+class CoupledFriction(JointPairEffect):
+    """Friction of an actuator whose speed is w = vᵢ + s vⱼ, as in a coupled wrist.
+
+    effort of joint i = F sgn w + c w, and s times that at joint j, so that the power is
+    (F sgn w + c w) w; F ≥ 0 in N·m and c ≥ 0 in N·m·s/rad.
+
+    Attributes:
+        joints: The joints i and j.
+        sign: s, 1 or −1. A ratio other than one belongs in a transmission.
+    """
+
+    sign: int = 1
+
+    name = "coupled_friction"
+    parameters = (
+        Parameter("coulomb", "N·m", lower=0.0),
+        Parameter("viscous", "N·m·s/rad", lower=0.0),
+    )
+    signature = "steps at both joints at once, where the sum or difference of their speeds reverses"
+    confused_with = ("coulomb_friction", "viscous_friction")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sign not in (-1, 1):
+            raise ArgumentError(f"{self.name} needs the sign 1 or −1; it got {self.sign}.")
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """[sgn w, w] at joint i and s [sgn w, w] at joint j."""
+        i, j = map(motion.index, self.joints)
+        w = motion.v[:, i] + self.sign * motion.v[:, j]
+        width = np.hypot(motion.sign_width[i], motion.sign_width[j])
+        columns = np.stack([motion.direction(w, width), w], -1)
+        return {self.joints[0]: columns, self.joints[1]: self.sign * columns}
+
+    @classmethod
+    def candidates(cls, joints: tuple[str, str]) -> tuple[CoupledFriction, ...]:
+        """The sum and the difference of the two speeds."""
+        return cls(joints, 1), cls(joints, -1)

@@ -1,0 +1,34 @@
+"""Inertia of a rotor that turns with two joints at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointPairEffect, Parameter, RobotMotion
+
+
+@dataclass(frozen=True)
+class CoupledRotorInertia(JointPairEffect):
+    """What a rotor that turns with vᵢ and vⱼ adds between the two joints.
+
+    effort of joint i = I v̇ⱼ and effort of joint j = I v̇ᵢ, from the kinetic energy I vᵢ vⱼ: one
+    symmetric pair of entries of the mass matrix. I is in kg·m², and negative where the rotor turns
+    with the difference. What the same rotor adds to each joint alone is `rotor_inertia` of either
+    joint, so |I| ≤ √(Iᵢ Iⱼ) of those two.
+    """
+
+    name = "coupled_rotor_inertia"
+    parameters = (Parameter("inertia", "kg·m²"),)
+    signature = "at each of two joints, follows the acceleration of the other one"
+    confused_with = ("wrong_inertia", "payload", "rotor_inertia")
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """[v̇ⱼ] at joint i and [v̇ᵢ] at joint j."""
+        i, j = self.joints
+        return {
+            i: motion.vd[:, motion.index(j), np.newaxis],
+            j: motion.vd[:, motion.index(i), np.newaxis],
+        }

@@ -1,0 +1,95 @@
+"""Efforts that are logged later than the motion they belong to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
+
+from geodrake.effects.base import Array, Effect, RobotMotion
+from geodrake.errors import ArgumentError
+
+_DEGREE = 5
+
+
+@dataclass(frozen=True)
+class EffortDelay(Effect):
+    """Time by which logged efforts lag behind logged motion.
+
+    effort logged at t = effort needed at t − δ.
+
+    It has no columns of its own but shifts those of everything else: `delayed` turns the needed
+    efforts, or the regressor columns that they come from, into what the log shows. Shift before
+    filtering. In a simulation it is `geodrake.systems.DelayedEffort`.
+
+    Attributes:
+        delay: δ, s; negative if the efforts are ahead.
+        joint: The joint whose effort lags; all joints of the log if None.
+    """
+
+    delay: float
+    joint: str | None = None
+
+    name = "effort_delay"
+    parameters = ()
+    places: ClassVar[str] = "log"
+    signature = "follows the rate of change of the effort, so it is largest in fast motion"
+    confused_with = ("nonlinear_viscous_friction", "joint_elasticity", "rotor_inertia")
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.delay):
+            raise ArgumentError(f"{self.name} needs a finite delay; it got {self.delay}.")
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The joint, or nothing for the whole log."""
+        return () if self.joint is None else (self.joint,)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """Nothing: a delay adds no effort."""
+        del motion
+        return {}
+
+    def delayed(self, signal: ArrayLike, period: float) -> Array:
+        """The signal as it was δ ago, by quintic spline interpolation.
+
+        Args:
+            signal: (N, ...) samples at a uniform rate.
+            period: Time between samples, s.
+
+        Returns:
+            (N, ...) the samples at t − δ; what lies outside the signal is its first or last sample.
+
+        Raises:
+            ArgumentError: The period is not positive, or there are no samples.
+        """
+        signal = np.asarray(signal, float)
+        if not period > 0 or signal.ndim == 0 or len(signal) == 0:
+            raise ArgumentError(
+                f"A delay needs samples and a positive period; it got a signal of shape "
+                f"{signal.shape} and a period of {period} s."
+            )
+        if self.delay == 0 or len(signal) == 1:
+            return signal.copy()
+        samples = np.arange(len(signal), dtype=float)
+        degree = min(_DEGREE, len(signal) - 1)
+        spline = make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
+        return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
+
+    @classmethod
+    def candidates(
+        cls, joint: str | None = None, *, period: float, longest: float = 0.02
+    ) -> tuple[EffortDelay, ...]:
+        """Delays of one sample, two samples and so on.
+
+        Args:
+            joint: The joint whose effort lags; all joints if None.
+            period: Time between samples, s.
+            longest: Longest delay, s.
+        """
+        count = max(1, int(longest / period + 1e-9))
+        return tuple(cls(period * n, joint) for n in range(1, count + 1))

@@ -1,0 +1,27 @@
+"""A constant in the effort."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+
+
+@dataclass(frozen=True)
+class EffortOffset(JointEffect):
+    """Constant effort: a sensor's zero, a current offset, a constant-force balancer.
+
+    effort = o, in N·m.
+    """
+
+    name = "effort_offset"
+    parameters = (Parameter("offset", "N·m"),)
+    signature = "the same at all times"
+    confused_with = ("asymmetric_friction", "joint_spring", "gravity_tilt")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[1]."""
+        return [np.ones_like(joint.v)]

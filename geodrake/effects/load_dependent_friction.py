@@ -1,0 +1,30 @@
+"""Dry friction that grows with the load on the gear."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+
+
+@dataclass(frozen=True)
+class LoadDependentFriction(JointEffect):
+    """Dry friction in proportion to the effort that the gear transmits.
+
+    effort = k |τ_model| sgn v, with k ≥ 0 and without unit.
+
+    τ_model is the effort that the rigid-body model needs, never the measured one, whose noise and
+    whose own friction would bias k.
+    """
+
+    name = "load_dependent_friction"
+    parameters = (Parameter("load_factor", "1", lower=0.0),)
+    signature = "a step at reversals whose height grows with the load on the joint"
+    confused_with = ("coulomb_friction", "effort_scale", "wrong_inertia")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[|τ_model| sgn v]."""
+        return [np.abs(joint.load) * joint.sign_v]

@@ -1,0 +1,180 @@
+"""Effects by name: the catalogue, users' own files, and the form effects have in saved models."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from geodrake.effects.asymmetric_friction import AsymmetricFriction
+from geodrake.effects.base import Effect
+from geodrake.effects.coulomb_friction import CoulombFriction
+from geodrake.effects.coupled_friction import CoupledFriction
+from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
+from geodrake.effects.effort_delay import EffortDelay
+from geodrake.effects.effort_offset import EffortOffset
+from geodrake.effects.joint_spring import JointSpring
+from geodrake.effects.load_dependent_friction import LoadDependentFriction
+from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
+from geodrake.effects.payload import Payload
+from geodrake.effects.rotor_inertia import RotorInertia
+from geodrake.effects.stribeck_friction import StribeckFriction
+from geodrake.effects.viscous_friction import ViscousFriction
+from geodrake.errors import ArgumentError, ModelError
+
+_PLACE_FIELDS = {"joint": "joint", "joint_pair": "joints", "body": "body", "log": "joint"}
+
+
+def catalogue() -> tuple[type[Effect], ...]:
+    """The effects that come with geodrake, in the order in which they are usually told of."""
+    return (
+        ViscousFriction,
+        CoulombFriction,
+        AsymmetricFriction,
+        StribeckFriction,
+        NonlinearViscousFriction,
+        LoadDependentFriction,
+        CoupledFriction,
+        EffortOffset,
+        EffortDelay,
+        JointSpring,
+        RotorInertia,
+        CoupledRotorInertia,
+        Payload,
+    )
+
+
+def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
+    """The effect of a name.
+
+    Args:
+        name: Such as "coulomb_friction".
+        extra: Effects that are not in the catalogue, such as those of `load_effect_file`.
+
+    Raises:
+        ArgumentError: There is no such effect; the message has the nearest names.
+    """
+    effects = {effect.name: effect for effect in (*catalogue(), *extra)}
+    if name not in effects:
+        near = difflib.get_close_matches(name, effects, cutoff=0.5)
+        names = ", ".join(near or effects)
+        raise ArgumentError(
+            f"There is no effect {name!r}.",
+            advice=f"Did you mean {names}?" if near else f"Effects are: {names}.",
+            nearest=near,
+        )
+    return effects[name]
+
+
+def make_effect(
+    name: str,
+    where: Sequence[str],
+    shape: Mapping[str, Any] | None = None,
+    extra: Sequence[type[Effect]] = (),
+) -> Effect:
+    """An effect from the form it has in a saved model: its `name`, `where` and `shape`.
+
+    Args:
+        name: Name of the effect.
+        where: Names of its joints, or of its body.
+        shape: Its shape parameters by name; those left out have their default.
+        extra: Effects that are not in the catalogue.
+
+    Raises:
+        ArgumentError: There is no such effect, or place or shape parameters do not fit it.
+    """
+    cls = effect_class(name, extra)
+    shape = dict(shape or {})
+    place = _PLACE_FIELDS[cls.places]
+    counts = {"joint_pair": (2,), "log": (0, 1)}.get(cls.places, (1,))
+    if isinstance(where, str) or len(where) not in counts:
+        wanted = {"joint_pair": "two joints", "log": "one joint or none"}.get(
+            cls.places, f"one {cls.places}"
+        )
+        raise ArgumentError(f"{name} needs {wanted}; it got {where!r}.")
+    known = [field for field in inspect.signature(cls).parameters if field != place]
+    unknown = [key for key in shape if key not in known]
+    if unknown:
+        raise ArgumentError(
+            f"{name} has no shape parameter {unknown[0]!r}.",
+            advice=f"It has {', '.join(known)}." if known else "It has none.",
+        )
+    if where:
+        shape[place] = tuple(where) if cls.places == "joint_pair" else where[0]
+    try:
+        return cls(**shape)
+    except TypeError as error:
+        raise ArgumentError(
+            f"{name} cannot be made of {shape}: {error}.",
+            advice=f"Its shape parameters are {', '.join(known)}.",
+        ) from error
+
+
+def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
+    """Runs a Python file of a user and collects the effects that it defines.
+
+    Args:
+        path: A file such as the one in the documentation of `geodrake.effects`.
+
+    Returns:
+        Its effects in the order of definition, to be passed on as `extra`.
+
+    Raises:
+        ModelError: The file cannot be run, or defines no usable effect.
+    """
+    path = Path(path)
+    module = _import(path)
+    effects = [
+        value
+        for value in vars(module).values()
+        if inspect.isclass(value)
+        and issubclass(value, Effect)
+        and value.__module__ == module.__name__
+        and not inspect.isabstract(value)
+    ]
+    if not effects:
+        raise ModelError(
+            f"{path} defines no effect.",
+            advice="Derive a class from geodrake.effects.JointEffect and define its columns().",
+        )
+    taken = {effect.name for effect in catalogue()}
+    for effect in effects:
+        name = getattr(effect, "name", None)
+        missing = [key for key in ("name", "parameters", "places") if not hasattr(effect, key)]
+        if missing or not is_dataclass(effect):
+            what = ", ".join(missing) or "the line @dataclass(frozen=True)"
+            raise ModelError(f"The effect {effect.__name__} of {path} lacks {what}.")
+        if name in taken:
+            raise ModelError(
+                f"The effect {effect.__name__} of {path} has the name {name!r} of another effect.",
+                advice="Give it a name of its own.",
+            )
+        taken.add(effect.name)
+    return tuple(effects)
+
+
+def _import(path: Path) -> ModuleType:
+    """Imports a file under a name that depends on where it is, so that files do not collide."""
+    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    name = f"geodrake_user_effects_{digest}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ModelError(f"{path} is not a Python file.", advice="Give a file that ends in .py.")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up while they are made
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ModelError(
+            f"{path} cannot be run: {type(error).__name__}: {error}.",
+            advice="Run it with python to see where it fails.",
+        ) from error
+    return module

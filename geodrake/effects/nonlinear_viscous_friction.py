@@ -1,0 +1,43 @@
+"""Friction that grows with a power of speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
+
+_EXPONENTS = (0.5, 1.5, 2.0, 3.0)
+
+
+@dataclass(frozen=True)
+class NonlinearViscousFriction(JointEffect):
+    """Friction that grows with a power of speed: lubricants (α < 1), drag (α = 2).
+
+    effort = c |v|^α sgn v, with c ≥ 0 in N·m·(s/rad)^α.
+
+    Attributes:
+        exponent: α.
+    """
+
+    exponent: float
+
+    name = "nonlinear_viscous_friction"
+    parameters = (Parameter("viscous", "N·m·(s/rad)^α", lower=0.0),)
+    signature = "follows the joint's speed along a curve and changes sign with it"
+    confused_with = ("viscous_friction", "coulomb_friction", "effort_delay", "aerodynamic_drag")
+
+    def __post_init__(self) -> None:
+        require_positive(self, "exponent")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[|v|^α sgn v]."""
+        return [np.abs(joint.v) ** self.exponent * joint.sign_v]
+
+    @classmethod
+    def candidates(cls, joint: str, peak_speed: float) -> tuple[NonlinearViscousFriction, ...]:
+        """The exponents ½, 1½, 2 and 3."""
+        del peak_speed
+        return tuple(cls(joint, exponent) for exponent in _EXPONENTS)

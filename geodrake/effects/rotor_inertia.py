@@ -1,0 +1,25 @@
+"""Inertia of a geared rotor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+
+
+@dataclass(frozen=True)
+class RotorInertia(JointEffect):
+    """Inertia of a rotor behind a gear, as the joint feels it (the reflected inertia).
+
+    effort = I v̇, with I = (gear ratio)² · rotor inertia ≥ 0 in kg·m² (kg at a prismatic joint).
+    """
+
+    name = "rotor_inertia"
+    parameters = (Parameter("inertia", "kg·m²", lower=0.0),)
+    signature = "follows the joint's own acceleration"
+    confused_with = ("wrong_inertia", "payload", "joint_elasticity", "effort_delay")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[v̇]."""
+        return [joint.vd]

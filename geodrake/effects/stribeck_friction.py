@@ -1,0 +1,46 @@
+"""More dry friction at low speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
+
+
+@dataclass(frozen=True)
+class StribeckFriction(JointEffect):
+    """What dry friction has at low speed over its value at high speed.
+
+    effort = (S − F) exp(−|v / v_s|^α) sgn v, with the excess S − F ≥ 0 in N·m.
+
+    It goes on top of `coulomb_friction`, which has the F of the whole Stribeck curve
+    (F + (S − F) exp(−|v / v_s|^α)) sgn v, and of `viscous_friction`.
+
+    Attributes:
+        stribeck_velocity: v_s, rad/s or m/s.
+        exponent: α; 1 (Tustin) and 2 (Gaussian) are usual.
+    """
+
+    stribeck_velocity: float
+    exponent: float = 1.0
+
+    name = "stribeck_friction"
+    parameters = (Parameter("excess", "N·m", lower=0.0),)
+    signature = "extra friction near reversals that fades as the joint speeds up"
+    confused_with = ("coulomb_friction", "nonlinear_viscous_friction", "hysteresis")
+
+    def __post_init__(self) -> None:
+        require_positive(self, "stribeck_velocity", "exponent")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[exp(−|v / v_s|^α) sgn v]."""
+        fading = np.exp(-(np.abs(joint.v / self.stribeck_velocity) ** self.exponent))
+        return [fading * joint.sign_v]
+
+    @classmethod
+    def candidates(cls, joint: str, peak_speed: float) -> tuple[StribeckFriction, ...]:
+        """Four Stribeck velocities from 1 % to 30 % of the peak speed."""
+        return tuple(cls(joint, float(v)) for v in peak_speed * np.geomspace(0.01, 0.3, 4))

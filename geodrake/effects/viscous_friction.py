@@ -1,0 +1,25 @@
+"""Friction in proportion to speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+
+
+@dataclass(frozen=True)
+class ViscousFriction(JointEffect):
+    """Viscous friction of a joint ([Lee2019] Eq. (5.2.2)).
+
+    effort = c v, with c ≥ 0 in N·m·s/rad.
+    """
+
+    name = "viscous_friction"
+    parameters = (Parameter("viscous", "N·m·s/rad", lower=0.0),)
+    signature = "grows in proportion to the joint's speed and changes sign with it"
+    confused_with = ("nonlinear_viscous_friction", "asymmetric_friction", "coupled_friction")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[v]."""
+        return [joint.v]
