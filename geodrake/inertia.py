@@ -102,7 +102,7 @@ def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
         (...) booleans ([Lee2019] Eq. (3.2.7)).
     """
     matrix = pseudo_inertia(phi)
-    finite = np.isfinite(matrix).all((-2, -1))
+    finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
     matrix = np.where(finite[..., None, None], matrix, 0.0)
     moments = np.diagonal(matrix, axis1=-2, axis2=-1)[..., :3].max(-1, initial=0.0)
     mass = matrix[..., 3, 3]
@@ -127,7 +127,9 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
         (..., 10) inertial parameters about Bo.
     """
     mass, com = np.asarray(mass, float), np.asarray(com, float)
-    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[..., None]
+    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
+        ..., None, :
+    ]
     inertia = np.asarray(inertia_com, float) + mass[..., None, None] * squared
     moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
     return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
@@ -144,7 +146,9 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
     """
     phi = np.asarray(phi, float)
     mass, com = phi[..., 0], phi[..., 1:4] / phi[..., :1]
-    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[..., None]
+    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
+        ..., None, :
+    ]
     return mass, com, rotational_inertia(phi) - mass[..., None, None] * squared
 
 
