@@ -1,0 +1,85 @@
+"""Base class of the model formats that are XML."""
+
+from __future__ import annotations
+
+import abc
+from pathlib import Path
+from typing import ClassVar
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from geodrake.inertia import Array, is_physical
+from geodrake.model_files.values import drop
+
+_LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
+
+
+class ModelText(abc.ABC):
+    """A robot description as text that Drake accepts.
+
+    Attributes:
+        kind: Drake's name of the format.
+        notes: Sentences on what was taken out of the text and matters.
+        held_back: Scoped link names with the (10,) inertial parameters that the file gives them
+            and no body can have; these are not in the text.
+        friction: Scoped joint names with their dry friction, N or N·m.
+        armature: Scoped joint names with their reflected inertia, kg·m² or kg.
+        effort: Scoped joint names with their largest effort, N or N·m.
+    """
+
+    kind: ClassVar[str]
+
+    def __init__(self, root: Element, path: Path, scope: str | None) -> None:
+        self.root, self.path, self.scope = root, path, scope
+        self.notes: list[str] = []
+        self.friction: dict[str, float] = {}
+        self.armature: dict[str, float] = {}
+        self.effort: dict[str, float] = {}
+        self._links: dict[str, Element] = {}
+        self._read()
+        self.held_back: dict[str, Array] = {}
+        for name, link in self._links.items():
+            phi = self._inertia(link)
+            if phi is not None and not is_physical(phi):
+                self.held_back[name] = phi
+                self.set_inertia(name, None)
+
+    def set_inertia(self, link: str, phi: Array | None) -> bool:
+        """Gives a link inertial parameters (10,), or none; False if the link is not in the text."""
+        if link not in self._links:
+            return False
+        drop(self._links[link], "inertial")
+        if phi is not None:
+            self._write_inertia(SubElement(self._links[link], "inertial"), phi)
+        return True
+
+    def text(self) -> str:
+        """The simplified description."""
+        return tostring(self.root, encoding="unicode")
+
+    def _drop_loops(self) -> None:
+        tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
+        for tag in sorted({e.tag for e in self.root.iter() if e.tag in tags}):
+            drop(self.root, tag)
+            self.notes.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+        mimicking = [
+            element.get("name", "?")
+            for element in self.root.iter("joint")
+            if next(element.iter("mimic"), None) is not None
+        ]
+        drop(self.root, "mimic")
+        if mimicking:
+            self.notes.append(
+                f"<mimic> is ignored: {', '.join(mimicking)} count as joints of their own."
+            )
+
+    @abc.abstractmethod
+    def _read(self) -> None:
+        """Fills the attributes and takes out what Drake shall not see."""
+
+    @abc.abstractmethod
+    def _inertia(self, link: Element) -> Array | None:
+        """Inertial parameters that the file states for a link."""
+
+    @abc.abstractmethod
+    def _write_inertia(self, inertial: Element, phi: Array) -> None:
+        """Fills an empty inertial element."""
