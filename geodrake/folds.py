@@ -121,11 +121,10 @@ def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | N
     cuts = np.linspace(0, total + gap, pieces + 1).round().astype(int)
     folds = []
     for start, stop in zip(cuts[:-1], cuts[1:] - gap, strict=True):
-        begin = np.maximum(start, ends - counts)
-        end = np.minimum(stop, ends)
+        begin = np.maximum(start - (ends - counts), 0).tolist()
+        end = np.minimum(stop - (ends - counts), counts).tolist()
         blocks = tuple(
-            Block(index, k, int(begin[k] - ends[k] + counts[k]), int(end[k] - ends[k] + counts[k]))
-            for k in np.flatnonzero(end > begin)
+            Block(index, k, begin[k], end[k]) for k in range(len(counts)) if end[k] > begin[k]
         )
         folds.append(Fold(_name(trajectory, blocks, pieces), blocks))
     return folds
@@ -141,4 +140,4 @@ def _name(trajectory: Trajectory, blocks: Sequence[Block], pieces: int) -> str:
             (trajectory.segments[blocks[-1].segment], blocks[-1].stop - 1),
         )
     )
-    return f"{trajectory.name} {first:.1f}–{last:.1f} s"
+    return f"{trajectory.name} {first:.2f}–{last:.2f} s"

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import csv
 import difflib
+import itertools
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +80,7 @@ def write_log(log: JointLog, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".txt", ".npz"):
         raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
-    columns = {"time": log.time}
+    columns: dict[str, Any] = {"time": log.time}
     for quantity in _QUANTITIES:
         values = getattr(log, quantity)
         if values is not None:
@@ -104,6 +106,7 @@ def write_log(log: JointLog, path: str | Path) -> None:
 
 
 def _is_used(name: str) -> bool:
+    """Whether a column is one of the format's."""
     return name == "time" or ("." in name and name.rsplit(".", 1)[1] in _QUANTITIES)
 
 
@@ -111,12 +114,15 @@ def _read_csv(path: Path) -> dict[str, Array]:
     with path.open(encoding="utf-8-sig", newline="") as file:
         header = [name.strip() for name in next(csv.reader(file), [])]
         _check_header(path, header)
+        first = next(file, "")
         try:
-            table = np.loadtxt(file, delimiter=",", comments=None, ndmin=2)
-            if table.shape[1] == len(header):
-                return dict(zip(header, table.T, strict=True))
-        except (ValueError, UserWarning):
-            pass  # empty cells, text, ragged or no rows: told apart below, row by row
+            if first.strip():
+                lines = itertools.chain([first], file)
+                table = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
+                if table.shape[1] == len(header):
+                    return dict(zip(header, table.T, strict=True))
+        except ValueError:
+            pass  # empty cells, text or ragged rows: told apart below, row by row
     return _read_cells(path, header)
 
 
@@ -215,6 +221,41 @@ def _assemble(path: Path, columns: Mapping[str, Array]) -> JointLog:
         quantity: [n.rsplit(".", 1)[0] for n in columns if n.endswith(f".{quantity}")]
         for quantity in _QUANTITIES
     }
+    joints = _joints(path, having)
+    rows = len(columns["time"])
+    if rows < LEAST_ROWS:
+        raise LogError(
+            f"Log {str(path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
+            advice="Record several seconds of motion.",
+        )
+    notes = []
+    known = {"time", *(f"{joint}.{quantity}" for joint in joints for quantity in _QUANTITIES)}
+    others = [name for name in columns if name not in known]
+    values: dict[str, Array] = {}
+    for quantity in _QUANTITIES:
+        names = [f"{joint}.{quantity}" for joint in joints]
+        missing = [name for name in names if name not in columns]
+        if not missing:
+            values[quantity] = np.stack([columns[name] for name in names], 1)
+        elif len(missing) < len(names):
+            notes.append(f"{quantity} is not used: there is no {', '.join(missing)}")
+    if others:
+        more = " …" if len(others) > 8 else ""
+        notes.append(f"columns ignored: {', '.join(others[:8])}{more}")
+    return JointLog(
+        path.stem,
+        tuple(joints),
+        columns["time"],
+        values["position"],
+        values["effort"],
+        values.get("velocity"),
+        values.get("acceleration"),
+        tuple(notes),
+    )
+
+
+def _joints(path: Path, having: Mapping[str, Sequence[str]]) -> Sequence[str]:
+    """Joints with position and effort; an error if a position has no effort."""
     joints = having["position"]
     silent = [joint for joint in joints if joint not in having["effort"]]
     if not joints or len(silent) == len(joints):
@@ -230,27 +271,4 @@ def _assemble(path: Path, columns: Mapping[str, Array]) -> JointLog:
             advice="Log that joint's effort too, or leave its columns out.",
             joints=silent,
         )
-    rows = len(columns["time"])
-    if rows < LEAST_ROWS:
-        raise LogError(
-            f"Log {str(path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
-            advice="Record several seconds of motion.",
-        )
-    notes = []
-    ignored = [
-        name
-        for name in columns
-        if name != "time" and (not _is_used(name) or name.rsplit(".", 1)[0] not in joints)
-    ]
-    values: dict[str, Array | None] = {}
-    for quantity in _QUANTITIES:
-        missing = [joint for joint in joints if joint not in having[quantity]]
-        values[quantity] = None
-        if not missing:
-            values[quantity] = np.stack([columns[f"{joint}.{quantity}"] for joint in joints], 1)
-        elif len(missing) < len(joints):
-            notes.append(f"{quantity} is not used: {', '.join(missing)} has none")
-    if ignored:
-        more = " …" if len(ignored) > 8 else ""
-        notes.append(f"columns ignored: {', '.join(ignored[:8])}{more}")
-    return JointLog(path.stem, tuple(joints), columns["time"], notes=tuple(notes), **values)
+    return joints

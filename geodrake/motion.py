@@ -250,9 +250,7 @@ def _check_time(name: str, time: Array) -> None:
         return
     first = int(np.argmax(steps <= 0))
     before, after = rows[first] + 1, rows[first + 1] + 1
-    what = (
-        "is constant" if not steps.any() else "repeats" if steps[first] == 0 else "runs backwards"
-    )
+    what = "runs backwards" if steps[first] < 0 else "repeats" if steps.any() else "is constant"
     raise LogError(
         f"Time {what} in log {name!r}: row {before} has {time[before - 1]:.9g} s and row {after} "
         f"has {time[after - 1]:.9g} s.",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,15 +108,13 @@ def _make_uniform(log: JointLog) -> _Uniform:
     if gap.any():
         longest = int(np.argmax(np.where(gap, steps, 0.0)))
         notes.append(
-            f"split into {len(runs)} pieces at gaps and empty cells, the longest {steps[longest]:.3g}"
-            f" s at t = {log.time[rows[longest]]:.2f} s"
+            f"split into {len(runs)} pieces at gaps and empty cells, the longest of "
+            f"{steps[longest]:.3g} s at t = {log.time[rows[longest]]:.2f} s"
         )
+    smooth = np.hstack([log.position] if velocity is None else [log.position, velocity])
     pieces = []
-    for run in runs:
-        if len(run) < _LEAST_ROWS:
-            continue
-        smooth = log.position[run] if velocity is None else np.hstack([log.position, velocity])[run]
-        time, signals, effort = resample(log.time[run], smooth, log.effort[run], period)
+    for run in (run for run in runs if len(run) >= _LEAST_ROWS):
+        time, signals, effort = resample(log.time[run], smooth[run], log.effort[run], period)
         position, speed = signals[:, : len(log.joints)], signals[:, len(log.joints) :]
         pieces.append(_Piece(time, position, None if velocity is None else speed, effort))
     noise, moving = _find_moving(log, pieces, period)
@@ -157,40 +155,44 @@ def _prepare(uniform: _Uniform, bandwidth: float, how: str) -> Trajectory:
         f"bandwidth {low_pass.bandwidth:.3g} Hz {how}; efforts decimated {1 / period:.4g} → "
         f"{1 / low_pass.output_period:.4g} Hz"
     )
-    velocities, note = _choose_velocities(uniform, low_pass)
-    notes += [note] if note else []
-    segments = []
-    too_short = 0.0
-    for piece, velocity, kept in zip(
-        uniform.pieces, velocities, _keep(uniform, velocities, low_pass, notes), strict=True
-    ):
-        if low_pass.output_count(kept.stop - kept.start) == 0:
-            too_short += len(piece.time) * period
-            continue
-        segments.append(
-            Segment(
-                piece.time[kept],
-                low_pass.smooth(piece.position)[kept],
-                velocity[kept],
-                differentiate(velocity, period)[kept],
-                piece.effort[kept],
-                period,
-            )
-        )
-    if too_short:
-        notes.append(f"left out {too_short:.3g} s in pieces too short for the filter, or still")
-    trajectory = Trajectory(log.name, log.joints, tuple(segments), low_pass, tuple(notes))
+    seconds = sum(len(piece.time) for piece in uniform.pieces) * period
+    long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p.time)) > 0)
+    segments = _smooth(replace(uniform, pieces=long), low_pass, notes) if long else ()
+    trajectory = Trajectory(log.name, log.joints, segments, low_pass, tuple(notes))
     outputs = sum(trajectory.output_counts)
     if outputs < LEAST_OUTPUTS:
-        seconds = sum(len(piece.time) for piece in uniform.pieces) * period
         ends = 4 * low_pass.halfwidth * period
         raise LogError(
             f"Log {log.name!r} is too short: its {seconds:.3g} s give {outputs} filtered samples "
             f"at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are needed.",
             advice=f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
             "motion in one piece, or ask for a larger bandwidth.",
+            seconds=seconds,
+            bandwidth=low_pass.bandwidth,
         )
+    dropped = len(uniform.pieces) - len(segments)
+    if dropped:
+        note = f"left out {dropped} pieces that are still or too short for the filter"
+        return replace(trajectory, notes=(*notes, note))
     return trajectory
+
+
+def _smooth(uniform: _Uniform, low_pass: ZeroPhaseFilter, notes: list[str]) -> tuple[Segment, ...]:
+    velocities, note = _choose_velocities(uniform, low_pass)
+    notes += [note] if note else []
+    kept = _keep(uniform, velocities, low_pass, notes)
+    return tuple(
+        Segment(
+            piece.time[rows],
+            low_pass.smooth(piece.position)[rows],
+            velocity[rows],
+            differentiate(velocity, uniform.period)[rows],
+            piece.effort[rows],
+            uniform.period,
+        )
+        for piece, velocity, rows in zip(uniform.pieces, velocities, kept, strict=True)
+        if low_pass.output_count(rows.stop - rows.start) > 0
+    )
 
 
 def _choose_velocities(
