@@ -25,7 +25,8 @@ _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter o
 _LEAST_ROWS = 8  # of a piece worth resampling
 _STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
 _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
-_SPEED_AGREEMENT = 0.1  # relative RMS of measured velocity − derivative of position
+_SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
+_NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ def prepare_logs(
 
     A log is split at NaN rows and gaps, resampled to its median time step, low-passed without lag
     and differentiated, and standstills at its two ends are left out. Measured velocities are
-    used when they agree with the positions.
+    used when they agree with the positions, apart from a lag, which is taken out.
 
     Args:
         logs: The logs, all of the same joints.
@@ -89,6 +90,8 @@ def prepare_logs(
 
 def _make_uniform(log: JointLog) -> _Uniform:
     notes = list(log.notes)
+    if log.acceleration is not None:
+        notes.append("measured accelerations are not used; they are derived from velocities")
     velocity = log.velocity
     if velocity is not None and np.isnan(velocity).mean() > 0.1:
         velocity = None
@@ -172,7 +175,9 @@ def _prepare(uniform: _Uniform, bandwidth: float, how: str) -> Trajectory:
         )
     dropped = len(uniform.pieces) - len(segments)
     if dropped:
-        note = f"left out {dropped} pieces that are still or too short for the filter"
+        note = (
+            f"left out {dropped} of {len(uniform.pieces)} pieces, still or too short for the filter"
+        )
         return replace(trajectory, notes=(*notes, note))
     return trajectory
 
@@ -207,16 +212,29 @@ def _choose_velocities(
     ]
     if not measured:
         return derived, None
-    truth = np.concatenate(derived)
-    error = np.sqrt(np.mean((np.concatenate(measured) - truth) ** 2, axis=0))
-    size = np.sqrt(np.mean(truth**2, axis=0))
-    relative = np.where(uniform.moving, error / np.where(uniform.moving, size, 1.0), 0.0)
-    worst = int(np.argmax(relative))
-    if relative[worst] <= _SPEED_AGREEMENT:
-        return measured, None
-    return derived, (
-        f"measured velocities are not used: that of {uniform.log.joints[worst]} is "
-        f"{100 * relative[worst]:.0f} % off the derivative of its position"
+    slopes = [differentiate(velocity, uniform.period) for velocity in measured]
+    inner = slice(low_pass.halfwidth, -low_pass.halfwidth)  # free of reflected data
+    truth, found, slope = (
+        np.concatenate([signal[inner] for signal in signals])
+        for signals in (derived, measured, slopes)
+    )
+    still = np.where(uniform.moving, 0.0, np.inf)
+    # Differences of positions, or a filter in the drive, make velocities late.
+    lag = np.sum((truth - found) * slope, axis=0) / (np.sum(slope**2, axis=0) + still)
+    error = np.sum((found + lag * slope - truth) ** 2, axis=0)
+    relative = np.sqrt(error / (np.sum(truth**2, axis=0) + still))
+    worst, latest = int(np.argmax(relative)), int(np.argmax(np.abs(lag)))
+    if relative[worst] > _SPEED_AGREEMENT:
+        return derived, (
+            f"measured velocities are not used: that of {uniform.log.joints[worst]} is "
+            f"{100 * relative[worst]:.0f} % off the derivative of its position"
+        )
+    shifted = [velocity + lag * slope for velocity, slope in zip(measured, slopes, strict=True)]
+    if abs(lag[latest]) < _NOTED_LAG * uniform.period:
+        return shifted, None
+    return shifted, (
+        f"measured velocities moved onto the positions; that of {uniform.log.joints[latest]} is "
+        f"{1e3 * abs(lag[latest]):.2g} ms {'late' if lag[latest] > 0 else 'early'}"
     )
 
 

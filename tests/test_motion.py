@@ -114,7 +114,7 @@ def test_pieces_too_short_are_dropped_with_a_note():
     keep = (time < 20.0) | ((time > 21.0) & (time < 21.5)) | (time > 22.0)
     trajectory = prepare_log(_make_log(time[keep]), bandwidth=4.0)
     assert len(trajectory.segments) == 2
-    assert "left out 1 pieces" in trajectory.notes[-1]
+    assert "left out 1 of 3 pieces" in trajectory.notes[-1]
 
 
 def _with_standstills(lead, pause, tail, period=0.01):
@@ -159,6 +159,14 @@ def test_velocities_that_disagree_are_not_used():
     trajectory = prepare_log(replace(log, velocity=log.velocity * [1.0, 1.3]), bandwidth=4.0)
     assert max(_error(trajectory.segments[0])) < 1e-3
     assert any("elbow is 30 % off" in note for note in trajectory.notes)
+
+
+def test_late_velocities_are_moved():
+    log = _make_log(_uniform())
+    late = RATES * np.cos(RATES * (log.time[:, None] - 0.005))
+    trajectory = prepare_log(replace(log, velocity=late), bandwidth=4.0)
+    assert max(_error(trajectory.segments[0])) < 1e-3
+    assert any("5 ms late" in note for note in trajectory.notes)
 
 
 def test_logs_share_a_bandwidth():
