@@ -101,7 +101,9 @@ def _build(description: ModelDescription, *, floating: bool) -> _Built:
     with drake_errors(description.path):
         notes = [*_root_notes(plant, floating=floating)]
         _limit_efforts(plant, description)
-        damping = {j: joint.default_damping_vector() for j, joint in enumerate(_joints(plant))}
+        damping = {
+            j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
+        }
         rotor = _take_rotor_inertia(plant, description)
         for joint in _joints(plant):
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
@@ -168,8 +170,8 @@ def _free_roots(plant: MultibodyPlant) -> list[RigidBody]:
         tree = [new if label == old else label for label in tree]
     roots: dict[int, int] = {}
     for body, label in enumerate(tree):
-        if label != tree[0] and (label not in roots or roots[label] in children > {body}):
-            roots[label] = body
+        if label != tree[0] and body not in children:
+            roots.setdefault(label, body)
     return [plant.get_body(BodyIndex(body)) for body in roots.values()]
 
 

@@ -178,7 +178,7 @@ def _problem(phi: Array) -> str:
     stated = ", ".join(f"{x:.3g}" for x in moments)
     if moments[0] < 0:
         why = "one is negative"
-    elif moments[0] + moments[1] < moments[2]:
+    elif moments[0] + moments[1] < (1 - TOLERANCE) * moments[2]:
         why = "one exceeds the sum of the others"
     else:
         why = "it has no thickness"

@@ -47,9 +47,11 @@ class ModelText(abc.ABC):
         """Gives a link inertial parameters (10,), or none; False if the link is not in the text."""
         if link not in self._links:
             return False
-        drop(self._links[link], "inertial")
+        element = self._links[link]
+        for inertial in element.findall("inertial"):  # not of the bodies below it in MJCF
+            element.remove(inertial)
         if phi is not None:
-            self._write_inertia(SubElement(self._links[link], "inertial"), phi)
+            self._write_inertia(SubElement(element, "inertial"), phi)
         return True
 
     def text(self) -> str:

@@ -84,18 +84,15 @@ class MjcfText(ModelText):
         settings = {} if compiler is None else compiler.attrib
         folder = self.path.parent / settings.pop("meshdir", settings.pop("assetdir", ""))
         missing = set()
-        for mesh in self.root.iter("mesh"):
-            file = folder / mesh.get("file", "")
-            if file.is_file() and file.suffix.lower() in (".obj", ".stl"):
-                mesh.set("file", str(file.resolve()))
-                mesh.set("name", mesh.get("name") or file.stem)
-            else:
-                missing.add(mesh.get("name") or file.stem)
         for assets in self.root.findall("asset"):
             for asset in list(assets):
-                name = asset.get("name")
-                if asset.tag != "mesh" or name in missing or not asset.get("file"):
+                file = folder / asset.get("file", "")
+                asset.set("name", asset.get("name") or file.stem)
+                if asset.tag == "mesh" and file.suffix.lower() == ".obj" and file.is_file():
+                    asset.set("file", str(file.resolve()))
+                else:
                     assets.remove(asset)
+                    missing |= {asset.get("name")} if asset.tag == "mesh" else set()
         unknown = []
         for body in self.root.iter("body"):
             geoms = [geom for geom in body.findall("geom") if geom.get("mesh") in missing]
@@ -106,7 +103,7 @@ class MjcfText(ModelText):
         if unknown:
             self.notes.append(
                 f"The inertia of {', '.join(unknown)} follows from meshes that are not there "
-                f"(in {folder}); these meshes do not count."
+                f"or not .obj (in {folder}); these meshes do not count."
             )
 
     def _joint_values(self, attribute: str) -> dict[str, float]:
