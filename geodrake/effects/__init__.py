@@ -34,7 +34,6 @@ from geodrake.effects.base import (
     Parameter,
     RobotMotion,
 )
-from geodrake.effects.lookup import catalogue, effect_class, load_effect_file, make_effect
 from geodrake.effects.coulomb_friction import CoulombFriction
 from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
@@ -42,6 +41,7 @@ from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
+from geodrake.effects.lookup import catalogue, effect_class, load_effect_file, make_effect
 from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
 from geodrake.effects.payload import Payload
 from geodrake.effects.rotor_inertia import RotorInertia

@@ -1,1 +1,8 @@
-"""."""
+"""Drake systems: thin LeafSystems over geodrake's functions, one a file."""
+
+from __future__ import annotations
+
+from geodrake.systems.effect_force import EffectForce
+from geodrake.systems.effort_delay import DelayedEffort
+
+__all__ = ["DelayedEffort", "EffectForce"]

@@ -1,0 +1,353 @@
+"""The effects: equations, serial form, names, and a user's own."""
+
+import dataclasses
+import textwrap
+
+import numpy as np
+import pytest
+
+import geodrake.effects
+from geodrake import effects
+from geodrake.effects import Effect, JointMotion, RobotMotion
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.manifolds import PhysicalInertia
+
+JOINTS = ("shoulder", "elbow", "wrist")
+NAMES_OF_DESIGN = (
+    "viscous_friction",
+    "coulomb_friction",
+    "asymmetric_friction",
+    "stribeck_friction",
+    "nonlinear_viscous_friction",
+    "load_dependent_friction",
+    "coupled_friction",
+    "friction_drift",
+    "hysteresis",
+    "effort_offset",
+    "effort_scale",
+    "effort_delay",
+    "joint_spring",
+    "gravity_compensator",
+    "torque_ripple",
+    "rotor_inertia",
+    "coupled_rotor_inertia",
+    "joint_elasticity",
+    "backlash",
+    "payload",
+    "wrong_inertia",
+    "gravity_tilt",
+    "contact",
+    "aerodynamic_drag",
+)
+
+
+def random_motion(n=20, *, width=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    q, v, vd, load = rng.normal(size=(4, n, 3))
+    body = rng.normal(size=(n, 3, 10))
+    return RobotMotion(JOINTS, q, v, vd, load, np.full(3, width), {"hand": body}.__getitem__)
+
+
+def instances():
+    return [
+        effects.ViscousFriction("elbow"),
+        effects.CoulombFriction("elbow"),
+        effects.AsymmetricFriction("elbow"),
+        effects.StribeckFriction("elbow", 0.1, 2.0),
+        effects.NonlinearViscousFriction("elbow", 0.5),
+        effects.LoadDependentFriction("elbow"),
+        effects.CoupledFriction(("elbow", "wrist"), -1),
+        effects.EffortOffset("elbow"),
+        effects.EffortDelay(0.01),
+        effects.JointSpring("elbow", 3, 0.2),
+        effects.RotorInertia("elbow"),
+        effects.CoupledRotorInertia(("elbow", "wrist")),
+        effects.Payload("hand"),
+    ]
+
+
+@pytest.mark.parametrize("effect", instances(), ids=lambda e: e.name)
+class TestEveryEffect:
+    def test_regressor(self, effect):
+        motion, k = random_motion(), len(effect.parameters)
+        mu = np.random.default_rng(1).normal(size=k)
+        regressor = effect.regressor(motion)
+        assert regressor.shape == (20, 3, k)
+        np.testing.assert_allclose(effect.effort(motion, mu), regressor @ mu)
+        assert set(effect.rows(motion)) <= set(JOINTS)
+
+    def test_serial_form(self, effect):
+        again = effects.make_effect(effect.name, effect.where, effect.shape)
+        assert again == effect
+        assert hash(again) == hash(effect)
+
+    def test_words(self, effect):
+        assert effect.signature
+        assert set(effect.confused_with) <= set(NAMES_OF_DESIGN) - {effect.name}
+        assert type(effect).__doc__ and "effort" in type(effect).__doc__
+        assert all(parameter.unit for parameter in effect.parameters)
+
+    def test_manifold(self, effect):
+        assert effect.manifold.dimension == len(effect.parameters)
+        if isinstance(effect, effects.Payload):
+            assert effect.manifold == PhysicalInertia()
+            assert [p.lower for p in effect.parameters] == [
+                0,
+                *[-np.inf] * 3,
+                0,
+                0,
+                0,
+                *[-np.inf] * 3,
+            ]
+        else:
+            assert effect.manifold.lower == tuple(p.lower for p in effect.parameters)
+
+    def test_frozen(self, effect):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            effect.joint = "wrist"
+
+
+@pytest.mark.parametrize("name", [e.name for e in instances() if "friction" in e.name])
+def test_friction_brakes(name):
+    effect = next(e for e in instances() if e.name == name)
+    motion = random_motion(200, width=0.3)
+    effort = effect.effort(motion, np.arange(1.0, 1 + len(effect.parameters)))
+    assert ((effort * motion.v).sum(-1) >= 0).all()
+    still = dataclasses.replace(motion, v=np.zeros_like(motion.v))
+    np.testing.assert_array_equal(effect.effort(still, np.ones(len(effect.parameters))), 0.0)
+
+
+class TestEquations:
+    motion = random_motion()
+    q, v, vd, load = (x[:, 1] for x in (motion.q, motion.v, motion.vd, motion.load))
+
+    def elbow(self, effect, mu):
+        effort = effect.effort(self.motion, np.array(mu))
+        np.testing.assert_array_equal(effort[:, [0, 2]], 0.0)
+        return effort[:, 1]
+
+    def test_asymmetric_contains_coulomb_and_viscous(self):
+        both = self.elbow(effects.AsymmetricFriction("elbow"), [2.0, 2.0, 3.0, 3.0])
+        np.testing.assert_allclose(both, 2.0 * np.sign(self.v) + 3.0 * self.v)
+
+    def test_asymmetric(self):
+        effort = self.elbow(effects.AsymmetricFriction("elbow"), [1.0, 2.0, 3.0, 4.0])
+        expected = np.where(self.v > 0, 1.0 + 3.0 * self.v, -2.0 + 4.0 * self.v)
+        np.testing.assert_allclose(effort, expected)
+
+    def test_stribeck_on_top_of_coulomb(self):
+        F, S, v_s = 1.5, 4.0, 0.2
+        effort = self.elbow(effects.CoulombFriction("elbow"), [F])
+        effort = effort + self.elbow(effects.StribeckFriction("elbow", v_s), [S - F])
+        curve = F + (S - F) * np.exp(-np.abs(self.v) / v_s)
+        np.testing.assert_allclose(effort, curve * np.sign(self.v))
+
+    def test_nonlinear_viscous(self):
+        effort = self.elbow(effects.NonlinearViscousFriction("elbow", 2.0), [3.0])
+        np.testing.assert_allclose(effort, 3.0 * self.v * np.abs(self.v))
+
+    def test_load_dependent(self):
+        effort = self.elbow(effects.LoadDependentFriction("elbow"), [0.1])
+        np.testing.assert_allclose(effort, 0.1 * np.abs(self.load) * np.sign(self.v))
+
+    def test_spring_and_rest_position(self):
+        k, q_0, center = 2.0, 0.7, 0.3
+        effort = self.elbow(effects.JointSpring("elbow", 1, center), [k, k * (center - q_0)])
+        np.testing.assert_allclose(effort, k * (self.q - q_0))
+
+    def test_rotor_inertia(self):
+        np.testing.assert_allclose(self.elbow(effects.RotorInertia("elbow"), [2.0]), 2.0 * self.vd)
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_coupled_friction_has_the_power_of_its_actuator(self, sign):
+        F, c, v = 2.0, 0.5, self.motion.v
+        effort = effects.CoupledFriction(("elbow", "wrist"), sign).effort(self.motion, [F, c])
+        w = v[:, 1] + sign * v[:, 2]
+        np.testing.assert_allclose((effort * v).sum(-1), F * np.abs(w) + c * w**2)
+        np.testing.assert_array_equal(effort[:, 0], 0.0)
+
+    def test_coupled_rotor_inertia_is_symmetric(self):
+        effort = effects.CoupledRotorInertia(("elbow", "wrist")).effort(self.motion, [0.3])
+        np.testing.assert_allclose(effort[:, 1:], 0.3 * self.motion.vd[:, :0:-1])
+
+    def test_smooth_sign(self):
+        smooth = random_motion(width=0.5)
+        np.testing.assert_allclose(smooth.joint("elbow").sign_v, np.tanh(self.v / 0.5))
+        mixed = RobotMotion.direction(np.array([[-2.0, 0.3]]), np.array([0.0, 0.3]))
+        np.testing.assert_allclose(mixed, [[-1.0, np.tanh(1.0)]])
+
+
+class TestDelay:
+    period = 0.002
+    time = np.arange(2000) * period
+
+    @pytest.mark.parametrize("delay", [0.0, 0.0031, 0.02, -0.0007])
+    def test_shifts_a_sine(self, delay):
+        def signal(t):
+            return np.stack([np.sin(40 * t), np.cos(90 * t)], -1)
+
+        delayed = effects.EffortDelay(delay).delayed(signal(self.time), self.period)
+        inside = slice(30, -30)
+        np.testing.assert_allclose(delayed[inside], signal(self.time - delay)[inside], atol=1e-5)
+
+    def test_holds_edges(self):
+        delayed = effects.EffortDelay(0.01).delayed(self.time + 1.0, self.period)
+        np.testing.assert_allclose(delayed[:5], 1.0)
+        ahead = effects.EffortDelay(-0.01).delayed(self.time, self.period)
+        np.testing.assert_allclose(ahead[-5:], self.time[-1])
+
+    @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7])
+    def test_short_signals(self, n):
+        ramp = np.arange(n, dtype=float)
+        delayed = effects.EffortDelay(0.5).delayed(ramp, 1.0)
+        np.testing.assert_allclose(delayed, np.maximum(ramp - 0.5, 0.0), atol=1e-12)
+
+    def test_candidates(self):
+        found = effects.EffortDelay.candidates(period=0.005, longest=0.02)
+        np.testing.assert_allclose([e.delay for e in found], [0.005, 0.01, 0.015, 0.02])
+
+    def test_bad_arguments(self):
+        with pytest.raises(ArgumentError, match="finite delay"):
+            effects.EffortDelay(np.nan)
+        with pytest.raises(ArgumentError, match="positive period"):
+            effects.EffortDelay(0.1).delayed(self.time, 0.0)
+
+
+class TestCandidates:
+    def test_stribeck_velocities(self):
+        found = effects.StribeckFriction.candidates("elbow", 2.0)
+        velocities = np.array([e.stribeck_velocity for e in found])
+        np.testing.assert_allclose(velocities[[0, -1]], [0.02, 0.6])
+        np.testing.assert_allclose(np.diff(np.log(velocities), 2), 0.0, atol=1e-12)
+
+    def test_grids(self):
+        exponents = [e.exponent for e in effects.NonlinearViscousFriction.candidates("elbow", 1.0)]
+        assert exponents == [0.5, 1.5, 2.0, 3.0]
+        pair = ("elbow", "wrist")
+        assert [e.sign for e in effects.CoupledFriction.candidates(pair)] == [1, -1]
+
+    def test_every_effect_has_some(self):
+        for cls in effects.catalogue():
+            place = {
+                "joint": (("elbow", 1.0), {}),
+                "joint_pair": ((("elbow", "wrist"),), {}),
+                "body": (("hand",), {}),
+                "log": ((), {"period": 0.01}),
+            }[cls.places]
+            found = tuple(cls.candidates(*place[0], **place[1]))
+            assert found and all(isinstance(effect, cls) for effect in found)
+            assert len(set(found)) == len(found)
+
+
+class TestNames:
+    def test_catalogue_is_in_the_order_of_the_design(self):
+        names = [effect.name for effect in effects.catalogue()]
+        assert names == [name for name in NAMES_OF_DESIGN if name in names]
+        assert len(names) == 13
+
+    def test_lookup(self):
+        assert effects.effect_class("payload") is effects.Payload
+
+    def test_nearest_name(self):
+        with pytest.raises(ArgumentError, match=r"Did you mean coulomb_friction") as caught:
+            effects.effect_class("coulom_friction")
+        assert caught.value.evidence["nearest"][0] == "coulomb_friction"
+        with pytest.raises(ArgumentError, match="Effects are: viscous_friction"):
+            effects.effect_class("xyz")
+
+    @pytest.mark.parametrize(
+        ("name", "where", "shape", "message"),
+        [
+            ("coulomb_friction", (), {}, "one joint"),
+            ("coulomb_friction", "elbow", {}, "one joint"),
+            ("coupled_friction", ("elbow",), {}, "two joints"),
+            ("coupled_friction", ("elbow", "elbow"), {}, "two different joints"),
+            ("coupled_friction", ("elbow", "wrist"), {"sign": 2}, "sign 1 or −1"),
+            ("payload", ("hand", "arm"), {}, "one body"),
+            ("effort_delay", ("a", "b"), {"delay": 0.1}, "one joint or none"),
+            ("coulomb_friction", ("elbow",), {"width": 1.0}, "no shape parameter 'width'"),
+            ("stribeck_friction", ("elbow",), {}, "stribeck_velocity"),
+            ("stribeck_friction", ("elbow",), {"stribeck_velocity": -1.0}, "positive stribeck"),
+            ("stribeck_friction", ("elbow",), {"stribeck_velocity": "fast"}, "cannot be made"),
+            ("joint_spring", ("elbow",), {"exponent": 2}, "exponent 1 or 3"),
+        ],
+    )
+    def test_bad_serial_form(self, name, where, shape, message):
+        with pytest.raises(ArgumentError, match=message):
+            effects.make_effect(name, where, shape)
+
+    def test_unknown_joint(self):
+        with pytest.raises(ArgumentError, match=r"no joint 'knee'.*shoulder"):
+            effects.CoulombFriction("knee").regressor(random_motion())
+
+
+def documented_lines():
+    """The lines of a user's own effect, as the documentation has them."""
+    text = geodrake.effects.__doc__
+    block = text[text.index("    from dataclasses") :]
+    lines = block[: block.index("\n\n`HangingHose")]
+    return textwrap.dedent(lines)
+
+
+class TestUsersEffect:
+    def test_about_ten_lines(self):
+        assert len([line for line in documented_lines().splitlines() if line.strip()]) <= 10
+
+    def test_file(self, tmp_path):
+        path = tmp_path / "hose.py"
+        path.write_text(documented_lines())
+        extra = effects.load_effect_file(path)
+        assert [cls.name for cls in extra] == ["hanging_hose"]
+        hose = effects.make_effect("hanging_hose", ["elbow"], {}, extra)
+        motion = random_motion()
+        expected = 2.0 * np.cos(motion.q[:, 1]) + 3.0 * np.sin(motion.q[:, 1])
+        np.testing.assert_allclose(hose.effort(motion, [2.0, 3.0])[:, 1], expected)
+        assert hose.manifold.contains([-1.0, 5.0])
+        assert tuple(extra[0].candidates("elbow", 1.0)) == (hose,)
+
+    def test_two_files_of_one_name(self, tmp_path):
+        for folder in ("a", "b"):
+            (tmp_path / folder).mkdir()
+            text = documented_lines().replace("hanging_hose", f"hose_{folder}")
+            (tmp_path / folder / "hose.py").write_text(text)
+        names = [effects.load_effect_file(tmp_path / f / "hose.py")[0].name for f in "ab"]
+        assert names == ["hose_a", "hose_b"]
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("import numpy", "defines no effect"),
+            ("1 / 0", "ZeroDivisionError"),
+            ("def f(:", "SyntaxError"),
+            ("from geodrake.effects import CoulombFriction", "defines no effect"),
+            (documented_lines().replace("hanging_hose", "payload"), "'payload' of another"),
+            (documented_lines().replace("name =", "label ="), "lacks name"),
+        ],
+    )
+    def test_bad_files(self, tmp_path, text, message):
+        path = tmp_path / "mine.py"
+        path.write_text(text)
+        with pytest.raises(ModelError, match=message):
+            effects.load_effect_file(path)
+
+    def test_no_file(self, tmp_path):
+        with pytest.raises(ModelError, match="cannot be run"):
+            effects.load_effect_file(tmp_path / "absent.py")
+        with pytest.raises(ModelError, match="not a Python file"):
+            effects.load_effect_file(tmp_path / "effects.txt")
+
+    def test_wrong_number_of_columns(self):
+        class Wrong(effects.JointEffect):
+            name = "wrong"
+            parameters = (effects.Parameter("a", "N·m"),)
+
+            def columns(self, joint: JointMotion):
+                return [joint.q, joint.v]
+
+        with pytest.raises(ArgumentError, match="1 parameters and 2 columns"):
+            Wrong("elbow").regressor(random_motion())
+
+
+def test_exports():
+    assert all(hasattr(effects, name) for name in effects.__all__)
+    assert all(issubclass(cls, Effect) for cls in effects.catalogue())
