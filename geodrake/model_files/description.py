@@ -23,7 +23,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model_files.base import ModelText
-from geodrake.model_files.reading import SUPPORTED_FORMATS, read_model_text
+from geodrake.model_files.reading import read_model_text
+from geodrake.model_files.xml_text import SUPPORTED_FORMATS
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from xml.etree.ElementTree import Element, TreeBuilder
-from xml.parsers import expat
 
 from geodrake.errors import ModelError
 from geodrake.model_files.base import ModelText
 from geodrake.model_files.mjcf import MjcfText
 from geodrake.model_files.sdf import SdfText
 from geodrake.model_files.urdf import UrdfText
-
-SUPPORTED_FORMATS = "geodrake reads URDF, SDF, MJCF and Drake model directives (.dmd.yaml)."
+from geodrake.model_files.xml_text import SUPPORTED_FORMATS, parse_xml
 
 
 def read_model_text(path: Path, scope: str | None = None) -> ModelText:
@@ -25,7 +22,7 @@ def read_model_text(path: Path, scope: str | None = None) -> ModelText:
     Raises:
         ModelError: The file is no XML, or its root is not that of a robot description.
     """
-    root = _parse_xml(path)
+    root = parse_xml(path)
     for tag, kind in (("robot", UrdfText), ("sdf", SdfText), ("mujoco", MjcfText)):
         if root.tag == tag:
             return kind(root, path, scope)
@@ -34,36 +31,3 @@ def read_model_text(path: Path, scope: str | None = None) -> ModelText:
         advice=SUPPORTED_FORMATS,
         path=path,
     )
-
-
-def _parse_xml(path: Path) -> Element:
-    # Without namespaces, unlike ElementTree.parse: Drake wants its prefix `drake:` kept as it is,
-    # and many files use prefixes that they do not declare.
-    builder, parser = TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler = builder.start
-    parser.EndElementHandler = builder.end
-    parser.CharacterDataHandler = builder.data
-    try:
-        parser.Parse(path.read_bytes(), True)
-    except expat.ExpatError as error:
-        raise ModelError(
-            f"{path} is not a robot description: it is not valid XML ({error}).",
-            advice=SUPPORTED_FORMATS,
-            path=path,
-        ) from error
-    root = builder.close()
-    for prefix in _drake_prefixes(root):
-        for element in root.iter():
-            element.tag = element.tag.replace(f"{prefix}:", "drake:")
-            for key in [key for key in element.attrib if key.startswith(f"{prefix}:")]:
-                element.set(key.replace(f"{prefix}:", "drake:"), element.attrib.pop(key))
-    return root
-
-
-def _drake_prefixes(root: Element) -> list[str]:
-    """Other prefixes that a program gave to Drake's namespace when it wrote the file."""
-    return [
-        key.removeprefix("xmlns:")
-        for key, value in root.attrib.items()
-        if key.startswith("xmlns:") and key != "xmlns:drake" and "drake.mit.edu" in value
-    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -19,6 +20,7 @@ from geodrake.model_files.values import (
     tensor_words,
     words,
 )
+from geodrake.model_files.xml_text import parse_xml
 
 
 class SdfText(ModelText):
@@ -27,15 +29,13 @@ class SdfText(ModelText):
     kind = "sdf"
 
     def _read(self) -> None:
+        _insert_includes(self.root, self.path.parent)
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
             if inertial is None or inertial.get("auto") != "true":
                 drop(link, "collision")
         drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
         self._drop_loops()
-        for uri in (uri for include in self.root.iter("include") for uri in include.iter("uri")):
-            if uri.text and "://" not in uri.text:
-                uri.text = (self.path.parent / uri.text.strip()).resolve().as_uri()
         for name, model in self._models(self.root, ""):
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
             for joint in model.findall("joint"):
@@ -86,3 +86,27 @@ class SdfText(ModelText):
         tensor = SubElement(inertial, "inertia")
         for key, word in tensor_words(inertia).items():
             SubElement(tensor, key).text = word
+
+
+def _insert_includes(root: Element, folder: Path) -> None:
+    """Puts the models of included files, found by a relative path, in the place of the include."""
+    for parent in list(root.iter()):
+        for include in parent.findall("include"):
+            uri = include.findtext("uri", "").strip()
+            file = folder / uri
+            file = file / "model.sdf" if file.is_dir() else file
+            if "://" in uri or not file.is_file():
+                continue
+            included = parse_xml(file)
+            model = included.find("model")
+            if included.tag != "sdf" or model is None:
+                continue
+            _insert_includes(included, file.parent)
+            model.set("name", include.findtext("name", model.get("name", "")).strip())
+            for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
+                for old in model.findall(element.tag):
+                    model.remove(old)
+                model.append(element)
+            if include.get("placement_frame"):
+                model.set("placement_frame", include.get("placement_frame", ""))
+            parent[list(parent).index(include)] = model
