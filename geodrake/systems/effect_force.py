@@ -168,8 +168,10 @@ class _ForceLaw:
         terms = _SortedEffects([], [], [])
         rng = np.random.default_rng(0)
         nv = len(self._joints)
-        q, v = np.tile(self._plant.GetPositions(self._context), (8, 1)), rng.normal(size=(8, nv))
-        vd, load = 10.0 * rng.normal(size=(2, 8, nv))
+        q = np.tile(self._plant.GetPositions(self._context), (8, 1))
+        single = self._positions[self._positions >= 0]
+        q[:, single] = rng.normal(size=(8, len(single)))
+        v, vd, load = 10.0 * rng.normal(size=(3, 8, nv))
         for effect, values in effects:
             mu = np.array(values, float)
             if isinstance(effect, EffortDelay):
@@ -182,9 +184,8 @@ class _ForceLaw:
             still = self._motion(q, v, np.zeros_like(v), np.zeros_like(v))
             moved = self._motion(q, v, vd, still.load)
             base = effect.regressor(still)
-            if not np.array_equal(
-                base, effect.regressor(replace(still, load=load)), equal_nan=True
-            ):
+            loaded = effect.regressor(replace(still, load=load))
+            if not np.array_equal(base, loaded, equal_nan=True):
                 terms.loaded.append((effect, mu))
             elif not np.array_equal(base, effect.regressor(moved), equal_nan=True):
                 terms.accelerated.append((effect, mu))
