@@ -52,10 +52,12 @@ class EffectForce(LeafSystem):
 
     The plant's parameters are those of its default context.
 
-    Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so that F acts near
-    rest like a damper F / sign_width. A continuous plant with an error-controlled integrator copes;
-    a plant with time steps needs steps below 2 · sign_width · inertia / F. A joint that dry
-    friction holds creeps at less than sign_width.
+    Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
+    like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
+    integrators, and plants with time steps, need steps below 2 · sign_width · inertia / F, rotor
+    inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist of bare links without
+    rotors. There, make the plant continuous and its integrator "implicit_euler"
+    (`pydrake.systems.analysis.ResetIntegratorFromFlags`), or widen sign_width.
     """
 
     def __init__(
