@@ -1,0 +1,109 @@
+"""Candidates: packages of effects at a place, gathered into kinds that are named together."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from geodrake.effects.base import Effect
+
+COMPLEXITY: Mapping[str, int] = {
+    "viscous_friction": 0,
+    "coulomb_friction": 0,
+    "effort_offset": 0,
+    "rotor_inertia": 0,
+    "payload": 1,
+    "asymmetric_friction": 1,
+    "load_dependent_friction": 1,
+    "joint_spring": 1,
+    "coupled_friction": 1,
+    "coupled_rotor_inertia": 1,
+    "effort_delay": 1,
+    "stribeck_friction": 2,
+    "nonlinear_viscous_friction": 2,
+    "wrong_inertia": 3,
+}
+"""Of candidates that the data cannot tell apart, the one of least complexity is named."""
+
+DRY_AND_VISCOUS = ("coulomb_friction", "viscous_friction")
+
+
+@dataclass(frozen=True)
+class Package:
+    """Effects that are tried together at one place.
+
+    Attributes:
+        effects: The effects, one for most packages.
+        place: Joint or body names.
+    """
+
+    effects: tuple[Effect, ...]
+    place: tuple[str, ...]
+
+    @property
+    def parameters(self) -> int:
+        """Linear parameters, and one for every shape parameter that was tried on a grid."""
+        shapes = sum(_free_shapes(effect) for effect in self.effects)
+        return sum(len(effect.parameters) for effect in self.effects) + shapes
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Packages that bear one name: per place, the shapes to choose from.
+
+    Attributes:
+        names: Effect names, two for a pair that is found together or not at all.
+        options: Place -> packages to choose one from.
+        unite: Whether several places may be named at once (joints), or one only (bodies, pairs).
+    """
+
+    names: tuple[str, ...]
+    options: Mapping[tuple[str, ...], tuple[Package, ...]]
+    unite: bool
+
+    @property
+    def complexity(self) -> int:
+        """Complexity of the most complex of its effects."""
+        return kind_complexity(self.names)
+
+
+def kind_complexity(names: Sequence[str]) -> int:
+    """Complexity of the most complex effect; a user's own effect counts like the complex ones."""
+    return max(COMPLEXITY.get(name, 2) for name in names)
+
+
+def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
+    """All kinds to try when some effects are already in the model.
+
+    Args:
+        effects: Every effect that has columns in the dataset, the shapes of a grid included.
+        present: Effects of the hypothesis; what they already say is not offered again.
+    """
+    taken = {(effect.name, effect.where) for effect in present}
+    options: dict[tuple[str, ...], dict[tuple[str, ...], list[Package]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
+    joint_kinds = set()
+    by_place: dict[tuple[str, ...], dict[str, Effect]] = defaultdict(dict)
+    for effect in effects:
+        if (effect.name, effect.where) in taken:
+            continue
+        options[(effect.name,)][effect.where].append(Package((effect,), effect.where))
+        by_place[effect.where][effect.name] = effect
+        if effect.places == "joint":
+            joint_kinds.add((effect.name,))
+    for place, named in by_place.items():
+        pair = tuple(named[name] for name in DRY_AND_VISCOUS if name in named)
+        if len(pair) == len(DRY_AND_VISCOUS):
+            singles = [Package((effect,), place) for effect in pair]
+            options[DRY_AND_VISCOUS][place] = [Package(pair, place), *singles]
+            joint_kinds.add(DRY_AND_VISCOUS)
+    return [
+        Kind(names, {p: tuple(packages) for p, packages in places.items()}, names in joint_kinds)
+        for names, places in options.items()
+    ]
+
+
+def _free_shapes(effect: Effect) -> int:
+    return sum(isinstance(value, float) for value in effect.shape.values())

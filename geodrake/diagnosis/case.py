@@ -1,0 +1,129 @@
+"""A case: a model and the logs it is held against, prepared and reduced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geodrake.diagnosis.library import candidate_delays, candidate_effects
+from geodrake.diagnosis.results import ErrorTable, JointError, Series
+from geodrake.effects.base import Effect
+from geodrake.folds import Fold, validation_blocks
+from geodrake.identification.cross_validation import HeldOut
+from geodrake.identification.dataset import Dataset
+from geodrake.identification.model_fit import effects_of
+from geodrake.identification.reduce import peak_speeds, reduce_logs
+from geodrake.identification.unknowns import Unknowns
+from geodrake.log_files import read_log
+from geodrake.model import RobotModel
+from geodrake.motion import (
+    JointLog,
+    Trajectory,
+    effort_unit_hint,
+    match_joints,
+    position_unit_hint,
+)
+from geodrake.plant import effort_limits
+from geodrake.preparation import prepare_logs
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A model and its logs.
+
+    Attributes:
+        model: The model.
+        trajectories: The prepared logs.
+        folds: Validation folds.
+        dataset: The reduced logs, with columns for the model's effects and the candidates.
+        notes: What was done to the logs and noticed about the model.
+    """
+
+    model: RobotModel
+    trajectories: tuple[Trajectory, ...]
+    folds: tuple[Fold, ...]
+    dataset: Dataset
+    notes: tuple[str, ...]
+
+
+def open_case(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    candidates: bool,
+    extra: Sequence[type[Effect]] = (),
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+) -> Case:
+    """Prepare and reduce logs for a model.
+
+    Args:
+        model: The model.
+        logs: Logs or their files.
+        candidates: Whether effects that the model lacks get columns too.
+        extra: Effect classes of the user's own to try.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut for validation; by default whole logs if there
+            are four or more, and about eight blocks otherwise.
+
+    Raises:
+        LogError: A log cannot be used.
+    """
+    read = [log if isinstance(log, JointLog) else read_log(log) for log in logs]
+    matched = [match_joints(log, model.joints) for log in read]
+    limits = effort_limits(model.plant)
+    hints = [hint for log in matched for hint in _hints(log, limits)]
+    trajectories = prepare_logs(matched, bandwidth=bandwidth)
+    folds = validation_blocks(trajectories, blocks=blocks)
+    effects, delays = effects_of(model), (0.0,)
+    if candidates:
+        effects += candidate_effects(model, peak_speeds(trajectories), extra)
+        low_pass = trajectories[0].filter
+        delays = candidate_delays(low_pass.period, low_pass.bandwidth)
+    dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays)
+    notes = [*model.notes, *hints]
+    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
+    notes.append(f"validated on {len(folds)} held-out folds")
+    return Case(model, trajectories, folds, dataset, tuple(dict.fromkeys(notes)))
+
+
+def reopen(case: Case, model: RobotModel) -> Case:
+    """The case with another model, whose effects alone get columns."""
+    dataset = reduce_logs(model, case.trajectories, case.folds, effects=effects_of(model))
+    return replace(case, model=model, dataset=dataset)
+
+
+def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
+    """Errors of every joint."""
+    columns = (dataset.joints, held_out.rms, dataset.effort_std, dataset.noise_floor)
+    return ErrorTable(
+        tuple(JointError(j, float(r), float(s), float(f)) for j, r, s, f in zip(*columns, strict=True))
+    )
+
+
+def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Series, ...]:
+    """Measured and predicted efforts of every joint and block."""
+    found = []
+    for joint, data in zip(dataset.joints, dataset.data, strict=True):
+        local = data.local(unknowns.columns)
+        used = local >= 0
+        for fold, blocks in enumerate(data.rows):
+            x = held_out.x[fold][used]
+            found += [
+                Series(
+                    joint,
+                    dataset.folds[fold],
+                    rows.time,
+                    *rows.motion.T,
+                    rows.b[:, 0],
+                    rows.A[:, local[used]] @ x,
+                )
+                for rows in blocks
+            ]
+    return tuple(found)
+
+
+def _hints(log: JointLog, limits: object) -> list[str]:
+    hints = (effort_unit_hint(log, limits), position_unit_hint(log))  # type: ignore[arg-type]
+    return [hint for hint in hints if hint]

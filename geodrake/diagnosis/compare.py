@@ -1,0 +1,117 @@
+"""How far a model is from measurements, and where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.case import Case, error_table, open_case, series
+from geodrake.diagnosis.results import Comparison, Failing, Series
+from geodrake.identification.cross_validation import HeldOut
+from geodrake.identification.model_fit import as_it_stands, model_unknowns
+from geodrake.identification.unknowns import Unknowns
+from geodrake.model import RobotModel
+from geodrake.motion import JointLog
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_LEAST_SAMPLES = 8
+_NOTABLE = 1.3
+"""How many times larger than elsewhere an RMS must be to be worth a word."""
+
+
+def compare(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+) -> Comparison:
+    """Compare a model as it stands with measurements that it was not fitted to.
+
+    Args:
+        model: The model; nothing in it is refitted.
+        logs: Logs or their files.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut.
+
+    Returns:
+        Errors per joint, where they are concentrated, and the series behind them.
+    """
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    return comparison(case)
+
+
+def comparison(
+    case: Case, unknowns: Unknowns | None = None, held_out: HeldOut | None = None
+) -> Comparison:
+    """The comparison of a case, with the model as it stands or with held-out predictions."""
+    dataset = case.dataset
+    if unknowns is None or held_out is None:
+        unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
+    found = series(dataset, unknowns, held_out)
+    return Comparison(
+        error_table(dataset, held_out), where_it_fails(found), found, case.notes
+    )
+
+
+def where_it_fails(found: Sequence[Series], *, most: int = 6) -> tuple[Failing, ...]:
+    """Circumstances in which errors are concentrated, the worst of each joint first.
+
+    Args:
+        found: Measured and predicted efforts.
+        most: Largest number of circumstances to return.
+    """
+    worst = []
+    for joint in dict.fromkeys(s.joint for s in found):
+        own = [s for s in found if s.joint == joint]
+        squares = np.concatenate([s.residual for s in own]) ** 2
+        cases = [_failing(joint, words, mask, squares) for words, mask in _circumstances(own)]
+        notable = [c for c in cases if c is not None and c.rms > _NOTABLE * c.elsewhere]
+        if notable:
+            weight = float(np.sqrt(squares.mean()) / np.std(np.concatenate([s.measured for s in own])))
+            worst.append((weight, max(notable, key=lambda c: c.share - c.time)))
+    worst.sort(key=lambda entry: -entry[0])
+    return tuple(case for _, case in worst[:most])
+
+
+def _circumstances(own: Sequence[Series]) -> Iterator[tuple[str, Mask]]:
+    """Words and masks of quarters of the time, speeds, positions, accelerations and loads."""
+    signals = {
+        name: np.concatenate([getattr(s, name) for s in own])
+        for name in ("velocity", "position", "acceleration", "predicted")
+    }
+    speed, load = np.abs(signals["velocity"]), np.abs(signals["predicted"])
+    yield from _extremes(speed, "at speeds", "rad/s")
+    yield from _extremes(load, "at predicted efforts", "N·m")
+    yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", "rad/s²")
+    yield from _extremes(signals["position"], "at positions", "rad")
+    yield "while it moves forwards", signals["velocity"] > 0.02 * speed.max()
+    yield "while it moves backwards", signals["velocity"] < -0.02 * speed.max()
+    blocks = np.concatenate([[s.block] * len(s.time) for s in own])
+    for block in dict.fromkeys(blocks.tolist()):
+        yield f"in {block}", blocks == block
+
+
+def _extremes(values: Array, words: str, unit: str) -> Iterator[tuple[str, Mask]]:
+    low, high = np.quantile(values, [0.2, 0.8])
+    yield f"{words} below {low:.3g} {unit}", values < low
+    yield f"{words} above {high:.3g} {unit}", values > high
+
+
+def _failing(joint: str, words: str, mask: Mask, squares: Array) -> Failing | None:
+    inside, outside = squares[mask], squares[~mask]
+    if min(len(inside), len(outside)) < _LEAST_SAMPLES or squares.sum() == 0:
+        return None
+    return Failing(
+        joint,
+        words,
+        float(np.sqrt(inside.mean())),
+        float(np.sqrt(outside.mean())),
+        float(inside.sum() / squares.sum()),
+        float(mask.mean()),
+    )

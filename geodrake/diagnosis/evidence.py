@@ -1,0 +1,93 @@
+"""Evidence for an effect that holds for coloured residuals.
+
+Residuals of robots are not white, so samples are counted by how many independent ones they are
+worth, and errors are always those of data that the fit did not see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, t
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """When a candidate counts as found.
+
+    Attributes:
+        alarm: Largest probability of a false alarm, over all candidates tried.
+        reduction: Least share of the squared error at the joints acted upon that must go.
+        agreement: Least share of the folds in which the error must fall.
+        tie: Two hypotheses are told apart when the better one is better with probability 1 − tie.
+    """
+
+    alarm: float = 0.01
+    reduction: float = 0.05
+    agreement: float = 0.7
+    tie: float = 0.05
+
+
+def effective_samples(blocks: Sequence[Array]) -> float:
+    """How many independent samples a coloured residual is worth.
+
+    n / (1 + 2 Σ ρ_k), the autocorrelation summed up to its first value below 0.02; blocks are
+    stretches without gaps.
+
+    Args:
+        blocks: Residuals (K_i,) of each block.
+
+    Returns:
+        A number between 1 and Σ K_i.
+    """
+    n = sum(len(block) for block in blocks)
+    power = sum(float(block @ block) for block in blocks)
+    if power == 0.0:
+        return float(n)
+    total = 1.0
+    for lag in range(1, max(len(block) for block in blocks)):
+        products = sum(float(b[lag:] @ b[:-lag]) for b in blocks if len(b) > lag)
+        correlation = products / power
+        if correlation < 0.02:
+            break
+        total += 2.0 * correlation
+    return max(1.0, n / total)
+
+
+def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:
+    """(nv,) gain Σ_j n_j log(mse_before / mse_after): twice the log-likelihood ratio per joint."""
+    tiny = np.finfo(float).tiny
+    return effective * np.log(np.maximum(mse_before, tiny) / np.maximum(mse_after, tiny))
+
+
+def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
+    """Chance that the best of `tried` irrelevant candidates would gain as much.
+
+    Args:
+        gain: Twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious).
+        parameters: Linear and shape parameters of the candidate.
+        tried: Number of candidates among which it was the best (Bonferroni).
+    """
+    return float(min(1.0, tried * chi2.sf(max(gain, 0.0), parameters)))
+
+
+def tie_probability(loss_a: Array, loss_b: Array) -> float:
+    """Chance that b is truly no worse than a, from the paired losses of the folds.
+
+    Args:
+        loss_a: (F,) held-out loss of the better hypothesis per fold.
+        loss_b: (F,) held-out loss of the other.
+
+    Returns:
+        One-sided p-value of the paired t-test; 1 where the two do not differ at all.
+    """
+    difference = loss_b - loss_a
+    spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
+    if spread == 0.0:
+        return 0.0 if difference.sum() > 0 else 1.0
+    return float(t.sf(difference.mean() / (spread / np.sqrt(len(difference))), len(difference) - 1))

@@ -1,0 +1,126 @@
+"""The loop: compare, diagnose, add, until only noise is left or nothing explains the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.case import Case, error_table, open_case, reopen
+from geodrake.diagnosis.compare import comparison
+from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.forward import Progress, search
+from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis, settle
+from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
+from geodrake.diagnosis.steps import steps_of
+from geodrake.effects.base import Effect
+from geodrake.effects.effort_delay import EffortDelay
+from geodrake.identification.model_fit import ModelFit, effects_of, fit_model, model_unknowns
+from geodrake.model import FittedEffect, RobotModel
+from geodrake.motion import JointLog
+
+Array = NDArray[np.float64]
+
+NOISE_MARGIN = 1.25
+"""Errors up to this many times the noise floor count as noise."""
+
+
+def explain(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    extra: Sequence[type[Effect]] = (),
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+    criteria: Criteria | None = None,
+    progress: Progress | None = None,
+) -> Explanation:
+    """Find what a model lacks, add it, refit, and repeat to the floor.
+
+    Args:
+        model: The model as it stands.
+        logs: Logs or their files; several logs are several trajectories.
+        extra: Effect classes of the user's own to try beside the catalogue's.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut for validation.
+        criteria: When an effect counts as found.
+        progress: Told about each step, in words and with the held-out nrms.
+
+    Returns:
+        The steps with held-out errors before and after, and the final model.
+
+    Raises:
+        LogError: A log cannot be used.
+    """
+    criteria = criteria or Criteria()
+    case = open_case(
+        model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks
+    )
+    before = comparison(case)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    tune = model.information is None
+    trail = search(start, effects_of(model), criteria, tune=tune, progress=progress)
+    after_case, fit = final_fit(case, trail.end)
+    steps = steps_of(case, trail, fit)
+    after = comparison(after_case, fit.unknowns, fit.held_out)
+    end = after.errors if steps else before.errors
+    return Explanation(
+        verdict_of(end, bool(steps)),
+        steps,
+        before.errors,
+        error_table(case.dataset, start.held_out),
+        end,
+        fit.model,
+        before,
+        after if steps else before,
+        case.notes,
+    )
+
+
+def final_fit(case: Case, end: Hypothesis) -> tuple[Case, ModelFit]:
+    """The physically consistent fit of what a search found, loads and delay brought up to date."""
+    delay = refined_delay(end)
+    delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
+    if delay:
+        delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
+    effects = [
+        FittedEffect(effect, end.unknowns.mean[end.unknowns.span(effect)])
+        for effect in end.unknowns.effects
+    ]
+    provisional = replace(case.model, effects=(*effects, *delays))
+    reopened = reopen(case, provisional)
+    columns = np.concatenate(
+        [np.arange(10 * len(case.model.bodies))]
+        + [reopened.dataset.effect_columns(effect) for effect in end.unknowns.effects]
+    )
+    unknowns = replace(end.unknowns, columns=columns)
+    settled = settle(replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0))
+    fit = fit_model(case.model, reopened.dataset, unknowns, settled.weights, delays=delays)
+    return reopened, fit
+
+
+def refined_delay(end: Hypothesis) -> float:
+    """The delay between those of the grid at which the held-out loss is least, s."""
+    delays = np.array(end.dataset.delays)
+    chosen = delays[end.delay]
+    if end.delay == 0:
+        return 0.0
+    order = np.argsort(delays)
+    at = int(np.flatnonzero(order == end.delay)[0])
+    if not 0 < at < len(order) - 1:
+        return float(chosen)
+    near = order[at - 1 : at + 2]
+    losses = [end.delayed(int(d)).loss().sum() for d in near]
+    curvature, slope, _ = np.polyfit(delays[near] - chosen, losses, 2)
+    step = -slope / (2 * curvature) if curvature > 0 else 0.0
+    return float(chosen + np.clip(step, delays[near[0]] - chosen, delays[near[-1]] - chosen))
+
+
+def verdict_of(errors: ErrorTable, found: bool) -> Verdict:
+    """What an end result amounts to."""
+    if errors.nrms > NOISE_MARGIN * errors.floor_nrms:
+        return "unexplained"
+    return "explained" if found else "adequate"

@@ -1,0 +1,146 @@
+"""A hypothesis: the model with certain effects, fitted fold by fold and held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.evidence import effective_samples
+from geodrake.effects.base import Effect
+from geodrake.identification.cross_validation import CrossValidation, HeldOut
+from geodrake.identification.dataset import Dataset
+from geodrake.identification.unknowns import Unknowns, effect_prior
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """The model with the effects among `unknowns`, and what it gets wrong on held-out data.
+
+    Attributes:
+        dataset: The reduced logs.
+        unknowns: What the fit may move.
+        weights: (nv,) weight of a squared residual: effective share of the samples / mse.
+        delay: Index of the dataset's effort delay.
+        looseness: Factor by which the inertial prior is widened.
+        cv: The fits.
+        effective: (nv,) effective number of samples.
+    """
+
+    dataset: Dataset
+    unknowns: Unknowns
+    weights: Array
+    delay: int
+    looseness: float
+    cv: CrossValidation
+    effective: Array
+
+    @property
+    def held_out(self) -> HeldOut:
+        """Held-out errors."""
+        return self.cv.held_out
+
+    @property
+    def nrms(self) -> float:
+        """Held-out error over effort standard deviation, root mean square over joints."""
+        return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std ** 2)))
+
+    def loss(self) -> Array:
+        """(F,) held-out squared error per fold, each joint weighted alike."""
+        return (self.held_out.sse / self.dataset.effort_std ** 2).sum(1)
+
+    def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis and further effects, refitted."""
+        unknowns = self.unknowns
+        for effect in effects:
+            columns = self.dataset.effect_columns(effect)
+            mean, information = effect_prior(self.dataset, effect)
+            unknowns = unknowns.with_effect(effect, columns, information, mean)
+        return settle(replace(self, unknowns=unknowns))
+
+    def without(self, effects: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis less some effects, refitted."""
+        unknowns = self.unknowns
+        for effect in effects:
+            unknowns = unknowns.without_effect(effect)
+        return settle(replace(self, unknowns=unknowns))
+
+    def loosened(self, factor: float) -> Hypothesis:
+        """This hypothesis with the inertial prior `factor` times as wide, refitted."""
+        unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
+        return settle(
+            replace(self, unknowns=unknowns, looseness=self.looseness * factor)
+        )
+
+    def delayed(self, delay: int) -> Hypothesis:
+        """This hypothesis against the effort with another delay."""
+        return settle(replace(self, delay=delay))
+
+
+def residual_blocks(
+    dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0
+) -> list[list[Array]]:
+    """Held-out residuals: per joint, one array per block.
+
+    Args:
+        dataset: The reduced logs.
+        columns: (p,) columns in use.
+        x: (F, p) parameters for each fold.
+        delay: Index of the effort column.
+    """
+    out = []
+    for data in dataset.data:
+        local = data.local(columns)
+        used = local >= 0
+        out.append(
+            [
+                rows.b[:, delay] - rows.A[:, local[used]] @ x[fold][used]
+                for fold, blocks in enumerate(data.rows)
+                for rows in blocks
+            ]
+        )
+    return out
+
+
+def effective_per_joint(
+    dataset: Dataset, columns: Indices, held_out: HeldOut, *, delay: int = 0
+) -> Array:
+    """(nv,) effective samples of the held-out residuals."""
+    blocks = residual_blocks(dataset, columns, held_out.x, delay=delay)
+    kept = np.array([sum(len(b) for b in joint) for joint in blocks])
+    return np.array([effective_samples(joint) for joint in blocks]) * (
+        held_out.samples.sum(0) / np.maximum(kept, 1)
+    )
+
+
+def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
+    """Refit with weights that follow from the held-out residuals themselves.
+
+    The weight of a joint is the inverse of its squared error (half its own, half what the same
+    relative error of all joints would be, so that no joint is given up), reduced to its effective
+    samples so that coloured residuals do not outvote the prior.
+    """
+    dataset, weights = hypothesis.dataset, hypothesis.weights
+    for _ in range(iterations):
+        cv = CrossValidation(dataset, hypothesis.unknowns, weights, delay=hypothesis.delay)
+        effective = effective_per_joint(
+            dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
+        )
+        mse = np.maximum(cv.held_out.mse, 1e-12 * dataset.effort_std ** 2)
+        relative = np.mean(mse / dataset.effort_std ** 2)
+        expected = np.sqrt(mse * relative * dataset.effort_std ** 2)
+        weights = effective / cv.held_out.samples.sum(0) / expected
+    return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+
+
+def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: int = 0) -> Hypothesis:
+    """The model as it came, its parameters refitted within their prior."""
+    weights = 0.05 / dataset.effort_std ** 2
+    cv = CrossValidation(dataset, unknowns, weights, delay=delay)
+    effective = np.ones(len(dataset.joints))
+    return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective), iterations=3)

@@ -1,0 +1,51 @@
+"""The effects that a diagnosis tries: every effect at every place where it can be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects import catalogue
+from geodrake.effects.base import Effect
+from geodrake.model import RobotModel
+
+Array = NDArray[np.float64]
+
+LONGEST_DELAY = 0.05
+"""Longest delay between motion and effort that is tried, s."""
+
+
+def candidate_effects(
+    model: RobotModel, peak_speeds: Array, extra: Sequence[type[Effect]] = ()
+) -> tuple[Effect, ...]:
+    """All instances of the catalogue's effects, and of a user's own, that a robot can have.
+
+    Args:
+        model: The robot.
+        peak_speeds: (nv,) largest speed of each joint in the logs; shape grids scale with it.
+        extra: Further effect classes.
+    """
+    single = [joint for joint in model.joints if joint in model.single_joints]
+    speed = dict(zip(model.joints, peak_speeds.tolist(), strict=True))
+    found: list[Effect] = []
+    for effect in (*catalogue(), *extra):
+        if effect.places == "joint":
+            for joint in single:
+                if speed[joint] > 0.0:
+                    found.extend(effect.candidates(joint, speed[joint]))  # type: ignore[attr-defined]
+        elif effect.places == "joint_pair":
+            for pair in model.joint_pairs:
+                found.extend(effect.candidates(pair))  # type: ignore[attr-defined]
+        elif effect.places == "body":
+            for body in model.bodies:
+                found.extend(effect.candidates(body))  # type: ignore[attr-defined]
+    return tuple(found)
+
+
+def candidate_delays(period: float, bandwidth: float) -> tuple[float, ...]:
+    """Delays to try beside none, s: multiples of a step the data can resolve, to either side."""
+    step = max(period, LONGEST_DELAY / 10, 0.02 / bandwidth)
+    steps = np.arange(1, int(LONGEST_DELAY / step + 1e-9) + 1) * step
+    return (0.0, *steps.tolist(), *(-steps[: len(steps) // 2]).tolist())

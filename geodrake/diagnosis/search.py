@@ -1,0 +1,214 @@
+"""The search for what is missing: try candidates, choose, and drop what is not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
+from geodrake.diagnosis.evidence import (
+    Criteria,
+    false_alarm_probability,
+    log_likelihood_gain,
+    tie_probability,
+)
+from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
+from geodrake.effects.base import Effect
+from geodrake.identification.unknowns import effect_prior
+
+Array = NDArray[np.float64]
+
+PENALTY = 6.0
+"""Gain that a parameter must bring before a hypothesis with it is preferred."""
+
+LOOSER_PRIORS = (3.0, 10.0, 30.0)
+"""Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A package tried on a hypothesis.
+
+    Attributes:
+        package: What was tried.
+        gain: Twice the held-out log-likelihood ratio.
+        reduction: Share of the squared error gone at the joints that the package acts on.
+        agreement: Share of folds in which the error fell there.
+        alarm: Probability of a false alarm, all candidates counted.
+    """
+
+    package: Package
+    gain: float
+    reduction: float
+    agreement: float
+    alarm: float
+
+    @property
+    def score(self) -> float:
+        """Gain less the penalty of the parameters."""
+        return self.gain - PENALTY * self.package.parameters
+
+    def convinces(self, criteria: Criteria) -> bool:
+        """Whether all criteria are met."""
+        return (
+            self.alarm <= criteria.alarm
+            and self.reduction >= criteria.reduction
+            and self.agreement >= criteria.agreement
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A kind of effects at the places where it convinces, refitted as a whole.
+
+    Attributes:
+        names: Effect names, two for a pair found together.
+        where: Joints or bodies.
+        effects: The effects added; none for a delay or a looser prior.
+        hypothesis: The hypothesis with them.
+        gain: Twice the held-out log-likelihood ratio.
+        parameters: How many parameters were added, shapes counted.
+        alarm: Probability of a false alarm.
+        tied: Whether the best candidate cannot be told from this one.
+    """
+
+    names: tuple[str, ...]
+    where: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    hypothesis: Hypothesis
+    gain: float
+    parameters: int
+    alarm: float
+    tied: bool = False
+
+    @property
+    def score(self) -> float:
+        """Gain less the penalty of the parameters."""
+        return self.gain - PENALTY * self.parameters
+
+
+def try_package(hypothesis: Hypothesis, package: Package, tried: int) -> Trial:
+    """Held-out evidence for a package, with everything that may move refitted.
+
+    Args:
+        hypothesis: What the package is added to.
+        package: The effects to try together.
+        tried: Number of candidates that compete, for the probability of a false alarm.
+    """
+    dataset, before = hypothesis.dataset, hypothesis.held_out
+    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
+    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
+    lower = np.array([p.lower for effect in package.effects for p in effect.parameters])
+    after = hypothesis.cv.with_candidate(columns, information, lower)
+    both = np.concatenate([hypothesis.unknowns.columns, columns])
+    effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
+    gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
+    acted = np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
+    weight = acted / before.mse
+    lost, left = before.sse @ weight, after.sse @ weight
+    return Trial(
+        package,
+        gain,
+        float(1.0 - left.sum() / lost.sum()),
+        float(np.mean(left < lost)),
+        false_alarm_probability(gain, package.parameters, tried),
+    )
+
+
+def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
+    """The best convincing package at every place of a kind; one place only if it cannot unite."""
+    found = []
+    for packages in kind.options.values():
+        trials = [try_package(hypothesis, package, tried) for package in packages]
+        good = [trial for trial in trials if trial.convinces(criteria)]
+        if good:
+            found.append(max(good, key=lambda trial: trial.score))
+    found.sort(key=lambda trial: -trial.score)
+    return found if kind.unite else found[:1]
+
+
+def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+    """All kinds that convince, best first, with those that tie with the best marked."""
+    offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
+    tried = sum(len(packages) for kind in offered for packages in kind.options.values())
+    ranked = [*_delays(hypothesis, criteria), *_looser_prior(hypothesis, criteria)]
+    for kind in offered:
+        trials = convincing(hypothesis, kind, tried, criteria)
+        if trials:
+            effects = tuple(effect for t in trials for effect in t.package.effects)
+            after = hypothesis.with_effects(effects)
+            ranked.append(
+                Ranked(
+                    kind.names,
+                    tuple(dict.fromkeys(place for t in trials for place in t.package.place)),
+                    effects,
+                    after,
+                    gain_of(hypothesis, after),
+                    sum(t.package.parameters for t in trials),
+                    min(t.alarm for t in trials),
+                )
+            )
+    ranked.sort(key=lambda r: -r.score)
+    return [replace(r, tied=_ties(r, ranked[0], criteria)) for r in ranked]
+
+
+def choose(ranked: Sequence[Ranked]) -> Ranked:
+    """Of those that cannot be told from the best, the simplest; of these the best."""
+    return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
+
+
+def gain_of(before: Hypothesis, after: Hypothesis) -> float:
+    """Twice the held-out log-likelihood ratio of two hypotheses."""
+    gains = log_likelihood_gain(before.held_out.mse, after.held_out.mse, after.effective)
+    return float(gains.sum())
+
+
+def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
+    if candidate is best:
+        return True
+    probability = tie_probability(best.hypothesis.loss(), candidate.hypothesis.loss())
+    return probability > criteria.tie
+
+
+def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+    delays = range(len(hypothesis.dataset.delays))
+    others = [hypothesis.delayed(d) for d in delays if d != hypothesis.delay]
+    return _whole(hypothesis, others, "effort_delay", (), 1, criteria)
+
+
+def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+    if hypothesis.looseness > 1.0:
+        return []
+    others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
+    bodies = hypothesis.dataset.bodies
+    return _whole(hypothesis, others, "wrong_inertia", bodies, 2 * len(bodies), criteria)
+
+
+def _whole(
+    hypothesis: Hypothesis,
+    others: Sequence[Hypothesis],
+    name: str,
+    where: tuple[str, ...],
+    parameters: int,
+    criteria: Criteria,
+) -> list[Ranked]:
+    """The best of several variants of the whole hypothesis, if it convinces."""
+    if not others:
+        return []
+    best = max(others, key=lambda other: gain_of(hypothesis, other))
+    gain, before, after = gain_of(hypothesis, best), hypothesis.loss(), best.loss()
+    alarm = false_alarm_probability(gain, parameters, len(others))
+    trial = Trial(
+        Package((), where),
+        gain,
+        float(1.0 - after.sum() / before.sum()),
+        float(np.mean(after < before)),
+        alarm,
+    )
+    if not trial.convinces(criteria):
+        return []
+    return [Ranked((name,), where, (), best, gain, parameters, alarm)]

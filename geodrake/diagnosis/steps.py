@@ -1,0 +1,156 @@
+"""The steps of an explanation: the effects of a search, grouped by name, in order of their gain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.case import Case, error_table
+from geodrake.diagnosis.evidence import false_alarm_probability
+from geodrake.diagnosis.forward import Trail
+from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.results import Step
+from geodrake.diagnosis.search import gain_of
+from geodrake.effects.base import Effect
+from geodrake.effects.effort_delay import EffortDelay
+from geodrake.identification.model_fit import ModelFit
+from geodrake.inertia import pullback_metric, to_mass_com_inertia
+from geodrake.model import FittedEffect
+
+Array = NDArray[np.float64]
+Values = dict[str, dict[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """What one step adds: effects of one name, a delay, or a looser inertial prior."""
+
+    name: str
+    effects: tuple[Effect, ...] = ()
+    delay: int | None = None
+    looseness: float | None = None
+
+    def added_to(self, hypothesis: Hypothesis) -> Hypothesis:
+        if self.delay is not None:
+            return hypothesis.delayed(self.delay)
+        if self.looseness is not None:
+            return hypothesis.loosened(self.looseness)
+        return hypothesis.with_effects(self.effects)
+
+
+def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
+    """Steps from the model refitted within its prior to the final fit, largest gain first.
+
+    Args:
+        case: The case that was searched.
+        trail: The search.
+        fit: The final fit; the last step ends at its physically consistent held-out errors.
+    """
+    groups = _groups(trail)
+    if not groups:
+        return ()
+    hypotheses = [trail.start]
+    ordered: list[_Group] = []
+    while groups:
+        trials = [(group, group.added_to(hypotheses[-1])) for group in groups]
+        group, after = min(trials, key=lambda trial: trial[1].nrms)
+        groups.remove(group)
+        ordered.append(group)
+        hypotheses.append(after)
+    tables = [error_table(h.dataset, h.held_out) for h in hypotheses[:-1]]
+    tables.append(error_table(case.dataset, fit.held_out))
+    tried = len(case.dataset.effects)
+    steps = []
+    for i, group in enumerate(ordered):
+        parameters, deviations = _values(case, group, fit)
+        count = sum(len(effect.parameters) for effect in group.effects) or 1
+        gain = gain_of(hypotheses[i], hypotheses[i + 1])
+        steps.append(
+            Step(
+                group.name,
+                _where(case, group, fit),
+                tables[i].nrms,
+                tables[i + 1].nrms,
+                parameters,
+                deviations,
+                _rivals(trail, group.name),
+                false_alarm_probability(gain, count, tried),
+                tables[i].by_joint(),
+                tables[i + 1].by_joint(),
+            )
+        )
+    return tuple(steps)
+
+
+def _groups(trail: Trail) -> list[_Group]:
+    present = trail.start.unknowns.effects
+    names: dict[str, list[Effect]] = {}
+    for effect in trail.end.unknowns.effects:
+        if effect not in present:
+            names.setdefault(effect.name, []).append(effect)
+    groups = [_Group(name, tuple(effects)) for name, effects in names.items()]
+    if trail.end.delay != trail.start.delay:
+        groups.append(_Group("effort_delay", delay=trail.end.delay))
+    if trail.end.looseness > 1.0:
+        groups.append(
+            _Group("wrong_inertia", looseness=trail.end.looseness / trail.start.looseness)
+        )
+    return groups
+
+
+def _rivals(trail: Trail, name: str) -> tuple[str, ...]:
+    found = {effect.name for effect in trail.end.unknowns.effects}
+    return tuple(rival for rival in trail.rivals.get(name, ()) if rival not in found)
+
+
+def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:
+    if group.looseness is not None:
+        return tuple(_moved_bodies(case, fit))
+    places = dict.fromkeys(place for effect in group.effects for place in effect.where)
+    order = {name: i for i, name in enumerate((*case.model.joints, *case.model.bodies))}
+    return tuple(sorted(places, key=lambda place: order.get(place, 0)))
+
+
+def _moved_bodies(case: Case, fit: ModelFit) -> Mapping[str, float]:
+    """Bodies that the fit moved farthest from their prior, with the geometric distance."""
+    step = fit.model.phi - case.model.phi
+    distance = np.sqrt(np.einsum("bi,bij,bj->b", step, pullback_metric(case.model.phi), step))
+    far = distance >= max(0.5 * distance.max(), 1e-9)
+    return {b: float(d) for b, d, f in zip(case.model.bodies, distance, far, strict=True) if f}
+
+
+def _values(case: Case, group: _Group, fit: ModelFit) -> tuple[Values, Values]:
+    values: Values = {}
+    deviations: Values = {}
+    if group.looseness is not None:
+        for body, distance in _moved_bodies(case, fit).items():
+            phi = fit.model.phi[case.model.bodies.index(body)]
+            values[body] = {"mass": float(phi[0]), "distance_from_prior": distance}
+        return values, deviations
+    if group.delay is not None:
+        delay = next(f.effect for f in fit.model.effects if isinstance(f.effect, EffortDelay))
+        return {"all joints": {"delay": delay.delay}}, deviations
+    for fitted in fit.model.effects:
+        if fitted.effect in group.effects:
+            place = " & ".join(fitted.effect.where)
+            found, spread = _named(fitted)
+            values.setdefault(place, {}).update(found)
+            deviations.setdefault(place, {}).update(spread)
+    return values, deviations
+
+
+def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
+    """Names, values and standard deviations of an effect's parameters."""
+    spread = fitted.deviations if fitted.deviations is not None else np.full(len(fitted.parameters), np.nan)
+    if fitted.effect.name == "payload":
+        mass, com, _ = to_mass_com_inertia(fitted.parameters)
+        values = {"mass": float(mass), **{f"com_{a}": float(c) for a, c in zip("xyz", com, strict=True)}}
+        return values, {"mass": float(spread[0])}
+    names = [p.name for p in fitted.effect.parameters]
+    values = dict(zip(names, map(float, fitted.parameters), strict=True))
+    shapes = {k: float(v) for k, v in fitted.effect.shape.items()}
+    return {**values, **shapes}, dict(zip(names, map(float, spread), strict=True))
+

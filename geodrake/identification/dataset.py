@@ -1,0 +1,140 @@
+"""Logs reduced to triangular factors: one per fold and joint, over every column that may be used.
+
+A factor holds the columns of the inertial parameters, of all effects (those of the model and those
+that a diagnosis may try) and of the measured effort. Fits, held-out errors and comparisons of
+hundreds of candidates are then small dense problems; no one goes back to the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.inertia import PARAMETERS_PER_BODY
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Filtered, decimated rows of one joint in one block.
+
+    Attributes:
+        time: (K,) instants, s.
+        motion: (K, 3) position, velocity and acceleration of the joint.
+        A: (K, p_j) columns, in the order of the joint's column indices.
+        b: (K, d) measured effort, one column per delay of the dataset.
+        used: (K,) whether the joint moves, so that the row says something.
+    """
+
+    time: Array
+    motion: Array
+    A: Array
+    b: Array
+    used: NDArray[np.bool_]
+
+    def part(self, low: int, high: int) -> JointRows:
+        """Rows low to high, those not used left out."""
+        used = self.used[low:high]
+        fields = (self.time, self.motion, self.A, self.b, self.used)
+        return JointRows(*(values[low:high][used] for values in fields))
+
+    @classmethod
+    def join(cls, parts: Sequence[JointRows]) -> JointRows:
+        """Rows one after another."""
+        fields = ((rows.time, rows.motion, rows.A, rows.b, rows.used) for rows in parts)
+        return cls(*(np.concatenate(values) for values in zip(*fields, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class JointData:
+    """What all folds say about one joint.
+
+    Attributes:
+        columns: (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
+        factors: One (·, p_j + d) triangular factor of [A | b] per fold.
+        samples: (F,) rows behind each factor.
+        rows: Per fold, the kept rows of each of its blocks.
+    """
+
+    columns: Indices
+    factors: tuple[Array, ...]
+    samples: NDArray[np.int_]
+    rows: tuple[tuple[JointRows, ...], ...]
+
+    @cached_property
+    def grams(self) -> tuple[Array, ...]:
+        """RᵀR of every fold's factor."""
+        return tuple(factor.T @ factor for factor in self.factors)
+
+    def local(self, columns: Indices) -> Indices:
+        """Positions of global columns at this joint; −1 where a column cannot be nonzero."""
+        position = np.minimum(np.searchsorted(self.columns, columns), len(self.columns) - 1)
+        return np.where(self.columns[position] == columns, position, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Several logs, reduced.
+
+    Attributes:
+        joints: Names of the nv velocities.
+        bodies: Names of the nb bodies.
+        effects: Effects to fit or try, in column order after the 10·nb inertial ones; payloads
+            have the columns of their body.
+        delays: Seconds by which the effort columns are advanced; delays[0] is that of the model.
+        folds: Names of the validation folds.
+        logs: Names of the logs.
+        data: One entry per joint.
+        effort_std: (nv,) standard deviation of the measured effort, N·m or N.
+        noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
+        bandwidth: Bandwidth of the filter, Hz.
+    """
+
+    joints: tuple[str, ...]
+    bodies: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    delays: tuple[float, ...]
+    folds: tuple[str, ...]
+    logs: tuple[str, ...]
+    data: tuple[JointData, ...]
+    effort_std: Array
+    noise_floor: Array
+    bandwidth: float
+
+    @cached_property
+    def starts(self) -> Mapping[Effect, int]:
+        """First column of every effect."""
+        return column_starts(self.effects, self.bodies)
+
+    def effect_columns(self, effect: Effect) -> Indices:
+        """(k,) global columns of an effect of this dataset."""
+        return self.starts[effect] + np.arange(len(effect.parameters))
+
+    @property
+    def samples(self) -> NDArray[np.int_]:
+        """(F, nv) rows of each fold and joint."""
+        return np.stack([data.samples for data in self.data], 1)
+
+
+def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[Effect, int]:
+    """First column of every effect, after the inertial columns that payloads share."""
+    starts, free = {}, len(bodies) * PARAMETERS_PER_BODY
+    for effect in effects:
+        if is_payload(effect):
+            starts[effect] = bodies.index(effect.where[0]) * PARAMETERS_PER_BODY
+        else:
+            starts[effect] = free
+            free += len(effect.parameters)
+    return starts
+
+
+def is_payload(effect: Effect) -> bool:
+    """Whether an effect adds inertial parameters to a body, so that it shares its columns."""
+    return effect.name == "payload"

@@ -1,0 +1,59 @@
+"""The noise floor: how much of the measured effort no model of the motion can predict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+from scipy.stats import gamma
+
+from geodrake.motion import Trajectory
+
+Array = NDArray[np.float64]
+
+_LEAST_BINS = 12
+
+
+def noise_floor(trajectories: Sequence[Trajectory]) -> Array:
+    """RMS of the efforts' sensor noise after filtering, if the noise is white.
+
+    Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
+    add. The quietest band there, continued into the passband, is the floor: coloured noise below
+    it cannot be told from an effect, and is not counted.
+
+    Args:
+        trajectories: The prepared logs.
+
+    Returns:
+        (n,) floor of each joint, N·m or N.
+    """
+    power, weight = 0.0, 0
+    for trajectory in trajectories:
+        gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
+        for segment in trajectory.segments:
+            density = _quiet_density(segment.effort, 1.0 / segment.period, bandwidth)
+            power = power + len(segment) * density * gain**2 / (2.0 * segment.period)
+            weight += len(segment)
+    return np.sqrt(np.asarray(power) / weight)
+
+
+def _quiet_density(effort: Array, rate: float, bandwidth: float) -> Array:
+    """(n,) one-sided spectral density of the quietest band above the bandwidth, (N·m)²/Hz."""
+    length = min(len(effort), max(64, round(8 * rate / bandwidth)))
+    frequency, density = welch(effort, rate, "hann", length, axis=0)
+    lowest, highest = 1.6 * bandwidth, 0.45 * rate
+    averages = max(1.0, 0.9 * (2 * len(effort) / length - 1))
+    median = gamma.ppf(0.5, averages) / averages
+    bands = max(1, int(np.log2(highest / lowest) * 2))
+    edges = np.geomspace(lowest, highest, bands + 1)
+    levels = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        inside = (frequency >= low) & (frequency < high)
+        if inside.sum() >= _LEAST_BINS:
+            levels.append(np.median(density[inside], axis=0) / median)
+    if not levels:
+        inside = frequency >= min(lowest, frequency[-1])
+        levels.append(np.median(density[inside], axis=0) / median)
+    return np.min(levels, axis=0)

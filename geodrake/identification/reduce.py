@@ -1,0 +1,232 @@
+"""From prepared logs to a `Dataset`, chunk by chunk, so that memory does not grow with a log."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.effects.effort_delay import EffortDelay
+from geodrake.errors import LogError
+from geodrake.folds import Block, Fold
+from geodrake.identification.dataset import (
+    Dataset,
+    Indices,
+    JointData,
+    JointRows,
+    column_starts,
+    is_payload,
+)
+from geodrake.identification.noise import noise_floor
+from geodrake.model import SIGN_WIDTH, RobotModel
+from geodrake.motion import Motion, Segment, Trajectory
+from geodrake.reduction import triangular_factor
+from geodrake.regressor import inverse_dynamics_regressor
+
+Array = NDArray[np.float64]
+
+CHUNK = 20_000
+"""Samples whose regressors are in memory at once."""
+
+MOSTLY_STILL = 0.5
+"""Share of a filter window at rest from which on a joint's sample is left out: dry friction can
+then be anything up to breakaway, and no model of the motion says what."""
+
+ROWS_KEPT = 50_000
+"""Filtered rows kept of each fold and joint for autocorrelations and figures."""
+
+
+def reduce_logs(
+    model: RobotModel,
+    trajectories: Sequence[Trajectory],
+    folds: Sequence[Fold],
+    *,
+    effects: Sequence[Effect],
+    delays: Sequence[float] = (0.0,),
+) -> Dataset:
+    """Reduce logs to the triangular factors of every fold and joint.
+
+    Args:
+        model: The model; its inertial parameters give the load, its delay shifts the efforts.
+        trajectories: Prepared logs, joints in the model's order.
+        folds: Validation folds of the trajectories.
+        effects: Effects that get columns: those of the model and those to try.
+        delays: Delays to try on top of the model's, s; the first must be 0.
+
+    Raises:
+        LogError: The effort of a joint never changes.
+    """
+    effects = tuple(e for e in dict.fromkeys(effects) if not isinstance(e, EffortDelay))
+    layout = _Layout.of(model, effects, SIGN_WIDTH * peak_speeds(trajectories))
+    advance = [delay + model.delay for delay in delays]
+    boxes = [[_Box() for _ in folds] for _ in model.joints]
+    members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
+    for f, fold in enumerate(folds):
+        for block in fold.blocks:
+            members[block.trajectory, block.segment].append((f, block))
+    for (t, s), blocks in members.items():
+        for first, chunk in _chunks(layout, trajectories[t], trajectories[t].segments[s], advance):
+            for f, block in blocks:
+                low, high = max(block.start - first, 0), min(block.stop - first, len(chunk[0].b))
+                if low < high:
+                    for j, rows in enumerate(chunk):
+                        boxes[j][f].add(block, rows.part(low, high))
+    return Dataset(
+        model.joints,
+        model.bodies,
+        effects,
+        tuple(delays),
+        tuple(fold.name for fold in folds),
+        tuple(trajectory.name for trajectory in trajectories),
+        tuple(
+            JointData(
+                columns,
+                tuple(box.finish() for box in joint),
+                np.array([box.samples for box in joint]),
+                tuple(box.blocks() for box in joint),
+            )
+            for columns, joint in zip(layout.columns, boxes, strict=True)
+        ),
+        _effort_deviation(model.joints, boxes),
+        noise_floor(trajectories),
+        trajectories[0].filter.bandwidth,
+    )
+
+
+def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
+    """(nv,) largest speed of every joint, rad/s or m/s."""
+    speeds = [
+        np.abs(segment.velocity).max(axis=0)
+        for trajectory in trajectories
+        for segment in trajectory.segments
+    ]
+    return np.max(speeds, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Which columns each joint has, and how they are computed."""
+
+    model: RobotModel
+    effects: tuple[Effect, ...]
+    sign_width: Array
+    columns: tuple[Indices, ...]
+
+    @classmethod
+    def of(cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array) -> _Layout:
+        inertial = _inertial_structure(model)
+        starts = column_starts(effects, model.bodies)
+        columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
+        probe = model.motion(_probe(model, 1), sign_width=1.0)
+        for effect in effects:
+            if not is_payload(effect):
+                indices = starts[effect] + np.arange(len(effect.parameters))
+                for joint in effect.rows(probe):
+                    columns[model.joints.index(joint)].append(indices)
+        return cls(model, effects, sign_width, tuple(np.concatenate(c) for c in columns))
+
+    def evaluate(self, motion: Motion) -> list[Array]:
+        """(N, p_j) unfiltered columns of every joint."""
+        regressor = inverse_dynamics_regressor(self.model.plant, motion.q, motion.v, motion.vd)
+        seen = self.model.motion(motion, sign_width=self.sign_width, regressor=regressor)
+        width = regressor.shape[2]
+        parts = [[regressor[:, j, c[c < width]]] for j, c in enumerate(self.columns)]
+        for effect in self.effects:
+            if not is_payload(effect):
+                for joint, block in effect.rows(seen).items():
+                    parts[self.model.joints.index(joint)].append(block)
+        return [np.hstack(blocks) for blocks in parts]
+
+
+@dataclass(eq=False)
+class _Box:
+    """Rows of one joint and fold on their way into a factor."""
+
+    factor: Array | None = None
+    pending: list[Array] = field(default_factory=list)
+    kept: dict[Block, list[JointRows]] = field(default_factory=lambda: defaultdict(list))
+    samples: int = 0
+    sums: Array = field(default_factory=lambda: np.zeros(2))
+
+    def add(self, block: Block, rows: JointRows) -> None:
+        if self.samples < ROWS_KEPT:
+            self.kept[block].append(rows)
+        effort = rows.b[:, 0]
+        self.sums += effort.sum(), effort @ effort
+        self.samples += len(effort)
+        self.pending.append(np.hstack([rows.A, rows.b]))
+        if sum(map(len, self.pending)) > CHUNK:
+            self.finish()
+
+    def finish(self) -> Array:
+        before = [] if self.factor is None else [self.factor]
+        if self.pending or self.factor is None:
+            self.factor = triangular_factor([*before, *self.pending])
+            self.pending = []
+        return self.factor
+
+    def blocks(self) -> tuple[JointRows, ...]:
+        return tuple(JointRows.join(rows) for rows in self.kept.values())
+
+
+def _chunks(
+    layout: _Layout, trajectory: Trajectory, segment: Segment, advance: Sequence[float]
+) -> Iterator[tuple[int, list[JointRows]]]:
+    """First output and filtered rows of every joint, for stretches of a segment."""
+    low_pass, model = trajectory.filter, layout.model
+    shifted = np.stack(
+        [EffortDelay(-seconds).delayed(segment.effort, segment.period) for seconds in advance], -1
+    )
+    first = 0
+    for samples, outputs in low_pass.chunks(len(segment), CHUNK):
+        q = model.positions(segment.position[samples])
+        v, vd = segment.velocity[samples], segment.acceleration[samples]
+        instants = low_pass.output_indices(len(v))
+        states = np.stack([segment.position[samples], v, vd], 1)[instants]
+        still = low_pass.apply(np.abs(v) < layout.sign_width) > MOSTLY_STILL
+        rows = [
+            JointRows(
+                segment.time[samples][instants],
+                states[:, :, j],
+                low_pass.apply(columns),
+                low_pass.apply(shifted[samples, j]),
+                ~still[:, j],
+            )
+            for j, columns in enumerate(layout.evaluate(Motion(q, v, vd)))
+        ]
+        yield first, rows
+        first += outputs
+
+
+def _probe(model: RobotModel, samples: int) -> Motion:
+    """Random motion, to see which columns can be nonzero."""
+    random, nv = np.random.default_rng(0), len(model.joints)
+    q = model.positions(random.normal(size=(samples, nv)))
+    return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
+
+
+def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
+    """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
+    motion = _probe(model, 7)
+    regressor = inverse_dynamics_regressor(model.plant, motion.q, motion.v, motion.vd)
+    size = np.abs(regressor).max(axis=0)
+    return size > 1e-12 * size.max(initial=1e-300)
+
+
+def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) -> Array:
+    count = np.array([sum(box.samples for box in joint) for joint in boxes])
+    total, squares = np.array([np.sum([box.sums for box in joint], axis=0) for joint in boxes]).T
+    deviation = np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
+    for joint, value in zip(joints, deviation, strict=True):
+        if value == 0.0:
+            raise LogError(
+                f"The effort of {joint} never changes in the log.",
+                advice="Check what is logged there, or leave the joint's columns out.",
+                joint=joint,
+            )
+    return deviation
+

@@ -1,0 +1,237 @@
+"""A robot model: rigid bodies, effects, their parameters, and what is known about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.multibody.plant import MultibodyPlant
+
+from geodrake.effects import (
+    CoulombFriction,
+    Effect,
+    EffortDelay,
+    RobotMotion,
+    RotorInertia,
+    ViscousFriction,
+)
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, inertial_parameters
+from geodrake.kinematics import KinematicTree
+from geodrake.motion import Motion
+from geodrake.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
+from geodrake.regressor import inverse_dynamics_regressor
+
+Array = NDArray[np.float64]
+
+SIGN_WIDTH = 0.01
+"""Share of a joint's peak speed below which the direction of its motion counts as unknown."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEffect:
+    """An effect with the values of its linear parameters.
+
+    Attributes:
+        effect: The effect at its place.
+        parameters: (k,) values, in the order and units of `effect.parameters`.
+        deviations: (k,) their standard deviations; None for values that were not fitted.
+    """
+
+    effect: Effect
+    parameters: Array
+    deviations: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
+
+    Attributes:
+        plant: Finalized MultibodyPlant of the rigid bodies alone.
+        path: The model file that the plant came from.
+        floating: Whether free roots float instead of being welded to the world.
+        phi: (nb, 10) inertial parameters, those of fitted payloads left out.
+        effects: Effects with their parameters.
+        information: (p, p) information matrix (inverse covariance) of the inertial parameters and
+            then of all effects' parameters; None if the model was never fitted.
+        effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
+            or N; None if the model was never fitted.
+        notes: What was noticed while loading: repairs, things left out.
+    """
+
+    plant: MultibodyPlant
+    path: Path
+    floating: bool
+    phi: Array
+    effects: tuple[FittedEffect, ...] = ()
+    information: Array | None = None
+    effort_noise: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def tree(self) -> KinematicTree:
+        """The plant's kinematics, read once."""
+        return KinematicTree.from_plant(self.plant)
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the nv velocities."""
+        return joint_names(self.plant)
+
+    @cached_property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the nb bodies, bodies welded together counting as one."""
+        return self.tree.bodies
+
+    @cached_property
+    def joint_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of single-degree joints that follow each other along the tree."""
+        single = set(self._single_joints[0])
+        pairs = []
+        for mobilizer in self.tree.mobilizers:
+            if mobilizer.parent >= 0:
+                parent = self.tree.mobilizers[mobilizer.parent]
+                pair = (parent.velocities.start, mobilizer.velocities.start)
+                if single.issuperset(pair):
+                    pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
+        return tuple(pairs)
+
+    @property
+    def delay(self) -> float:
+        """Seconds by which measured efforts lag, as far as the model knows."""
+        return sum(f.effect.delay for f in self.effects if isinstance(f.effect, EffortDelay))
+
+    @cached_property
+    def total_phi(self) -> Array:
+        """(nb, 10) inertial parameters, payloads included."""
+        phi = self.phi.copy()
+        for fitted in self.effects:
+            if fitted.effect.name == "payload":
+                phi[self.bodies.index(fitted.effect.where[0])] += fitted.parameters
+        return phi
+
+    def motion(
+        self, motion: Motion, *, sign_width: ArrayLike = 0.0, regressor: Array | None = None
+    ) -> RobotMotion:
+        """A motion as effects see it: by joint, with the rigid bodies' effort as load.
+
+        Args:
+            motion: (N, ·) positions, velocities and accelerations in Drake's order.
+            sign_width: (nv,) or scalar speed below which the direction of motion is not known.
+            regressor: (N, nv, 10·nb) regressor of the motion, if it is known already.
+        """
+        if regressor is None:
+            regressor = inverse_dynamics_regressor(self.plant, motion.q, motion.v, motion.vd)
+        blocks = regressor.reshape(*regressor.shape[:2], len(self.bodies), PARAMETERS_PER_BODY)
+        q = np.full(motion.v.shape, np.nan)
+        at_velocity, at_position = self._single_joints
+        q[:, at_velocity] = motion.q[:, at_position]
+        width = np.broadcast_to(np.asarray(sign_width, float), (len(self.joints),))
+        return RobotMotion(
+            self.joints,
+            q,
+            motion.v,
+            motion.vd,
+            regressor @ self.total_phi.ravel(),
+            width,
+            lambda body: blocks[:, :, self.bodies.index(body)],
+        )
+
+    def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
+        """Effort that a motion needs, (N, nv), N·m or N; delays are not applied."""
+        robot_motion = self.motion(motion, sign_width=sign_width)
+        effort = robot_motion.load.copy()
+        for fitted in self.effects:
+            if fitted.effect.name != "payload":
+                effort += fitted.effect.effort(robot_motion, fitted.parameters)
+        return effort
+
+    def positions(self, by_joint: Array) -> Array:
+        """(N, nq) positions in Drake's order from (N, nv) positions of single-degree joints.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees, whose positions are not those.
+        """
+        at_velocity, at_position = self._single_joints
+        if len(at_velocity) < len(self.joints):
+            several = [n for i, n in enumerate(self.joints) if i not in at_velocity]
+            raise ArgumentError(
+                f"Logs hold one position for each joint; {', '.join(several)} belong to joints of "
+                "several degrees of freedom.",
+                advice="Weld the base, or use the regressors from Python.",
+            )
+        q = np.zeros((len(by_joint), self.plant.num_positions()))
+        q[:, at_position] = by_joint[:, at_velocity]
+        return q
+
+    @cached_property
+    def single_joints(self) -> tuple[str, ...]:
+        """Names of the joints of one degree of freedom."""
+        return tuple(self.joints[i] for i in self._single_joints[0])
+
+    @cached_property
+    def _single_joints(self) -> tuple[list[int], list[int]]:
+        plant = self.plant
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+        single = [j for j in joints if j.num_velocities() == 1 and j.num_positions() == 1]
+        return [j.velocity_start() for j in single], [j.position_start() for j in single]
+
+    def with_fit(
+        self,
+        phi: Array,
+        effects: Sequence[FittedEffect],
+        *,
+        information: Array,
+        effort_noise: Array,
+    ) -> RobotModel:
+        """The model with fitted parameters in place of its own.
+
+        Args:
+            phi: (nb, 10) inertial parameters without payloads.
+            effects: Effects and their parameters.
+            information: (p, p) information matrix of all of them.
+            effort_noise: (nv,) held-out RMS that the fit leaves.
+        """
+        return replace(
+            self,
+            phi=phi,
+            effects=tuple(effects),
+            information=information,
+            effort_noise=effort_noise,
+        )
+
+
+def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
+    """The model of a plant: damping, friction and rotor inertia of the file become effects."""
+    joints = joint_names(loaded.plant)
+    stated = (
+        (ViscousFriction, loaded.file_damping),
+        (CoulombFriction, loaded.file_friction),
+        (RotorInertia, loaded.file_rotor_inertia),
+    )
+    effects = tuple(
+        FittedEffect(effect(joint), np.array([value]))
+        for effect, values in stated
+        for joint, value in zip(joints, values, strict=True)
+        if value
+    )
+    notes = (*(str(repair) for repair in loaded.repairs), *loaded.notes)
+    phi = inertial_parameters(loaded.plant)
+    return RobotModel(loaded.plant, loaded.path, floating, phi, effects, notes=notes)
+
+
+def load_description(path: str | Path, *, floating: bool = False) -> RobotModel:
+    """The model of a URDF, SDF, MJCF or Drake directives file; see `geodrake.plant.load_plant`."""
+    return from_loaded_plant(load_plant(path, floating=floating), floating=floating)
+
+
+def fitted_plant_context(model: RobotModel) -> object:
+    """A default Context of the model's plant with the model's inertial parameters in it."""
+    context = model.plant.CreateDefaultContext()
+    set_inertial_parameters(model.plant, context, model.total_phi)
+    return context

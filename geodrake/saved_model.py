@@ -1,0 +1,190 @@
+"""Fitted models as YAML files, read and written through Drake's `yaml_load_typed`."""
+
+from __future__ import annotations
+
+import dataclasses as dc
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+
+from geodrake.effects import Effect, EffortDelay, make_effect
+from geodrake.errors import GeodrakeError, ModelError, OutputError
+from geodrake.model import FittedEffect, RobotModel, load_description
+
+FORMAT = "geodrake model 1"
+
+
+@dataclass
+class SavedEffect:
+    """One effect: its name, place, shape and parameters."""
+
+    name: str = ""
+    where: list[str] = dc.field(default_factory=list)
+    shape: dict[str, float] = dc.field(default_factory=dict)
+    parameters: list[float] = dc.field(default_factory=list)
+    deviations: list[float] = dc.field(default_factory=list)
+
+
+@dataclass
+class SavedModel:
+    """Schema of `model.yaml`.
+
+    Attributes:
+        format: Name and version of the format.
+        base_model: Path of the model file, relative to this one.
+        base_sha256: Digest of the model file when the model was saved.
+        floating: Whether free roots float.
+        inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
+        effects: The effects.
+        information: Information matrix of the inertial parameters, then of the effects'.
+        effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
+    """
+
+    format: str = FORMAT
+    base_model: str = ""
+    base_sha256: str = ""
+    floating: bool = False
+    inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
+    effects: list[SavedEffect] = dc.field(default_factory=list)
+    effort_noise: dict[str, float] = dc.field(default_factory=dict)
+    information: list[list[float]] = dc.field(default_factory=list)
+
+
+def load_model(
+    path: str | Path, *, floating: bool = False, extra: Sequence[type[Effect]] = ()
+) -> RobotModel:
+    """Load a robot model: a URDF, SDF, MJCF or Drake directives file, or a saved model.
+
+    Args:
+        path: The file.
+        floating: Leave roots free that the file does not attach to the world (a saved model
+            remembers).
+        extra: Effect classes of the user's own that a saved model may name.
+
+    Raises:
+        ModelError: The file cannot be read or does not describe a robot; or the file that a saved
+            model is based on is gone or has other joints or bodies.
+    """
+    path = Path(path)
+    if is_saved_model(path):
+        return _read(path, extra)
+    return load_description(path, floating=floating)
+
+
+def is_saved_model(path: Path) -> bool:
+    """Whether a file is one that `save_model` wrote."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return path.suffix in {".yaml", ".yml"} and FORMAT in file.read(200)
+    except OSError:
+        return False
+
+
+def save_model(model: RobotModel, path: str | Path) -> None:
+    """Write a model; the file appears whole or not at all.
+
+    Raises:
+        OutputError: The target cannot be written.
+    """
+    path = Path(path)
+    base = model.path.resolve()
+    saved = SavedModel(
+        base_model=os.path.relpath(base, path.resolve().parent),
+        base_sha256=hashlib.sha256(base.read_bytes()).hexdigest(),
+        floating=model.floating,
+        inertial_parameters={
+            b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
+        },
+        effects=[_saved_effect(fitted) for fitted in model.effects],
+        effort_noise={}
+        if model.effort_noise is None
+        else dict(zip(model.joints, model.effort_noise.tolist(), strict=True)),
+        information=[] if model.information is None else model.information.tolist(),
+    )
+    write_whole(path, yaml_dump_typed(saved, schema=SavedModel))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file under a temporary name, then rename it.
+
+    Raises:
+        OutputError: The target cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise OutputError(
+            f"Cannot write {path}: {error.strerror}.", advice="Choose another place.", path=path
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _saved_effect(fitted: FittedEffect) -> SavedEffect:
+    effect = fitted.effect
+    shape = {name: float(value) for name, value in effect.shape.items() if value is not None}
+    deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
+    return SavedEffect(
+        effect.name, list(effect.where), shape, fitted.parameters.tolist(), deviations
+    )
+
+
+def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
+    try:
+        saved = yaml_load_typed(schema=SavedModel, filename=str(path))
+    except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
+        reason = str(error).splitlines()[0]
+        raise ModelError(
+            f"{path} is no geodrake model: {reason}", advice="Save the model again.", path=path
+        ) from error
+    base = path.resolve().parent / saved.base_model
+    if not base.is_file():
+        raise ModelError(
+            f"{path} is based on {saved.base_model}, which is not at {base}.",
+            advice="Move it back, or change base_model in the saved model.",
+            base=base,
+        )
+    model = load_description(base, floating=saved.floating)
+    try:
+        return _with_parameters(model, saved, base, extra)
+    except (KeyError, ValueError, GeodrakeError) as error:
+        raise ModelError(
+            f"{path} does not fit its base model {base}: {error}",
+            advice="Fit and save the model again.",
+        ) from error
+
+
+def _with_parameters(
+    model: RobotModel, saved: SavedModel, base: Path, extra: Sequence[type[Effect]]
+) -> RobotModel:
+    phi = np.array([saved.inertial_parameters[body] for body in model.bodies])
+    effects = tuple(
+        FittedEffect(
+            make_effect(e.name, e.where, e.shape, extra),
+            np.array(e.parameters),
+            np.array(e.deviations) if e.deviations else None,
+        )
+        for e in saved.effects
+    )
+    p = phi.size + sum(
+        len(f.effect.parameters) for f in effects if not isinstance(f.effect, EffortDelay)
+    )
+    information = np.array(saved.information) if saved.information else None
+    if information is not None and information.shape != (p, p):
+        raise ModelError(f"its information matrix is {information.shape}, and {p} are fitted.")
+    noise = None
+    if saved.effort_noise:
+        noise = np.array([saved.effort_noise[joint] for joint in model.joints])
+    notes = model.notes
+    if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
+        notes += (f"{base.name} has changed since the model was saved.",)
+    return replace(
+        model, phi=phi, effects=effects, information=information, effort_noise=noise, notes=notes
+    )
