@@ -124,8 +124,8 @@ def joint_motions(joint: Joint, sign: float) -> list[JointMotion]:
         case _:
             raise ModelError(
                 f"Joint {joint.name()!r} has the unsupported type {type(joint).__name__}.",
-                advice="Replace it by revolute, prismatic, screw, universal, planar, ball or floating "
-                "joints, or weld it.",
+                advice="Use a revolute, prismatic, screw, universal, planar, ball or floating one, "
+                "or weld it.",
                 joint=joint.name(),
             )
     return motions

@@ -57,9 +57,7 @@ def body_regressor(
     """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, without the others."""
     tree, samples = _arguments(plant, q, v, vd)
     if not 0 <= body < len(tree.bodies):
-        raise ArgumentError(
-            f"There is no body {body}: the plant has {len(tree.bodies)} bodies.", body=body
-        )
+        raise ArgumentError(f"Body {body} is not one of the plant's {len(tree.bodies)} bodies.")
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
     for part, blocks in pieces(tree.branch(body), samples):
         for mobilizer, block in blocks:
