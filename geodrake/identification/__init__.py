@@ -1,1 +1,24 @@
-"""."""
+"""Identification: convex fits of physical parameters to data, near a prior."""
+
+from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
+from geodrake.identification.problem import FitProblem, LinearConstraints, triangular_factor
+from geodrake.identification.program import FitProgram, build_fit
+from geodrake.identification.regularizer import QuadraticRegularizer, Regularizer
+from geodrake.identification.solvers import SOLVERS
+
+__all__ = [
+    "REGULARIZERS",
+    "SOLVERS",
+    "FitProblem",
+    "FitProgram",
+    "FitResult",
+    "IdentificationResult",
+    "LinearConstraints",
+    "QuadraticRegularizer",
+    "Regularizer",
+    "build_fit",
+    "identify",
+    "solve_fit",
+    "triangular_factor",
+]

@@ -1,0 +1,130 @@
+"""Dimensionless coordinates of a fit, in which a solver converges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.identification.problem import FitProblem
+from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
+
+Array = NDArray[np.float64]
+
+
+def _symmetric_basis() -> Array:
+    matrices = np.zeros((10, 4, 4))
+    for matrix, (i, j) in zip(matrices, zip(*np.tril_indices(4), strict=True), strict=True):
+        matrix[i, j] = matrix[j, i] = 1.0 if i == j else np.sqrt(0.5)
+    return matrices
+
+
+SYMMETRIC_BASIS = _symmetric_basis()
+"""Orthonormal basis of the symmetric 4×4 matrices; shape (10, 4, 4)."""
+
+_CENTRE_FLOOR = 0.01
+"""Share of the reference in a centred scale, which keeps it regular at the boundary."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """Coordinates z with x = x₀ + T z, chosen so that each z is of order one.
+
+    An inertia block has P(φ) = P(φ₀) + L smat(z) Lᵀ with the Cholesky factor L of its reference
+    P = L Lᵀ: there the pullback metric ([Lee2019] Eq. (B.1.7)) is half the identity, whatever
+    the frame and units. A scalar is divided by the norm of its column of data and prior.
+
+    Attributes:
+        problem: The problem they belong to.
+        transform: (p, p) block-diagonal T.
+        starts: (n_blocks, 4, 4) matrices L⁻¹ P(φ₀) L⁻ᵀ.
+        references: (n_blocks, 4, 4) matrices L⁻¹ P(reference) L⁻ᵀ, the identity unless centred.
+    """
+
+    problem: FitProblem
+    transform: Array
+    starts: Array
+    references: Array
+
+    @classmethod
+    def of(cls, problem: FitProblem, *, centre: Array | None = None) -> Coordinates:
+        """The coordinates of a problem.
+
+        Args:
+            problem: What is to be fitted.
+            centre: (p,) parameters close to the solution, at which to scale the blocks, so that
+                a solver gets closer to a boundary; the references if None.
+        """
+        R = problem.factor[:, :-1]
+        norms = np.sqrt((R * R).sum(0) + np.diagonal(problem.prior_information))
+        transform = np.diag(1.0 / np.where(norms > 0, norms, 1.0))
+        references = scales = _references(problem)
+        if centre is not None:
+            scales = _pseudo_inertias(problem, centre) + _CENTRE_FLOOR * references
+        roots = np.linalg.cholesky(scales)
+        for start, L in zip(problem.inertia_blocks, roots, strict=True):
+            block = slice(start, start + 10)
+            transform[block, block] = from_pseudo_inertia(L @ SYMMETRIC_BASIS @ L.T).T
+        starts = _congruent(roots, _pseudo_inertias(problem, problem.prior_mean))
+        return cls(problem, transform, starts, _congruent(roots, references))
+
+    def parameters(self, z: Array) -> Array:
+        """Parameters x (p,) of coordinates z (p,)."""
+        return self.problem.prior_mean + self.transform @ z
+
+    def at(self, x: Array) -> Array:
+        """Coordinates z (p,) of parameters x (p,)."""
+        return np.linalg.solve(self.transform, x - self.problem.prior_mean)
+
+    def data(self) -> tuple[Array, Array]:
+        """R T (k, p) and r − R x₀ (k,), so that the residual is ‖(R T) z − (r − R x₀)‖²."""
+        R, r = self.problem.factor[:, :-1], self.problem.factor[:, -1]
+        return R @ self.transform, r - R @ self.problem.prior_mean
+
+    def prior_root(self) -> Array:
+        """Some C (k, p) with Cᵀ C = Tᵀ Λ T."""
+        metric = self.transform.T @ self.problem.prior_information @ self.transform
+        known = np.flatnonzero(np.diagonal(metric))
+        root = np.zeros((len(known), len(metric)))
+        try:
+            root[:, known] = np.linalg.cholesky(metric[np.ix_(known, known)]).T
+        except np.linalg.LinAlgError:
+            values, vectors = np.linalg.eigh(metric)
+            if values[0] < -1e-9 * values[-1]:
+                raise ArgumentError(
+                    "prior_information is not positive semidefinite: its smallest eigenvalue is "
+                    f"{values[0] / values[-1]:.1e} times the largest, in scaled parameters."
+                ) from None
+            root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        return root
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds (p,) and (p,) of z that belong to those of x."""
+        scale = np.diagonal(self.transform)
+        mean = self.problem.prior_mean
+        with np.errstate(invalid="ignore"):
+            return (self.problem.lower - mean) / scale, (self.problem.upper - mean) / scale
+
+    def smallest_eigenvalues(self, x: ArrayLike) -> Array:
+        """Smallest eigenvalue of P(reference)⁻¹ P(φ) for each block of x (p,); (n_blocks,)."""
+        roots = np.linalg.cholesky(_references(self.problem))
+        relative = _congruent(roots, _pseudo_inertias(self.problem, np.asarray(x, float)))
+        return np.linalg.eigvalsh(relative)[..., 0]
+
+
+def _pseudo_inertias(problem: FitProblem, x: Array) -> Array:
+    """P(φ_i) of every block of x (p,); (n_blocks, 4, 4)."""
+    blocks = [x[start : start + 10] for start in problem.inertia_blocks]
+    return pseudo_inertia(np.reshape(blocks, (-1, 10)))
+
+
+def _references(problem: FitProblem) -> Array:
+    blocks = [problem.reference[start] for start in problem.inertia_blocks]
+    return pseudo_inertia(np.reshape(blocks, (-1, 10)))
+
+
+def _congruent(roots: Array, matrices: Array) -> Array:
+    """L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M, both (n, 4, 4)."""
+    return np.linalg.solve(roots, np.swapaxes(np.linalg.solve(roots, matrices), -1, -2))

@@ -1,0 +1,33 @@
+"""The entropic divergence: convex, independent of coordinates, and a barrier."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.identification.problem import FitProblem
+from geodrake.identification.regularizer import Regularizer
+from geodrake.inertia import pseudo_inertia
+
+Array = NDArray[np.float64]
+
+
+class Entropic(Regularizer):
+    """d² = Σ_i −log|P_i| + log|P_i⁰| + tr((P_i⁰)⁻¹ P_i) − 4 ([Lee2019] Eqs. (2.2.14), (3.5.44)).
+
+    Grows without limit at the boundary of physical bodies, so that every result is well inside.
+    """
+
+    name = "entropic"
+
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """d(Φ ‖ Φ⁰)² of all bodies together."""
+        ratios = np.linalg.eigvals(np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(phi)))
+        return float((ratios.real - 1.0 - np.log(ratios.real)).sum())
+
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """The problem with an entropic prior for every body."""
+        priors = zip(problem.inertia_blocks, prior, strict=True)
+        return replace(problem, entropic={start: (phi, gamma) for start, phi in priors})

@@ -1,0 +1,204 @@
+"""Solve a fit: in closed form where that is exact, as a conic program where it is not."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.solvers import MathematicalProgramResult
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
+
+from geodrake.errors import ArgumentError
+from geodrake.identification.coordinates import Coordinates
+from geodrake.identification.problem import FitProblem
+from geodrake.identification.program import FitProgram, build_fit
+from geodrake.identification.solvers import run_solver
+from geodrake.inertia import pullback_metric
+
+Array = NDArray[np.float64]
+
+_BOUNDARY = 1e-5
+"""Distance, in scaled units, within which a bound counts as reached."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitResult:
+    """Solution of a `FitProblem`.
+
+    Attributes:
+        x: (p,) parameters; every inertia block is physical and every bound is kept exactly.
+        information: (p, p) posterior information: half the cost's Hessian at x, so that its
+            inverse is the covariance of x while no bound is active.
+        residual: Squared residual ‖R x − r‖².
+        active_bounds: Indices of parameters at one of their bounds.
+        active_blocks: First columns of inertia blocks at the boundary of physical bodies.
+        prior_weight: Weight of the prior against the data: 1, and in the point-to-set form the
+            γ for which the regularized form has this solution (inf when the data are idle).
+        solver: What solved it: "closed form", "bounded least squares", or the conic solver.
+        solve_time: Time of the whole solution, s.
+    """
+
+    x: Array
+    information: Array
+    residual: float
+    active_bounds: tuple[int, ...]
+    active_blocks: tuple[int, ...]
+    prior_weight: float
+    solver: str
+    solve_time: float
+
+    def standard_deviations(self) -> Array:
+        """Standard deviations (p,) of x, in its units; inf where nothing is known.
+
+        They count every row of data as independent: with correlated residuals, scale the
+        information by the share of effective samples first.
+        """
+        size = np.sqrt(np.diagonal(self.information))
+        size = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
+        known = values > len(values) * np.finfo(float).eps * values[-1]
+        variances = (vectors[:, known] ** 2 / values[known]).sum(1)
+        unknown = (vectors[:, ~known] ** 2).sum(1) > np.sqrt(np.finfo(float).eps)
+        return np.where(unknown, np.inf, np.sqrt(variances) / size)
+
+
+def solve_fit(
+    problem: FitProblem, *, solver: str = "clarabel", shortcuts: bool = True
+) -> FitResult:
+    """Fit the parameters.
+
+    A quadratic problem is first solved in closed form and then as bounded least squares; when all
+    bodies come out physical, that is the solution of the full problem too.
+
+    Args:
+        problem: What to fit.
+        solver: Drake's conic solver, "clarabel", "scs", "csdp" or "mosek".
+        shortcuts: Whether to try the exact solutions without a conic solver first.
+
+    Returns:
+        The unique minimum, with the information of data and prior together.
+
+    Raises:
+        ArgumentError: The residual bound is below what any parameters reach.
+        IdentificationError: The solver found no solution.
+    """
+    begin = time.perf_counter()
+    if shortcuts:
+        coordinates = Coordinates.of(problem)
+        x, name = _without_solver(coordinates)
+        if x is not None:
+            return _result(coordinates, x, 1.0, name, time.perf_counter() - begin)
+    _check_residual_bound(problem)
+    # The first solution only says where and how to scale the program for the second.
+    x, _ = _by_solver(build_fit(problem), solver, rough=True)
+    fit = build_fit(problem, centre=x)
+    x, weight = _by_solver(fit, solver)
+    return _result(fit.coordinates, x, weight, solver, time.perf_counter() - begin)
+
+
+def _by_solver(fit: FitProgram, solver: str, *, rough: bool = False) -> tuple[Array, float]:
+    """Parameters and weight of the prior, by a conic solver."""
+    solution = run_solver(fit.program, solver, rough=rough)
+    x = fit.coordinates.parameters(solution.GetSolution(fit.z))
+    x = np.clip(x, fit.problem.lower, fit.problem.upper)
+    return x, _prior_weight(fit, solution, x)
+
+
+def _at_boundary(coordinates: Coordinates, x: Array) -> tuple[int, ...]:
+    """First columns of the blocks whose smallest eigenvalue is the margin."""
+    smallest = coordinates.smallest_eigenvalues(x)
+    near = smallest < 2.0 * coordinates.problem.margin
+    return tuple(np.array(coordinates.problem.inertia_blocks, int)[near].tolist())
+
+
+def _without_solver(coordinates: Coordinates) -> tuple[Array | None, str]:
+    """Parameters by least squares alone, or None when they do not solve the problem."""
+    problem = coordinates.problem
+    if problem.entropic or problem.constraints is not None or problem.residual_bound is not None:
+        return None, ""
+    lower, upper = coordinates.bounds()
+    bounded = np.isfinite(lower) | np.isfinite(upper)
+    order = np.argsort(bounded, kind="stable")
+    M, d = coordinates.data()
+    C = coordinates.prior_root()
+    rows = np.block([[M[:, order], d[:, None]], [C[:, order], np.zeros((len(C), 1))]])
+    triangle = np.linalg.qr(rows, mode="r")[: problem.size]
+    F, f = triangle[:, :-1], triangle[:, -1]
+    diagonal = np.abs(np.diagonal(F))
+    if len(F) < problem.size or diagonal.min() <= 1e-12 * diagonal.max():
+        return None, ""
+    z = np.empty(problem.size)
+    z[order] = solve_triangular(F, f)
+    name = "closed form"
+    if np.any((z < lower) | (z > upper)):
+        if np.any(lower == upper):
+            return None, ""
+        # The bounded columns are the last ones of the triangle, so the others drop out.
+        free, last = order[~bounded[order]], order[bounded[order]]
+        k, box = len(free), (lower[last], upper[last])
+        z[last] = lsq_linear(F[k:, k:], f[k:], box, method="bvls", tol=1e-14).x
+        z[free] = solve_triangular(F[:k, :k], f[:k] - F[:k, k:] @ z[last])
+        name = "bounded least squares"
+    x = np.clip(coordinates.parameters(z), problem.lower, problem.upper)
+    if np.any(coordinates.smallest_eigenvalues(x) < problem.margin):
+        return None, ""
+    return x, name
+
+
+def _check_residual_bound(problem: FitProblem) -> None:
+    bound = problem.residual_bound
+    if bound is None:
+        return
+    R, r = problem.factor[:, :-1], problem.factor[:, -1]
+    scale = np.linalg.norm(R, axis=0)
+    least = np.linalg.lstsq(R / np.where(scale > 0, scale, 1.0), r)[0]
+    minimum = float(np.square(R / np.where(scale > 0, scale, 1.0) @ least - r).sum())
+    if not bound > minimum:
+        raise ArgumentError(
+            f"residual_bound is {bound:.6g}, but the least squared residual that any parameters "
+            f"reach is {minimum:.6g}.",
+            advice="Take a bound above that.",
+            minimum=minimum,
+        )
+
+
+def _prior_weight(fit: FitProgram, solution: MathematicalProgramResult, x: Array) -> float:
+    """γ of the regularized problem with the same solution, from the residual cone's multiplier.
+
+    At the boundary ‖u‖ = s of the cone, d² + μ (‖u‖ − s)/s is stationary, and so is
+    d² + ‖u‖²/γ with γ = 2 s²/μ.
+    """
+    bound = fit.problem.residual_bound
+    if bound is None:
+        return 1.0
+    if fit.problem.residual(x) < bound * (1.0 - 1e-6):
+        return np.inf
+    multiplier = abs(float(solution.GetDualSolution(fit.residual_cone)[0])) * fit.cost_scale
+    return 2.0 * fit.residual_scale**2 / multiplier
+
+
+def _result(
+    coordinates: Coordinates, x: Array, prior_weight: float, solver: str, elapsed: float
+) -> FitResult:
+    problem = coordinates.problem
+    R = problem.factor[:, :-1]
+    prior = problem.prior_information.copy()
+    for start, (_, gamma) in problem.entropic.items():
+        block = slice(start, start + 10)
+        prior[block, block] += gamma * pullback_metric(x[block])
+    information = prior if np.isinf(prior_weight) else R.T @ R + prior_weight * prior
+    scale = np.diagonal(coordinates.transform)
+    at_bound = np.minimum(x - problem.lower, problem.upper - x) <= _BOUNDARY * scale
+    return FitResult(
+        x=x,
+        information=information,
+        residual=problem.residual(x),
+        active_bounds=tuple(np.flatnonzero(at_bound).tolist()),
+        active_blocks=_at_boundary(coordinates, x),
+        prior_weight=prior_weight,
+        solver=solver,
+        solve_time=elapsed,
+    )

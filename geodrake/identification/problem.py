@@ -1,0 +1,233 @@
+"""What is fitted: triangular data, bodies that must be physical, bounds and a prior."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+
+Array = NDArray[np.float64]
+
+
+def triangular_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
+    """Triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
+
+    Args:
+        A: (m, p) regressor.
+        b: (m,) measurements.
+        sigma: (m,) or scalar standard deviations of b, in the units of b; None for 1.
+
+    Returns:
+        (min(m, p + 1), p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} =
+        ‖R x − r‖² + ρ² for every x.
+
+    Raises:
+        ArgumentError: Shapes do not match, or there is a non-finite or non-positive value.
+    """
+    A = checked("A", A, (None, None))
+    b = checked("b", b, (len(A),))
+    data = np.column_stack([A, b])
+    if sigma is not None:
+        deviations = np.asarray(sigma, float)
+        if deviations.ndim:
+            deviations = checked("sigma", deviations, (len(A),))
+        if not np.all(np.isfinite(deviations) & (deviations > 0)):
+            raise ArgumentError(
+                f"sigma has values that are not positive (smallest: {np.min(deviations):g}).",
+                advice="Give standard deviations in the units of b, all above zero.",
+            )
+        data = data / np.broadcast_to(deviations, b.shape)[:, None]
+    return np.linalg.qr(data, mode="r")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearConstraints:
+    """Rows of `lower ≤ matrix x ≤ upper`.
+
+    Attributes:
+        matrix: (k, p) coefficients.
+        lower: (k,) least values; −inf for none.
+        upper: (k,) greatest values; inf for none.
+    """
+
+    matrix: Array
+    lower: Array
+    upper: Array
+
+
+def _unbounded(sign: float) -> Any:
+    return field(default_factory=lambda: np.array(sign * np.inf))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitProblem:
+    """Convex fit of inertial parameters and scalar effect parameters, both in one vector x.
+
+    Minimizes, with P ≻ 0 for every inertia block φ_i of x and all bounds and constraints kept,
+
+        ‖R x − r‖² + (x − x₀)ᵀ Λ (x − x₀) + Σ_i γ_i d(φ_i ‖ φ_i⁰)²
+
+    ([Lee2019] Eqs. (3.5.43), (3.5.47)); with `residual_bound` c it minimizes the last two terms
+    subject to ‖R x − r‖² ≤ c instead (Eq. (3.5.52)). P ≻ 0 is kept strictly, as
+    P(φ_i) ⪰ margin · P(reference_i), because a solver returns points on the boundary.
+
+    Attributes:
+        factor: (k, p + 1) factor [R | r] of the data divided by their standard deviation, such as
+            `triangular_factor` gives.
+        inertia_blocks: First columns of the blocks of ten inertial parameters.
+        prior_mean: (p,) x₀.
+        prior_information: (p, p) positive semidefinite Λ; zero where nothing is known.
+        lower: (p,) least values of the scalar parameters, −inf for none.
+        upper: (p,) greatest values of the scalar parameters, inf for none.
+        entropic: First column of a block -> (φ⁰ (10,), γ) of its entropic divergence.
+        reference: First column of a block -> physical φ (10,) of the size that is expected of it;
+            φ⁰ of `entropic`, else the prior mean, when absent.
+        constraints: Further linear constraints on x.
+        residual_bound: Greatest squared residual c of the point-to-set form; None for the sum.
+        margin: Smallest eigenvalue of P(reference)⁻¹ P(φ) that is allowed.
+
+    Raises:
+        ArgumentError: A shape, bound or weight is impossible, a value is not finite, or a block
+            has no physical reference.
+    """
+
+    factor: Array
+    inertia_blocks: tuple[int, ...]
+    prior_mean: Array
+    prior_information: Array
+    lower: Array = _unbounded(-1)
+    upper: Array = _unbounded(1)
+    entropic: Mapping[int, tuple[Array, float]] = field(default_factory=dict)
+    reference: Mapping[int, Array] = field(default_factory=dict)
+    constraints: LinearConstraints | None = None
+    residual_bound: float | None = None
+    margin: float = 1e-4
+
+    def __post_init__(self) -> None:
+        """Check every field, and complete bounds and references."""
+        factor = checked("factor", self.factor, (None, None))
+        p = factor.shape[1] - 1
+        put = object.__setattr__
+        put(self, "factor", factor)
+        put(self, "prior_mean", checked("prior_mean", self.prior_mean, (p,)))
+        put(self, "prior_information", _information(self.prior_information, p))
+        put(self, "inertia_blocks", _blocks(self.inertia_blocks, p))
+        lower, upper = _bounds(self, p)
+        put(self, "lower", lower)
+        put(self, "upper", upper)
+        put(self, "entropic", _entropic(self))
+        put(self, "reference", _references(self))
+        if self.constraints is not None:
+            checked("constraints.matrix", self.constraints.matrix, (None, p))
+        if not 0 < self.margin < 1:
+            raise ArgumentError(f"margin must lie between 0 and 1; got {self.margin:g}.")
+
+    @property
+    def size(self) -> int:
+        """Number p of parameters."""
+        return len(self.prior_mean)
+
+    def residual(self, x: ArrayLike) -> float:
+        """Squared residual ‖R x − r‖² at parameters x (p,)."""
+        errors = self.factor @ np.append(np.asarray(x, float), -1.0)
+        return float(errors @ errors)
+
+
+def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """The values as finite floats of a shape, where None stands for any length."""
+    array = np.asarray(values, float)
+    fits = len(array.shape) == len(shape) and all(
+        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        expected = ", ".join("any" if n is None else str(n) for n in shape)
+        raise ArgumentError(f"{name} must have shape ({expected}); got {array.shape}.")
+    wrong = np.count_nonzero(~np.isfinite(array))
+    if wrong:
+        raise ArgumentError(
+            f"{name} has {wrong} values that are not finite.",
+            advice="Remove the samples with NaN or infinity before fitting.",
+        )
+    return array
+
+
+def _information(values: ArrayLike, p: int) -> Array:
+    matrix = checked("prior_information", values, (p, p))
+    scale = np.abs(matrix).max(initial=0.0)
+    if not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-10 * scale):
+        raise ArgumentError("prior_information is not symmetric.")
+    if np.any(np.diagonal(matrix) < 0):
+        raise ArgumentError("prior_information has negative diagonal values.")
+    return 0.5 * (matrix + matrix.T)
+
+
+def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
+    starts = tuple(int(start) for start in starts)
+    ordered = sorted(starts)
+    gaps = np.diff([*ordered, p]) if ordered else np.empty(0)
+    if (ordered and ordered[0] < 0) or np.any(gaps < PARAMETERS_PER_BODY):
+        raise ArgumentError(
+            f"Inertia blocks of ten columns starting at {ordered} overlap or leave the {p} columns."
+        )
+    return starts
+
+
+def _bounds(problem: FitProblem, p: int) -> tuple[Array, Array]:
+    lower, upper = (np.asarray(bound, float) for bound in (problem.lower, problem.upper))
+    for name, bound in (("lower", lower), ("upper", upper)):
+        if bound.shape not in ((), (p,)):
+            raise ArgumentError(f"{name} must have shape ({p},); got {bound.shape}.")
+    lower, upper = np.broadcast_to(lower, p), np.broadcast_to(upper, p)
+    empty = np.flatnonzero(~(lower <= upper))
+    if len(empty):
+        raise ArgumentError(f"Parameters {empty.tolist()} have a lower bound above the upper one.")
+    inertial = np.ravel([range(start, start + 10) for start in problem.inertia_blocks]).astype(int)
+    if np.isfinite([lower[inertial], upper[inertial]]).any():
+        raise ArgumentError(
+            "Bounds are for scalar parameters, and an inertial parameter has one.",
+            advice="State it as a row of `constraints`.",
+        )
+    return lower, upper
+
+
+def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:
+    unknown = sorted(set(problem.entropic) - set(problem.inertia_blocks))
+    if unknown:
+        raise ArgumentError(
+            f"Entropic priors at columns {unknown}, where no inertia block starts; "
+            f"blocks start at {list(problem.inertia_blocks)}."
+        )
+    priors = {}
+    for start, (phi, gamma) in problem.entropic.items():
+        if not (np.isfinite(gamma) and gamma > 0):
+            raise ArgumentError(f"gamma must be positive; got {gamma:g} at column {start}.")
+        priors[start] = (checked(f"entropic[{start}]", phi, (10,)), float(gamma))
+    return priors
+
+
+def _references(problem: FitProblem) -> dict[int, Array]:
+    references = {}
+    for start in problem.inertia_blocks:
+        fallback = problem.prior_mean[start : start + 10]
+        if start in problem.entropic:
+            fallback = problem.entropic[start][0]
+        references[start] = checked(
+            f"reference[{start}]", problem.reference.get(start, fallback), (10,)
+        )
+        if start in problem.entropic:
+            references[start] = problem.entropic[start][0]
+    wrong = [start for start, phi in references.items() if not is_physical(phi)]
+    if wrong:
+        raise ArgumentError(
+            f"The inertia blocks at columns {wrong} have no physical reference: their prior mean "
+            "does not belong to a body of positive density.",
+            advice="Give `reference` inertial parameters of the expected size for them.",
+            columns=wrong,
+        )
+    return references

@@ -1,0 +1,171 @@
+"""The conic program of a fit, as a Drake `MathematicalProgram`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.solvers import MathematicalProgram
+from scipy.sparse import csc_matrix
+
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
+from geodrake.identification.problem import FitProblem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FitProgram:
+    """A fit as a conic program, ready for any of Drake's conic solvers.
+
+    Attributes:
+        problem: What it was built from.
+        coordinates: Map between its variables and the parameters.
+        program: The program itself; other convex costs and constraints may be added to it.
+        z: (p,) decision variables, the coordinates of the parameters.
+        residual_cone: Constraint of the point-to-set form, or None.
+        cost_scale: Value by which the cost was divided.
+        residual_scale: Value by which the residual was divided in `residual_cone`.
+    """
+
+    problem: FitProblem
+    coordinates: Coordinates
+    program: MathematicalProgram
+    z: Any
+    residual_cone: Any
+    cost_scale: float
+    residual_scale: float
+
+
+def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram:
+    """The conic program of a problem; `solve_fit` solves it, with shortcuts where they are exact.
+
+    The cost is the excess over the unconstrained least squares, which keeps the solver's
+    relative tolerance meaningful when the residual itself is large.
+
+    Args:
+        problem: What is to be fitted.
+        centre: (p,) parameters close to the solution, where it is scaled; None for the references.
+
+    Returns:
+        The program and its variables.
+    """
+    coordinates = Coordinates.of(problem, centre=centre)
+    program = MathematicalProgram()
+    z = program.NewContinuousVariables(problem.size, "z")
+    M, d = coordinates.data()
+    C = coordinates.prior_root()
+    cone, residual_scale = None, 1.0
+    if problem.residual_bound is None:
+        rows = np.block([[M, d[:, None]], [C, np.zeros((len(C), 1))]])
+    else:
+        rows = np.column_stack([C, np.zeros(len(C))])
+        cone, residual_scale = _bound_residual(program, z, M, d, problem.residual_bound)
+    triangle = np.linalg.qr(rows, mode="r")[: problem.size]
+    gammas = [gamma for _, gamma in problem.entropic.values()]
+    start = np.zeros(problem.size) if centre is None else coordinates.at(centre)
+    cost_scale = _cost_scale(triangle, gammas, start)
+    _add_squares(program, z, triangle / np.sqrt(cost_scale))
+    _add_bodies(program, z, coordinates, cost_scale)
+    _add_bounds(program, z, coordinates)
+    return FitProgram(problem, coordinates, program, z, cone, cost_scale, residual_scale)
+
+
+def _cost_scale(triangle: Array, gammas: list[float], z: Array) -> float:
+    """Size of the cost: its value at z, and not far below its curvature."""
+    F, f = triangle[:, :-1], triangle[:, -1]
+    value = float(np.square(F @ z - f).sum())
+    curvature = np.square(F).sum(0).max(initial=0.0)
+    return max([value, 1e-8 * curvature, *gammas]) or 1.0
+
+
+def _add_squares(program: MathematicalProgram, z: Any, triangle: Array) -> None:
+    """Cost ‖F z − f‖² for the triangle [F f].
+
+    The differences are variables of their own: with FᵀF as Hessian the solution is some hundred
+    times less exact.
+    """
+    p = len(z)
+    if not len(triangle):
+        return
+    errors = program.NewContinuousVariables(len(triangle), "e")
+    matrix = csc_matrix(np.hstack([triangle[:, :p], -np.eye(len(triangle))]))
+    program.AddLinearEqualityConstraint(matrix, triangle[:, p], np.concatenate([z, errors]))
+    hessian = 2.0 * np.eye(len(triangle))
+    program.AddQuadraticCost(hessian, np.zeros(len(triangle)), errors, is_convex=True)
+
+
+def _bound_residual(
+    program: MathematicalProgram, z: Any, M: Array, d: Array, bound: float
+) -> tuple[Any, float]:
+    """Constraint ‖M z − d‖² ≤ bound, divided by the part of the bound that z can spend."""
+    p = len(z)
+    triangle = np.linalg.qr(np.column_stack([M, d]), mode="r")
+    floor = float(np.square(triangle[p:, p]).sum())
+    scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))
+    cone = np.vstack([np.zeros(p), triangle[:p, :p] / scale])
+    offset = np.append(1.0, -triangle[:p, p] / scale)
+    return program.AddLorentzConeConstraint(cone, offset, z), scale
+
+
+def _add_bodies(
+    program: MathematicalProgram, z: Any, coordinates: Coordinates, cost_scale: float
+) -> None:
+    problem = coordinates.problem
+    floors = coordinates.starts - problem.margin * coordinates.references
+    for i, start in enumerate(problem.inertia_blocks):
+        block = z[start : start + 10]
+        if start not in problem.entropic:
+            program.AddLinearMatrixInequalityConstraint([floors[i], *SYMMETRIC_BASIS], block)
+            continue
+        weight = problem.entropic[start][1] / cost_scale
+        prior = np.linalg.inv(coordinates.references[i])
+        slope = weight * np.einsum("ij,kji->k", prior, SYMMETRIC_BASIS)
+        program.AddLinearCost(slope, 0.0, block)
+        _maximize_log_determinant(program, block, coordinates.starts[i], weight)
+
+
+def _maximize_log_determinant(
+    program: MathematicalProgram, z: Any, begin: Array, weight: float
+) -> None:
+    """Cost −weight log|S| with S = begin + smat(z), the barrier of [Lee2019] Eq. (3.5.45).
+
+    log|S| ≥ Σ t_i holds just when [[S, Z], [Zᵀ, diag(Z)]] ⪰ 0 for some lower triangular Z with
+    t_i ≤ log Z_ii.
+    """
+    Z = program.NewContinuousVariables(10, "Z")
+    t = program.NewContinuousVariables(4, "t")
+    rows, columns = np.tril_indices(4)
+    matrices = np.zeros((21, 8, 8))
+    matrices[0, :4, :4] = begin
+    matrices[1:11, :4, :4] = SYMMETRIC_BASIS
+    for matrix, i, j in zip(matrices[11:], rows, columns, strict=True):
+        matrix[i, 4 + j] = matrix[4 + j, i] = 1.0
+        if i == j:
+            matrix[4 + i, 4 + i] = 1.0
+    program.AddLinearMatrixInequalityConstraint(list(matrices), np.concatenate([z, Z]))
+    for t_i, Z_ii in zip(t, Z[rows == columns], strict=True):
+        cone = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
+        program.AddExponentialConeConstraint(cone, np.array([0.0, 1.0, 0.0]), np.array([t_i, Z_ii]))
+    program.AddLinearCost(np.full(4, -weight), 0.0, t)
+
+
+def _add_bounds(program: MathematicalProgram, z: Any, coordinates: Coordinates) -> None:
+    lower, upper = coordinates.bounds()
+    bounded = np.isfinite(lower) | np.isfinite(upper)
+    if bounded.any():
+        program.AddBoundingBoxConstraint(lower[bounded], upper[bounded], z[bounded])
+    constraints = coordinates.problem.constraints
+    if constraints is not None:
+        rows = constraints.matrix @ coordinates.transform
+        begin = constraints.matrix @ coordinates.problem.prior_mean
+        norms = np.linalg.norm(rows, axis=1)
+        scale = 1.0 / np.where(norms > 0, norms, 1.0)
+        program.AddLinearConstraint(
+            scale[:, None] * rows,
+            scale * (constraints.lower - begin),
+            scale * (constraints.upper - begin),
+            z,
+        )

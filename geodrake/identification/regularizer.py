@@ -1,0 +1,68 @@
+"""Base of the regularizers: distances from a prior that make an ill-posed fit well posed."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.problem import FitProblem
+
+Array = NDArray[np.float64]
+
+
+class Regularizer(ABC):
+    """A squared distance d(Φ, Φ⁰)² of inertial parameters from their prior.
+
+    A regularizer says what it adds to a convex fit, and measures what came out. One that is not
+    convex overrides `solve` too.
+    """
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """d(Φ, Φ⁰)² of all bodies together.
+
+        Args:
+            phi: (nb, 10) inertial parameters.
+            prior: (nb, 10) physical prior.
+        """
+
+    @abstractmethod
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """The problem with γ d(Φ, Φ⁰)² added.
+
+        Args:
+            problem: Fit whose first columns are the bodies', in order.
+            prior: (nb, 10) physical prior.
+            gamma: Weight γ > 0.
+        """
+
+    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
+        """Solve the fit with γ d(Φ, Φ⁰)² added, by Drake's conic solver of that name."""
+        return solve_fit(self.regularize(problem, prior, gamma), solver=solver)
+
+
+class QuadraticRegularizer(Regularizer):
+    """A regularizer (Φ − Φ⁰)ᵀ G (Φ − Φ⁰) with a constant G, block by block."""
+
+    @abstractmethod
+    def metric(self, prior: Array) -> Array:
+        """G of every body, (nb, 10, 10), for a prior (nb, 10)."""
+
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """d(Φ, Φ⁰)² of all bodies together."""
+        change = phi - prior
+        return float(np.einsum("bi,bij,bj", change, self.metric(prior), change))
+
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """The problem with γ G as further prior information."""
+        information = problem.prior_information.copy()
+        for start, metric in zip(problem.inertia_blocks, self.metric(prior), strict=True):
+            information[start : start + 10, start : start + 10] += gamma * metric
+        return replace(problem, prior_information=information)

@@ -1,0 +1,100 @@
+"""Run one of Drake's conic solvers, and say what is wrong when it fails."""
+
+from __future__ import annotations
+
+from pydrake.solvers import (
+    ClarabelSolver,
+    CsdpSolver,
+    MathematicalProgram,
+    MathematicalProgramResult,
+    MosekSolver,
+    ScsSolver,
+    SolutionResult,
+    SolverInterface,
+    SolverOptions,
+)
+
+from geodrake.errors import ArgumentError, IdentificationError
+
+SOLVERS: dict[str, type[SolverInterface]] = {
+    "clarabel": ClarabelSolver,
+    "scs": ScsSolver,
+    "csdp": CsdpSolver,
+    "mosek": MosekSolver,
+}
+
+_EXACT: dict[str, dict[str, float | int]] = {
+    "clarabel": {
+        "tol_gap_abs": 1e-10,
+        "tol_gap_rel": 1e-10,
+        "tol_feas": 1e-10,
+        # "Almost solved" counts as success in Drake, so it must be good enough too.
+        "reduced_tol_gap_abs": 1e-7,
+        "reduced_tol_gap_rel": 1e-7,
+        "reduced_tol_feas": 1e-7,
+    },
+    "scs": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 100_000},
+}
+_ROUGH: dict[str, dict[str, float | int]] = {
+    "clarabel": {
+        "tol_gap_abs": 1e-7,
+        "tol_gap_rel": 1e-6,
+        "tol_feas": 1e-7,
+        "reduced_tol_gap_abs": 1e-3,
+        "reduced_tol_gap_rel": 1e-3,
+        "max_iter": 60,
+    },
+    "scs": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iters": 100_000},
+}
+
+_CAUSES = {
+    SolutionResult.kInfeasibleConstraints: (
+        "The bounds, constraints and residual bound contradict each other for physical bodies.",
+        "Widen the bounds, check the ellipsoids' sign ([x;1]ᵀQ[x;1] ≥ 0 inside) and the total "
+        "mass, or raise the residual bound.",
+    ),
+    SolutionResult.kUnbounded: (
+        "Some parameters have neither data nor a prior that hold them.",
+        "Add prior information for them, or leave their columns out.",
+    ),
+}
+_OTHER_CAUSE = (
+    "Most often the data and the prior differ by very many orders of magnitude.",
+    "Check units and noise levels, raise gamma, or try another solver.",
+)
+
+
+def run_solver(
+    program: MathematicalProgram, solver: str, *, rough: bool = False
+) -> MathematicalProgramResult:
+    """Solve a program.
+
+    Args:
+        program: Any program the solver can take.
+        solver: A name of `SOLVERS`.
+        rough: Whether a solution to about four digits will do.
+
+    Returns:
+        The result, a success.
+
+    Raises:
+        ArgumentError: There is no such solver here.
+        IdentificationError: The solver found no solution; its `evidence` has the status.
+    """
+    usable = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
+    if solver not in usable:
+        raise ArgumentError(f"No solver '{solver}' here; there are {', '.join(usable)}.")
+    options = SolverOptions()
+    for name, value in (_ROUGH if rough else _EXACT).get(solver, {}).items():
+        options.SetOption(SOLVERS[solver].id(), name, value)
+    result = SOLVERS[solver]().Solve(program, None, options)
+    if not result.is_success():
+        status = result.get_solution_result()
+        cause, advice = _CAUSES.get(status, _OTHER_CAUSE)
+        raise IdentificationError(
+            f"{solver} found no parameters ({status.name}). {cause}",
+            advice=advice,
+            solver=solver,
+            status=status.name,
+        )
+    return result
