@@ -118,11 +118,10 @@ def _move(
     seen[:, _ALPHA] = wd_P[:3] + wd[:3] + _cross(w_P, w)
     coriolis = _cyclic(_cross(w_P, p)) + 2.0 * t
     seen[:, _ACCEL] = a_P[:3] + td[:3] + _cross(wd_P, p) + _cross(w_P, coriolis)
-    turn, slide = np.split(seen[:, _COLUMNS:], 2, axis=1)
-    turn[:, :old], turn[:, old:] = parent[:3, _COLUMNS : _COLUMNS + old], angular[:3, :, None]
-    slide[:, :old], slide[:, old:] = parent[:3, _COLUMNS + old :], linear[:3, :, None]
-    arms = parent[:, _COLUMNS : _COLUMNS + old]
-    work.add_products(slide[:, :old], (arms[1:4], p[2:5]), (arms[2:5], -p[1:4]))
+    (turn, slide), (turn_P, slide_P) = _subspace(seen), _subspace(parent)
+    turn[:, :old], turn[:, old:] = turn_P[:3], angular[:3, :, None]
+    slide[:, :old], slide[:, old:] = slide_P[:3], linear[:3, :, None]
+    work.add_products(slide[:, :old], (turn_P[1:4], p[2:5]), (turn_P[2:5], -p[1:4]))
 
     R_PB = (joint.rotation @ joint.features(q)).reshape(3, 3, 1, -1)
     work.sum_products(out[:3], *((R_PB[i], seen[i]) for i in range(3)))

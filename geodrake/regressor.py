@@ -44,10 +44,9 @@ def inverse_dynamics_regressor(
     """
     tree, samples = _arguments(plant, q, v, vd)
     shape = len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies)
-    regressor = np.zeros(shape)
-    for part, blocks in pieces(tree, samples):
-        for mobilizer, block in blocks:
-            regressor[part, mobilizer.dofs, _columns(mobilizer)] = block.transpose(2, 1, 0)
+    regressor = np.empty(shape)
+    for part, piece in regressor_pieces(tree, *samples):
+        regressor[part] = piece.transpose(2, 0, 1)
     return regressor
 
 

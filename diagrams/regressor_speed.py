@@ -1,0 +1,194 @@
+"""How fast the regressor is, against Pinocchio's, and how fast a long log is reduced.
+
+Both engines compute the same (7, 70) regressor of the same arm at the same samples, on one core:
+times are CPU times, medians of repeats. The log is reduced to one triangular factor a joint, piece
+by piece, so that its length does not matter for memory.
+
+    python diagrams/regressor_speed.py --samples 10000000 --json speed.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.progress import track
+
+from geodrake.inertia import inertial_parameters
+from geodrake.kinematics import KinematicTree
+from geodrake.plant import load_plant
+from geodrake.reduction import triangular_factor
+from geodrake.regressor import inverse_dynamics, inverse_dynamics_regressor, regressor_pieces
+
+ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
+CHUNK = 20_000
+NOISE = 0.1  # N·m
+
+
+@dataclass(frozen=True)
+class Speed:
+    """CPU times in µs a sample, and the largest difference of the two regressors.
+
+    Attributes:
+        regressor: `inverse_dynamics_regressor`.
+        efforts: `inverse_dynamics`.
+        pinocchio: `computeJointTorqueRegressor` in a Python loop; None if it is not installed.
+        ratio: regressor / pinocchio.
+        difference: Largest difference of an entry, relative to the largest entry.
+    """
+
+    regressor: float
+    efforts: float
+    pinocchio: float | None
+    ratio: float | None
+    difference: float | None
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """Reduction of a log to one triangular factor a joint.
+
+    Attributes:
+        samples: Length of the log.
+        seconds: Wall time of all, s.
+        microseconds_per_sample: The same a sample, µs.
+        factor_share: Share of it that went into the factors.
+        gigaflops: Arithmetic rate of the factors, 10⁹/s.
+        peak_memory: Largest memory of the process, GB.
+        noise_found: Standard deviation of the noise as read from the factors of the joints, N·m.
+    """
+
+    samples: int
+    seconds: float
+    microseconds_per_sample: float
+    factor_share: float
+    gigaflops: float
+    peak_memory: float
+    noise_found: list[float]
+
+
+def measure_speed(*, samples: int, repeats: int, seed: int) -> Speed:
+    """Times both regressors on the same random samples of the seven-joint arm."""
+    plant = load_plant(ARM).plant
+    tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant)
+    motion = random_motion(np.random.default_rng(seed), samples, tree.num_velocities)
+    regressor = cpu_time(lambda: inverse_dynamics_regressor(tree, *motion), repeats) / samples
+    efforts = cpu_time(lambda: inverse_dynamics(tree, *motion, phi), repeats) / samples
+    try:
+        import pinocchio
+    except ImportError:
+        return Speed(1e6 * regressor, 1e6 * efforts, None, None, None)
+    model = pinocchio.buildModelFromUrdf(str(ARM))
+    data = model.createData()
+
+    def loop() -> None:
+        for q, v, vd in zip(*motion, strict=True):
+            pinocchio.computeJointTorqueRegressor(model, data, q, v, vd)
+
+    theirs = cpu_time(loop, repeats) / samples
+    first = [x[0] for x in motion]
+    expected = pinocchio.computeJointTorqueRegressor(model, data, *first).reshape(7, 7, 10)
+    ours = inverse_dynamics_regressor(tree, *(x[:1] for x in motion)).reshape(7, 7, 10)
+    error = np.abs(ours - expected[:, :, [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]]).max()
+    return Speed(
+        regressor=1e6 * regressor,
+        efforts=1e6 * efforts,
+        pinocchio=1e6 * theirs,
+        ratio=regressor / theirs,
+        difference=float(error / np.abs(expected).max()),
+    )
+
+
+def measure_reduction(*, samples: int, seed: int) -> Reduction:
+    """Reduces a simulated log, whose samples exist only while their chunk is worked on."""
+    plant = load_plant(ARM).plant
+    tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant).ravel()
+    rng = np.random.default_rng(seed)
+    columns = [tree.columns(dof) for dof in range(tree.num_velocities)]
+    factors = [np.zeros((1, len(own) + 1)) for own in columns]
+    factor_time, start = 0.0, time.perf_counter()
+    for first in track(range(0, samples, CHUNK), description="reducing"):
+        motion = random_motion(rng, min(CHUNK, samples - first), tree.num_velocities)
+        for _, piece in regressor_pieces(tree, *motion):
+            for joint, own in enumerate(columns):
+                effort = phi[own] @ piece[joint, own] + rng.normal(0.0, NOISE, piece.shape[2])
+                rows = np.vstack([piece[joint, own], effort]).T
+                before = time.perf_counter()
+                factors[joint] = triangular_factor([factors[joint], rows])
+                factor_time += time.perf_counter() - before
+    seconds = time.perf_counter() - start
+    operations = sum(2 * samples * len(factor) ** 2 for factor in factors)
+    return Reduction(
+        samples=samples,
+        seconds=seconds,
+        microseconds_per_sample=1e6 * seconds / samples,
+        factor_share=factor_time / seconds,
+        gigaflops=operations / factor_time / 1e9,
+        peak_memory=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9,
+        noise_found=[abs(factor[-1, -1]) / np.sqrt(samples) for factor in factors],
+    )
+
+
+def random_motion(rng: np.random.Generator, samples: int, joints: int) -> tuple[np.ndarray, ...]:
+    """Positions, velocities and accelerations (samples, joints) of a lively arm."""
+    return tuple(rng.uniform(-scale, scale, (samples, joints)) for scale in (3.0, 2.0, 5.0))
+
+
+def cpu_time(work: Callable[[], object], repeats: int) -> float:
+    """Median CPU time of a call, s, after one call to warm up."""
+    times = []
+    for _ in range(repeats + 1):
+        start = time.process_time()
+        work()
+        times.append(time.process_time() - start)
+    return float(np.median(times[1:]))
+
+
+def draw(speed: Speed, path: Path) -> None:
+    """Bars of the CPU time a sample."""
+    from matplotlib.figure import Figure
+
+    bars = {"efforts,\ngeodrake": speed.efforts, "regressor,\ngeodrake": speed.regressor}
+    if speed.pinocchio is not None:
+        bars["regressor,\nPinocchio in a loop"] = speed.pinocchio
+    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
+    axes = figure.subplots()
+    axes.bar_label(axes.bar(list(bars), list(bars.values()), width=0.6), fmt="%.2f")
+    axes.set_ylabel("CPU time a sample, µs")
+    axes.set_title("Seven joints, one core")
+    axes.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Measures, prints, and writes what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a few seconds, for a first look")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--samples", type=int, help="length of the reduced log")
+    parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for the figure")
+    options = parser.parse_args()
+    reduced = options.samples or (20_000 if options.quick else 500_000)
+    repeats = 3 if options.quick else 9
+
+    reduction = measure_reduction(samples=reduced, seed=options.seed)
+    speed = measure_speed(samples=50_000, repeats=repeats, seed=options.seed)
+    table = {"speed": asdict(speed), "reduction": asdict(reduction)}
+    print(json.dumps(table, indent=2))
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(table, indent=2) + "\n")
+    if options.figures:
+        draw(speed, options.figures / "regressor_speed.png")
+
+
+if __name__ == "__main__":
+    main()
