@@ -126,7 +126,7 @@ class RobotModel:
             regressor: (N, nv, 10·nb) regressor of the motion, if it is known already.
         """
         if regressor is None:
-            regressor = inverse_dynamics_regressor(self.plant, motion.q, motion.v, motion.vd)
+            regressor = inverse_dynamics_regressor(self.tree, motion.q, motion.v, motion.vd)
         blocks = regressor.reshape(*regressor.shape[:2], len(self.bodies), PARAMETERS_PER_BODY)
         q = np.full(motion.v.shape, np.nan)
         at_velocity, at_position = self._single_joints

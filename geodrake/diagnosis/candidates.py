@@ -84,7 +84,7 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
     options: dict[tuple[str, ...], dict[tuple[str, ...], list[Package]]] = defaultdict(
         lambda: defaultdict(list)
     )
-    joint_kinds = set()
+    joint_kinds: set[tuple[str, ...]] = set()
     by_place: dict[tuple[str, ...], dict[str, Effect]] = defaultdict(dict)
     for effect in effects:
         if (effect.name, effect.where) in taken:

@@ -10,6 +10,7 @@ from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
 from geodrake.effects.base import Effect
 from geodrake.folds import Fold, validation_blocks
+from geodrake.identification.coherent_bandwidth import coherent_bandwidth
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import effects_of
@@ -75,8 +76,17 @@ def open_case(
     limits = effort_limits(model.plant)
     hints = [hint for log in matched for hint in _hints(log, limits)]
     trajectories = prepare_logs(matched, bandwidth=bandwidth)
+    if bandwidth is None:
+        coherent = coherent_bandwidth(model, trajectories)
+        if coherent is not None:
+            trajectories = prepare_logs(matched, bandwidth=coherent)
+            hints.append(
+                f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts "
+                "that were not measured, as vibration, play or position noise do"
+            )
     folds = validation_blocks(trajectories, blocks=blocks)
-    effects, delays = effects_of(model), (0.0,)
+    effects = effects_of(model)
+    delays: tuple[float, ...] = (0.0,)
     if candidates:
         effects += candidate_effects(model, peak_speeds(trajectories), extra)
         low_pass = trajectories[0].filter
@@ -98,7 +108,9 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
     """Errors of every joint."""
     columns = (dataset.joints, held_out.rms, dataset.effort_std, dataset.noise_floor)
     return ErrorTable(
-        tuple(JointError(j, float(r), float(s), float(f)) for j, r, s, f in zip(*columns, strict=True))
+        tuple(
+            JointError(j, float(r), float(s), float(f)) for j, r, s, f in zip(*columns, strict=True)
+        )
     )
 
 
@@ -115,7 +127,9 @@ def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Ser
                     joint,
                     dataset.folds[fold],
                     rows.time,
-                    *rows.motion.T,
+                    rows.motion[:, 0],
+                    rows.motion[:, 1],
+                    rows.motion[:, 2],
                     rows.b[:, 0],
                     rows.A[:, local[used]] @ x,
                 )

@@ -54,9 +54,7 @@ def comparison(
     if unknowns is None or held_out is None:
         unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
     found = series(dataset, unknowns, held_out)
-    return Comparison(
-        error_table(dataset, held_out), where_it_fails(found), found, case.notes
-    )
+    return Comparison(error_table(dataset, held_out), where_it_fails(found), found, case.notes)
 
 
 def where_it_fails(found: Sequence[Series], *, most: int = 6) -> tuple[Failing, ...]:
@@ -73,7 +71,9 @@ def where_it_fails(found: Sequence[Series], *, most: int = 6) -> tuple[Failing, 
         cases = [_failing(joint, words, mask, squares) for words, mask in _circumstances(own)]
         notable = [c for c in cases if c is not None and c.rms > _NOTABLE * c.elsewhere]
         if notable:
-            weight = float(np.sqrt(squares.mean()) / np.std(np.concatenate([s.measured for s in own])))
+            weight = float(
+                np.sqrt(squares.mean()) / np.std(np.concatenate([s.measured for s in own]))
+            )
             worst.append((weight, max(notable, key=lambda c: c.share - c.time)))
     worst.sort(key=lambda entry: -entry[0])
     return tuple(case for _, case in worst[:most])

@@ -16,9 +16,11 @@ from geodrake.diagnosis.forward import Progress, search
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis, settle
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import steps_of
+from geodrake.effects import CoulombFriction, EffortDelay, ViscousFriction
 from geodrake.effects.base import Effect
-from geodrake.effects.effort_delay import EffortDelay
+from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import ModelFit, effects_of, fit_model, model_unknowns
+from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.model import FittedEffect, RobotModel
 from geodrake.motion import JointLog
 
@@ -56,9 +58,7 @@ def explain(
         LogError: A log cannot be used.
     """
     criteria = criteria or Criteria()
-    case = open_case(
-        model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks
-    )
+    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     before = comparison(case)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     tune = model.information is None
@@ -86,20 +86,38 @@ def final_fit(case: Case, end: Hypothesis) -> tuple[Case, ModelFit]:
     delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
     if delay:
         delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
+    unknowns = with_companions(end.unknowns, case.dataset)
     effects = [
-        FittedEffect(effect, end.unknowns.mean[end.unknowns.span(effect)])
-        for effect in end.unknowns.effects
+        FittedEffect(effect, unknowns.mean[unknowns.span(effect)]) for effect in unknowns.effects
     ]
     provisional = replace(case.model, effects=(*effects, *delays))
     reopened = reopen(case, provisional)
     columns = np.concatenate(
         [np.arange(10 * len(case.model.bodies))]
-        + [reopened.dataset.effect_columns(effect) for effect in end.unknowns.effects]
+        + [reopened.dataset.effect_columns(effect) for effect in unknowns.effects]
     )
-    unknowns = replace(end.unknowns, columns=columns)
+    unknowns = replace(unknowns, columns=columns)
     settled = settle(replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0))
     fit = fit_model(case.model, reopened.dataset, unknowns, settled.weights, delays=delays)
     return reopened, fit
+
+
+def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
+    """Viscous friction beside dry friction, so that neither stands in for the other in a fit.
+
+    Where dry friction was found and viscous friction was not worth a step, the viscous one is
+    fitted along all the same: left out, it would bias the dry one by all that it may be.
+    """
+    for effect in unknowns.effects:
+        companion = (
+            ViscousFriction(effect.where[0]) if isinstance(effect, CoulombFriction) else None
+        )
+        if companion in dataset.effects and companion not in unknowns.effects:
+            mean, information = effect_prior(dataset, companion)
+            unknowns = unknowns.with_effect(
+                companion, dataset.effect_columns(companion), information, mean
+            )
+    return unknowns
 
 
 def refined_delay(end: Hypothesis) -> float:

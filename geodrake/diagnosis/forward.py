@@ -26,7 +26,6 @@ class Trail:
         start: The first hypothesis: the model refitted within its prior.
         end: The last one.
         rivals: Effect name -> names that tied with it when it was chosen.
-        last_ranking: What convinced at the end but was not taken.
     """
 
     start: Hypothesis
@@ -70,7 +69,7 @@ def search(
             rivals.setdefault(name, tuple(sorted(tied.difference(chosen.names))))
         if progress is not None:
             progress(" and ".join(chosen.names), hypothesis.nrms)
-    return Trail(start, hypothesis, rivals)
+    return Trail(start, prune(hypothesis, fixed, criteria), rivals)
 
 
 def tuned(hypothesis: Hypothesis) -> Hypothesis:

@@ -48,11 +48,11 @@ class Hypothesis:
     @property
     def nrms(self) -> float:
         """Held-out error over effort standard deviation, root mean square over joints."""
-        return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std ** 2)))
+        return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
 
     def loss(self) -> Array:
         """(F,) held-out squared error per fold, each joint weighted alike."""
-        return (self.held_out.sse / self.dataset.effort_std ** 2).sum(1)
+        return (self.held_out.sse / self.dataset.effort_std**2).sum(1)
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""
@@ -73,9 +73,7 @@ class Hypothesis:
     def loosened(self, factor: float) -> Hypothesis:
         """This hypothesis with the inertial prior `factor` times as wide, refitted."""
         unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
-        return settle(
-            replace(self, unknowns=unknowns, looseness=self.looseness * factor)
-        )
+        return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
 
     def delayed(self, delay: int) -> Hypothesis:
         """This hypothesis against the effort with another delay."""
@@ -131,16 +129,16 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         effective = effective_per_joint(
             dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
         )
-        mse = np.maximum(cv.held_out.mse, 1e-12 * dataset.effort_std ** 2)
-        relative = np.mean(mse / dataset.effort_std ** 2)
-        expected = np.sqrt(mse * relative * dataset.effort_std ** 2)
+        mse = np.maximum(cv.held_out.mse, 1e-12 * dataset.effort_std**2)
+        relative = np.mean(mse / dataset.effort_std**2)
+        expected = np.sqrt(mse * relative * dataset.effort_std**2)
         weights = effective / cv.held_out.samples.sum(0) / expected
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
 
 
 def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: int = 0) -> Hypothesis:
     """The model as it came, its parameters refitted within their prior."""
-    weights = 0.05 / dataset.effort_std ** 2
+    weights = 0.05 / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = np.ones(len(dataset.joints))
     return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective), iterations=3)

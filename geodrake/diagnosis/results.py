@@ -180,6 +180,7 @@ class Diagnosis:
         candidates: Convincing candidates, the chosen one first.
         start: The model as it stands.
         refitted: Held-out errors of the model with its parameters refitted within their prior.
+        comparison: Comparison with the model as it stands.
         notes: What was done to the logs and noticed about the model.
     """
 
@@ -187,6 +188,7 @@ class Diagnosis:
     candidates: tuple[Candidate, ...]
     start: ErrorTable
     refitted: ErrorTable
+    comparison: Comparison
     notes: tuple[str, ...]
 
 

@@ -177,7 +177,9 @@ def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
 def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     delays = range(len(hypothesis.dataset.delays))
     others = [hypothesis.delayed(d) for d in delays if d != hypothesis.delay]
-    return _whole(hypothesis, others, "effort_delay", (), 1, criteria)
+    return _whole(
+        hypothesis, others, name="effort_delay", where=(), parameters=1, criteria=criteria
+    )
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
@@ -185,12 +187,20 @@ def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
         return []
     others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
     bodies = hypothesis.dataset.bodies
-    return _whole(hypothesis, others, "wrong_inertia", bodies, 2 * len(bodies), criteria)
+    return _whole(
+        hypothesis,
+        others,
+        name="wrong_inertia",
+        where=bodies,
+        parameters=2 * len(bodies),
+        criteria=criteria,
+    )
 
 
 def _whole(
     hypothesis: Hypothesis,
     others: Sequence[Hypothesis],
+    *,
     name: str,
     where: tuple[str, ...],
     parameters: int,

@@ -144,13 +144,19 @@ def _values(case: Case, group: _Group, fit: ModelFit) -> tuple[Values, Values]:
 
 def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
     """Names, values and standard deviations of an effect's parameters."""
-    spread = fitted.deviations if fitted.deviations is not None else np.full(len(fitted.parameters), np.nan)
+    spread = (
+        fitted.deviations
+        if fitted.deviations is not None
+        else np.full(len(fitted.parameters), np.nan)
+    )
     if fitted.effect.name == "payload":
         mass, com, _ = to_mass_com_inertia(fitted.parameters)
-        values = {"mass": float(mass), **{f"com_{a}": float(c) for a, c in zip("xyz", com, strict=True)}}
+        values = {
+            "mass": float(mass),
+            **{f"com_{a}": float(c) for a, c in zip("xyz", com, strict=True)},
+        }
         return values, {"mass": float(spread[0])}
     names = [p.name for p in fitted.effect.parameters]
     values = dict(zip(names, map(float, fitted.parameters), strict=True))
     shapes = {k: float(v) for k, v in fitted.effect.shape.items()}
     return {**values, **shapes}, dict(zip(names, map(float, spread), strict=True))
-

@@ -137,9 +137,7 @@ class CrossValidation:
         """(p,) parameters fitted to all folds."""
         return self._solve_fold(None)[0]
 
-    def with_candidate(
-        self, columns: Indices, information: Array, lower: Array
-    ) -> HeldOut:
+    def with_candidate(self, columns: Indices, information: Array, lower: Array) -> HeldOut:
         """Held-out errors with candidate columns beside the unknowns.
 
         Args:

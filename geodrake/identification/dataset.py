@@ -41,15 +41,21 @@ class JointRows:
 
     def part(self, low: int, high: int) -> JointRows:
         """Rows low to high, those not used left out."""
-        used = self.used[low:high]
-        fields = (self.time, self.motion, self.A, self.b, self.used)
-        return JointRows(*(values[low:high][used] for values in fields))
+        keep = low + np.flatnonzero(self.used[low:high])
+        return JointRows(
+            self.time[keep], self.motion[keep], self.A[keep], self.b[keep], self.used[keep]
+        )
 
     @classmethod
     def join(cls, parts: Sequence[JointRows]) -> JointRows:
         """Rows one after another."""
-        fields = ((rows.time, rows.motion, rows.A, rows.b, rows.used) for rows in parts)
-        return cls(*(np.concatenate(values) for values in zip(*fields, strict=True)))
+        return cls(
+            np.concatenate([rows.time for rows in parts]),
+            np.concatenate([rows.motion for rows in parts]),
+            np.concatenate([rows.A for rows in parts]),
+            np.concatenate([rows.b for rows in parts]),
+            np.concatenate([rows.used for rows in parts]),
+        )
 
 
 @dataclass(frozen=True, eq=False)

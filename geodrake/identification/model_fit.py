@@ -23,6 +23,7 @@ from geodrake.identification.unknowns import (
 )
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import FittedEffect, RobotModel
+from geodrake.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
@@ -52,15 +53,23 @@ def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREA
     for f in fitted:
         k = len(f.parameters)
         unknowns = unknowns.with_effect(
-            f.effect, dataset.effect_columns(f.effect), information[at : at + k, at : at + k],
+            f.effect,
+            dataset.effect_columns(f.effect),
+            information[at : at + k, at : at + k],
             f.parameters,
         )
         at += k
     return replace(unknowns, information=information)
 
 
-def fit_problem(dataset: Dataset, unknowns: Unknowns, weights: Array, *, without: int | None = None,
-                delay: int = 0) -> FitProblem:
+def fit_problem(
+    dataset: Dataset,
+    unknowns: Unknowns,
+    weights: Array,
+    *,
+    without: int | None = None,
+    delay: int = 0,
+) -> FitProblem:
     """The convex program of a fit to all folds, or to all but one.
 
     Args:
@@ -71,7 +80,7 @@ def fit_problem(dataset: Dataset, unknowns: Unknowns, weights: Array, *, without
         delay: Index of the effort column to fit.
     """
     p = len(unknowns.columns)
-    triangle = np.zeros((0, p + 1))
+    triangle = np.zeros((1, p + 1))
     for data, weight in zip(dataset.data, weights, strict=True):
         local = data.local(unknowns.columns)
         used = local >= 0
@@ -79,7 +88,7 @@ def fit_problem(dataset: Dataset, unknowns: Unknowns, weights: Array, *, without
         rows = np.zeros((len(stacked), p + 1))
         rows[:, :p][:, used] = stacked[:, local[used]]
         rows[:, p] = stacked[:, len(data.columns) + delay]
-        triangle = np.linalg.qr(np.vstack([triangle, np.sqrt(weight) * rows]), mode="r")
+        triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
     payloads = [e for e in unknowns.effects if is_payload(e)]
     scalar = np.ones(p, bool)  # P ≻ 0 bounds the inertial parameters
     for start in unknowns.inertia_blocks:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +30,14 @@ def noise_floor(trajectories: Sequence[Trajectory]) -> Array:
     Returns:
         (n,) floor of each joint, N·m or N.
     """
-    power, weight = 0.0, 0
+    power, weight = np.zeros(len(trajectories[0].joints)), 0
     for trajectory in trajectories:
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
             density = _quiet_density(segment.effort, 1.0 / segment.period, bandwidth)
-            power = power + len(segment) * density * gain**2 / (2.0 * segment.period)
+            power += len(segment) * density * gain**2 / (2.0 * segment.period)
             weight += len(segment)
-    return np.sqrt(np.asarray(power) / weight)
+    return np.sqrt(power / weight)
 
 
 def _quiet_density(effort: Array, rate: float, bandwidth: float) -> Array:
@@ -49,7 +50,7 @@ def _quiet_density(effort: Array, rate: float, bandwidth: float) -> Array:
     bands = max(1, int(np.log2(highest / lowest) * 2))
     edges = np.geomspace(lowest, highest, bands + 1)
     levels = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges.tolist()):
         inside = (frequency >= low) & (frequency < high)
         if inside.sum() >= _LEAST_BINS:
             levels.append(np.median(density[inside], axis=0) / median)

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 CHUNK = 20_000
 """Samples whose regressors are in memory at once."""
 
-MOSTLY_STILL = 0.5
+MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
 then be anything up to breakaway, and no model of the motion says what."""
 
@@ -131,7 +131,7 @@ class _Layout:
 
     def evaluate(self, motion: Motion) -> list[Array]:
         """(N, p_j) unfiltered columns of every joint."""
-        regressor = inverse_dynamics_regressor(self.model.plant, motion.q, motion.v, motion.vd)
+        regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
         seen = self.model.motion(motion, sign_width=self.sign_width, regressor=regressor)
         width = regressor.shape[2]
         parts = [[regressor[:, j, c[c < width]]] for j, c in enumerate(self.columns)]
@@ -212,7 +212,7 @@ def _probe(model: RobotModel, samples: int) -> Motion:
 def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
     """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
     motion = _probe(model, 7)
-    regressor = inverse_dynamics_regressor(model.plant, motion.q, motion.v, motion.vd)
+    regressor = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
     size = np.abs(regressor).max(axis=0)
     return size > 1e-12 * size.max(initial=1e-300)
 
@@ -229,4 +229,3 @@ def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) ->
                 joint=joint,
             )
     return deviation
-

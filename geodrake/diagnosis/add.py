@@ -1,0 +1,121 @@
+"""Add one effect to a model, refit, and see what it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from geodrake.diagnosis.case import Case, error_table, open_case
+from geodrake.diagnosis.compare import comparison
+from geodrake.diagnosis.explain import final_fit, verdict_of
+from geodrake.diagnosis.forward import Trail, tuned
+from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+from geodrake.diagnosis.results import Explanation
+from geodrake.diagnosis.search import LOOSER_PRIORS, gain_of
+from geodrake.diagnosis.steps import steps_of
+from geodrake.effects import effect_class
+from geodrake.effects.base import Effect
+from geodrake.errors import ArgumentError
+from geodrake.identification.model_fit import model_unknowns
+from geodrake.model import RobotModel
+from geodrake.motion import JointLog
+
+
+def add(
+    effect: str,
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    where: Sequence[str] | None = None,
+    extra: Sequence[type[Effect]] = (),
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+) -> Explanation:
+    """Add an effect to a model and refit, whatever the evidence for it.
+
+    Args:
+        effect: Name of the effect, or "wrong_inertia" to let the inertial parameters go.
+        model: The model as it stands.
+        logs: Logs or their files.
+        where: Joints or bodies; by default all joints, or the body or pair that helps most.
+        extra: Effect classes of the user's own that may be named.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut for validation.
+
+    Returns:
+        An explanation of one step, with held-out errors before and after.
+
+    Raises:
+        ArgumentError: There is no such effect or place, or the model has the effect there already.
+        LogError: A log cannot be used.
+    """
+    if effect not in ("wrong_inertia", "effort_delay"):
+        effect_class(effect, extra)
+    case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    if model.information is None:
+        start = tuned(start)
+    end = _with(effect, start, case, where)
+    after_case, fit = final_fit(case, end)
+    before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
+    return Explanation(
+        verdict_of(after.errors, found=True),
+        steps_of(case, Trail(start, end, {}), fit),
+        before.errors,
+        error_table(case.dataset, start.held_out),
+        after.errors,
+        fit.model,
+        before,
+        after,
+        case.notes,
+    )
+
+
+def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:
+    if effect == "effort_delay":
+        delays = [start.delayed(d) for d in range(1, len(case.dataset.delays))]
+        return max(delays, key=lambda h: gain_of(start, h))
+    if effect == "wrong_inertia":
+        looser = [start.loosened(factor / start.looseness) for factor in LOOSER_PRIORS]
+        return max(looser, key=lambda h: gain_of(start, h))
+    options: dict[tuple[str, ...], list[Effect]] = {}
+    for candidate in case.dataset.effects:
+        if candidate.name == effect and candidate not in start.unknowns.effects:
+            options.setdefault(candidate.where, []).append(candidate)
+    places = _places(effect, options, case, where)
+    best = [
+        max((start.with_effects([c]) for c in options[place]), key=lambda h: gain_of(start, h))
+        for place in places
+    ]
+    added = [h.unknowns.effects[-1] for h in best]
+    if where is None and added[0].places != "joint":
+        return max(best, key=lambda h: gain_of(start, h))
+    return start.with_effects(added)
+
+
+def _places(
+    effect: str,
+    options: dict[tuple[str, ...], list[Effect]],
+    case: Case,
+    where: Sequence[str] | None,
+) -> list[tuple[str, ...]]:
+    if where is None:
+        if options:
+            return list(options)
+        raise ArgumentError(f"The model has {effect} wherever it can be already.")
+    known = (*case.model.joints, *case.model.bodies)
+    for name in where:
+        if name not in known:
+            raise ArgumentError(
+                f"There is no joint or body {name!r}.", advice=f"There are: {', '.join(known)}."
+            )
+    if tuple(where) in options:
+        return [tuple(where)]
+    missing = [name for name in where if (name,) not in options]
+    if missing:
+        raise ArgumentError(
+            f"{effect} cannot be added at {', '.join(missing)}: it is there already, or does not "
+            "act at such a place.",
+            advice=f"It can be added at {', '.join(' & '.join(place) for place in options)}.",
+        )
+    return [(name,) for name in where]
