@@ -2,7 +2,7 @@
 
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
-from geodrake.identification.problem import FitProblem, LinearConstraints, triangular_factor
+from geodrake.identification.problem import FitProblem, LinearConstraints, whitened_factor
 from geodrake.identification.program import FitProgram, build_fit
 from geodrake.identification.regularizer import QuadraticRegularizer, Regularizer
 from geodrake.identification.solvers import SOLVERS
@@ -20,5 +20,5 @@ __all__ = [
     "build_fit",
     "identify",
     "solve_fit",
-    "triangular_factor",
+    "whitened_factor",
 ]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import FitProblem
-from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 
 
 def _symmetric_basis() -> Array:
@@ -63,7 +61,7 @@ class Coordinates:
         references = scales = _references(problem)
         if centre is not None:
             scales = _pseudo_inertias(problem, centre) + _CENTRE_FLOOR * references
-        roots = np.linalg.cholesky(scales)
+        roots = _cholesky(scales)
         for start, L in zip(problem.inertia_blocks, roots, strict=True):
             block = slice(start, start + 10)
             transform[block, block] = from_pseudo_inertia(L @ SYMMETRIC_BASIS @ L.T).T
@@ -76,7 +74,7 @@ class Coordinates:
 
     def at(self, x: Array) -> Array:
         """Coordinates z (p,) of parameters x (p,)."""
-        return np.linalg.solve(self.transform, x - self.problem.prior_mean)
+        return np.asarray(np.linalg.solve(self.transform, x - self.problem.prior_mean), float)
 
     def data(self) -> tuple[Array, Array]:
         """R T (k, p) and r − R x₀ (k,), so that the residual is ‖(R T) z − (r − R x₀)‖²."""
@@ -102,16 +100,17 @@ class Coordinates:
 
     def bounds(self) -> tuple[Array, Array]:
         """Bounds (p,) and (p,) of z that belong to those of x."""
-        scale = np.diagonal(self.transform)
+        scale = np.ones(self.problem.size)
+        scalar = np.isfinite(self.problem.lower) | np.isfinite(self.problem.upper)
+        scale[scalar] = np.diagonal(self.transform)[scalar]
         mean = self.problem.prior_mean
-        with np.errstate(invalid="ignore"):
-            return (self.problem.lower - mean) / scale, (self.problem.upper - mean) / scale
+        return (self.problem.lower - mean) / scale, (self.problem.upper - mean) / scale
 
     def smallest_eigenvalues(self, x: ArrayLike) -> Array:
         """Smallest eigenvalue of P(reference)⁻¹ P(φ) for each block of x (p,); (n_blocks,)."""
-        roots = np.linalg.cholesky(_references(self.problem))
+        roots = _cholesky(_references(self.problem))
         relative = _congruent(roots, _pseudo_inertias(self.problem, np.asarray(x, float)))
-        return np.linalg.eigvalsh(relative)[..., 0]
+        return np.asarray(np.linalg.eigvalsh(relative), float)[..., 0]
 
 
 def _pseudo_inertias(problem: FitProblem, x: Array) -> Array:
@@ -125,6 +124,11 @@ def _references(problem: FitProblem) -> Array:
     return pseudo_inertia(np.reshape(blocks, (-1, 10)))
 
 
+def _cholesky(matrices: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrices), float)
+
+
 def _congruent(roots: Array, matrices: Array) -> Array:
     """L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M, both (n, 4, 4)."""
-    return np.linalg.solve(roots, np.swapaxes(np.linalg.solve(roots, matrices), -1, -2))
+    half = np.swapaxes(np.linalg.solve(roots, matrices), -1, -2)
+    return np.asarray(np.linalg.solve(roots, half), float)

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Regularizer
-from geodrake.inertia import pseudo_inertia
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array, pseudo_inertia
 
 
 class Entropic(Regularizer):

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.identification.regularizer import QuadraticRegularizer
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 
 class Euclidean(QuadraticRegularizer):

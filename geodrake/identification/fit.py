@@ -6,19 +6,17 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import MathematicalProgramResult
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
 from geodrake.identification.solvers import run_solver
-from geodrake.inertia import pullback_metric
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array, pullback_metric
+from geodrake.reduction import triangular_factor
 
 _BOUNDARY = 1e-5
 """Distance, in scaled units, within which a bound counts as reached."""
@@ -75,7 +73,7 @@ def solve_fit(
 
     Args:
         problem: What to fit.
-        solver: Drake's conic solver, "clarabel", "scs", "csdp" or "mosek".
+        solver: Drake's conic solver, "clarabel" or "scs" (slower, less exact).
         shortcuts: Whether to try the exact solutions without a conic solver first.
 
     Returns:
@@ -93,18 +91,29 @@ def solve_fit(
             return _result(coordinates, x, 1.0, name, time.perf_counter() - begin)
     _check_residual_bound(problem)
     # The first solution only says where and how to scale the program for the second.
-    x, _ = _by_solver(build_fit(problem), solver, rough=True)
+    rough = build_fit(problem)
+    x = _parameters(rough, run_solver(rough.program, solver, rough=True))
     fit = build_fit(problem, centre=x)
-    x, weight = _by_solver(fit, solver)
+    solution = run_solver(fit.program, solver)
+    x = _parameters(fit, solution)
+    weight = _prior_weight(fit, solution, x)
     return _result(fit.coordinates, x, weight, solver, time.perf_counter() - begin)
 
 
-def _by_solver(fit: FitProgram, solver: str, *, rough: bool = False) -> tuple[Array, float]:
-    """Parameters and weight of the prior, by a conic solver."""
-    solution = run_solver(fit.program, solver, rough=rough)
+def _parameters(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
+    """Parameters (p,) of a conic solution, inside bounds and physical."""
     x = fit.coordinates.parameters(solution.GetSolution(fit.z))
     x = np.clip(x, fit.problem.lower, fit.problem.upper)
-    return x, _prior_weight(fit, solution, x)
+    smallest = fit.coordinates.smallest_eigenvalues(x)
+    if not np.all(smallest > 0):
+        wrong = np.array(fit.problem.inertia_blocks)[~(smallest > 0)].tolist()
+        raise IdentificationError(
+            f"The solver's parameters are not physical in the blocks at columns {wrong}: it did "
+            "not reach the accuracy that the data and prior need.",
+            advice="Raise `margin` or gamma, or check units and noise levels.",
+            columns=wrong,
+        )
+    return x
 
 
 def _at_boundary(coordinates: Coordinates, x: Array) -> tuple[int, ...]:
@@ -125,7 +134,7 @@ def _without_solver(coordinates: Coordinates) -> tuple[Array | None, str]:
     M, d = coordinates.data()
     C = coordinates.prior_root()
     rows = np.block([[M[:, order], d[:, None]], [C[:, order], np.zeros((len(C), 1))]])
-    triangle = np.linalg.qr(rows, mode="r")[: problem.size]
+    triangle = triangular_factor([rows])[: problem.size]
     F, f = triangle[:, :-1], triangle[:, -1]
     diagonal = np.abs(np.diagonal(F))
     if len(F) < problem.size or diagonal.min() <= 1e-12 * diagonal.max():
@@ -177,7 +186,7 @@ def _prior_weight(fit: FitProgram, solution: MathematicalProgramResult, x: Array
     if fit.problem.residual(x) < bound * (1.0 - 1e-6):
         return np.inf
     multiplier = abs(float(solution.GetDualSolution(fit.residual_cone)[0])) * fit.cost_scale
-    return 2.0 * fit.residual_scale**2 / multiplier
+    return 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
 
 
 def _result(

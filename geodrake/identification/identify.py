@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geodrake.errors import ArgumentError
 from geodrake.identification.entropic import Entropic
@@ -16,13 +16,11 @@ from geodrake.identification.problem import (
     FitProblem,
     LinearConstraints,
     checked,
-    triangular_factor,
+    whitened_factor,
 )
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pseudo_inertia_basis
-
-Array = NDArray[np.float64]
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia_basis
 
 REGULARIZERS: dict[str, type[Regularizer]] = {
     kind.name: kind for kind in (Euclidean, Pullback, Entropic)
@@ -97,7 +95,7 @@ def identify(  # noqa: PLR0913 - the stable interface
             tr(P(φ_i) Q_i) ≥ 0 (Eq. (3.5.46)).
         total_mass: Sum of all masses, kg.
         extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
-        solver: Drake's conic solver: "clarabel", "scs", "csdp" or "mosek".
+        solver: Drake's conic solver: "clarabel" or "scs".
 
     Returns:
         The parameters and how they were found.
@@ -116,7 +114,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
         raise ArgumentError(f"gamma must be positive; got {gamma:g}.")
     prior = _physical_prior(prior)
-    factor = triangular_factor(A, b, sigma=sigma)
+    factor = whitened_factor(A, b, sigma=sigma)
     problem = _problem(factor, prior, extra_bounds)
     constraints = _constraints(prior, problem.size, ellipsoids, total_mass)
     problem = replace(problem, constraints=constraints, residual_bound=residual_bound)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from geodrake.errors import ArgumentError
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
+from geodrake.reduction import triangular_factor
 
-Array = NDArray[np.float64]
 
-
-def triangular_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
+def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
     """Triangular factor of the whitened data [A | b]/σ, all that a fit needs of them.
 
     Args:
@@ -24,7 +22,7 @@ def triangular_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = N
         sigma: (m,) or scalar standard deviations of b, in the units of b; None for 1.
 
     Returns:
-        (min(m, p + 1), p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} =
+        (p + 1, p + 1) upper triangular [R r; 0 ρ], with ‖A x − b‖²_{Σ⁻¹} =
         ‖R x − r‖² + ρ² for every x.
 
     Raises:
@@ -43,7 +41,7 @@ def triangular_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = N
                 advice="Give standard deviations in the units of b, all above zero.",
             )
         data = data / np.broadcast_to(deviations, b.shape)[:, None]
-    return np.linalg.qr(data, mode="r")
+    return triangular_factor([data])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,10 +59,6 @@ class LinearConstraints:
     upper: Array
 
 
-def _unbounded(sign: float) -> Any:
-    return field(default_factory=lambda: np.array(sign * np.inf))
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitProblem:
     """Convex fit of inertial parameters and scalar effect parameters, both in one vector x.
@@ -79,7 +73,7 @@ class FitProblem:
 
     Attributes:
         factor: (k, p + 1) factor [R | r] of the data divided by their standard deviation, such as
-            `triangular_factor` gives.
+            `whitened_factor` gives.
         inertia_blocks: First columns of the blocks of ten inertial parameters.
         prior_mean: (p,) x₀.
         prior_information: (p, p) positive semidefinite Λ; zero where nothing is known.
@@ -101,8 +95,8 @@ class FitProblem:
     inertia_blocks: tuple[int, ...]
     prior_mean: Array
     prior_information: Array
-    lower: Array = _unbounded(-1)
-    upper: Array = _unbounded(1)
+    lower: Array = field(default_factory=lambda: np.array(-np.inf))
+    upper: Array = field(default_factory=lambda: np.array(np.inf))
     entropic: Mapping[int, tuple[Array, float]] = field(default_factory=dict)
     reference: Mapping[int, Array] = field(default_factory=dict)
     constraints: LinearConstraints | None = None
@@ -125,6 +119,8 @@ class FitProblem:
         put(self, "reference", _references(self))
         if self.constraints is not None:
             checked("constraints.matrix", self.constraints.matrix, (None, p))
+        if self.residual_bound is not None and not 0 < self.residual_bound < np.inf:
+            raise ArgumentError(f"residual_bound must be positive; got {self.residual_bound:g}.")
         if not 0 < self.margin < 1:
             raise ArgumentError(f"margin must lie between 0 and 1; got {self.margin:g}.")
 

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import MathematicalProgram
 from scipy.sparse import csc_matrix
 
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
 from geodrake.identification.problem import FitProblem
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
+from geodrake.reduction import triangular_factor
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
     else:
         rows = np.column_stack([C, np.zeros(len(C))])
         cone, residual_scale = _bound_residual(program, z, M, d, problem.residual_bound)
-    triangle = np.linalg.qr(rows, mode="r")[: problem.size]
+    triangle = triangular_factor([rows])[: problem.size]
     gammas = [gamma for _, gamma in problem.entropic.values()]
     start = np.zeros(problem.size) if centre is None else coordinates.at(centre)
     cost_scale = _cost_scale(triangle, gammas, start)
@@ -102,7 +101,7 @@ def _bound_residual(
 ) -> tuple[Any, float]:
     """Constraint ‖M z − d‖² ≤ bound, divided by the part of the bound that z can spend."""
     p = len(z)
-    triangle = np.linalg.qr(np.column_stack([M, d]), mode="r")
+    triangle = triangular_factor([np.column_stack([M, d])])
     floor = float(np.square(triangle[p:, p]).sum())
     scale = float(np.sqrt(max(bound - floor, np.finfo(float).tiny)))
     cone = np.vstack([np.zeros(p), triangle[:p, :p] / scale])

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geodrake.identification.regularizer import QuadraticRegularizer
-from geodrake.inertia import pullback_metric
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array, pullback_metric
 
 
 class Pullback(QuadraticRegularizer):

@@ -7,12 +7,10 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.problem import FitProblem
-
-Array = NDArray[np.float64]
+from geodrake.inertia import Array
 
 
 class Regularizer(ABC):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pydrake.solvers import (
     ClarabelSolver,
-    CsdpSolver,
     MathematicalProgram,
     MathematicalProgramResult,
-    MosekSolver,
     ScsSolver,
     SolutionResult,
     SolverInterface,
@@ -19,8 +17,6 @@ from geodrake.errors import ArgumentError, IdentificationError
 SOLVERS: dict[str, type[SolverInterface]] = {
     "clarabel": ClarabelSolver,
     "scs": ScsSolver,
-    "csdp": CsdpSolver,
-    "mosek": MosekSolver,
 }
 
 _EXACT: dict[str, dict[str, float | int]] = {
@@ -42,7 +38,7 @@ _ROUGH: dict[str, dict[str, float | int]] = {
         "tol_feas": 1e-7,
         "reduced_tol_gap_abs": 1e-3,
         "reduced_tol_gap_rel": 1e-3,
-        "max_iter": 60,
+        "max_iter": 100,
     },
     "scs": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iters": 100_000},
 }

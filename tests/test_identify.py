@@ -1,0 +1,209 @@
+"""`identify`: invariance, the two forms, constraints, a human's data, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification import identify
+from geodrake.inertia import (
+    change_frame,
+    from_mass_com_inertia,
+    is_physical,
+    pseudo_inertia,
+    pullback_metric,
+)
+
+HUMAN = Path(__file__).parents[2] / "shared" / "data" / "human_force_plate.npz"
+REGULARIZERS = ("euclidean", "pullback", "entropic")
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 2.5, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.05, 0.0, 0.15], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), np.diag([0.03, 0.028, 0.01]), 0.002 * np.eye(3)]),
+)
+
+
+def data(seed, *, rows=24, extra=0, noise=0.3):
+    """Regressor with fewer rows than parameters, and measurements of changed bodies."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    phi = PRIOR * rng.uniform(0.7, 1.4, (3, 1))
+    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_results_say_what_was_found(regularizer):
+    A, b = data(0, extra=2)
+    sigma = np.random.default_rng(0).uniform(0.2, 0.4, len(b))
+    bounds = [[0.0, 1.5], [-np.inf, np.inf]]
+    result = identify(
+        A, b, PRIOR, regularizer=regularizer, gamma=0.7, sigma=sigma, extra_bounds=bounds
+    )
+    errors = (A @ np.append(result.phi.ravel(), result.extra) - b) / sigma
+    assert result.phi.shape == (3, 10) and result.extra.shape == (2,)
+    assert result.residual == pytest.approx(errors @ errors, rel=1e-9)
+    assert is_physical(result.phi).all() and 0 <= result.extra[0] <= 1.5
+    assert (result.regularizer, result.gamma) == (regularizer, 0.7)
+    assert result.solver and result.solve_time > 0
+
+
+def test_divergences_are_those_of_the_book():
+    A, b = data(1)
+    found = {r: identify(A, b, PRIOR, regularizer=r, gamma=0.5) for r in REGULARIZERS}
+    change = found["euclidean"].phi - PRIOR
+    assert found["euclidean"].divergence == pytest.approx((change**2).sum())
+    change = (found["pullback"].phi - PRIOR).ravel()
+    metric = block_diag(*pullback_metric(PRIOR))
+    assert found["pullback"].divergence == pytest.approx(change @ metric @ change)
+    expected = 0.0
+    for P, P0 in zip(pseudo_inertia(found["entropic"].phi), pseudo_inertia(PRIOR), strict=True):
+        expected -= np.linalg.slogdet(P)[1] - np.linalg.slogdet(P0)[1]
+        expected += np.trace(np.linalg.inv(P0) @ P) - 4
+    assert found["entropic"].divergence == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_scs_finds_the_same(regularizer):
+    A, b = data(2)
+    results = [
+        identify(A, b, PRIOR, regularizer=regularizer, gamma=0.2, solver=solver)
+        for solver in ("clarabel", "scs")
+    ]
+    costs = [r.residual + 0.2 * r.divergence for r in results]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-4)
+    assert results[0].divergence == pytest.approx(results[1].divergence, rel=1e-3)
+
+
+@pytest.mark.parametrize("regularizer", ["pullback", "entropic"])
+@given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
+@settings(max_examples=8, deadline=None)
+def test_invariance_under_frames_and_units(regularizer, seed, length, mass):
+    """The same bodies, whatever frame and units their parameters are stated in."""
+    rng = np.random.default_rng(seed)
+    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
+    changes, prior = [], []
+    for phi in PRIOR:
+        R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 0.3
+        changes.append((change_frame(np.eye(10), R, p) * units).T)
+        prior.append(changes[-1] @ phi)
+    T = block_diag(*changes)
+    A, b = data(seed)
+    first = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.3)
+    other = identify(A @ np.linalg.inv(T), b, prior, regularizer=regularizer, gamma=0.3)
+    np.testing.assert_allclose(
+        other.phi.ravel(), T @ first.phi.ravel(), rtol=1e-4, atol=1e-4 * mass
+    )
+    assert other.residual == pytest.approx(first.residual, rel=1e-5, abs=1e-6)
+    assert other.divergence == pytest.approx(first.divergence, rel=1e-5)
+
+
+def test_the_euclidean_distance_is_not_invariant():
+    A, b = data(3)
+    units = np.tile(np.repeat([1.0, 1e3, 1e6], [1, 3, 6]), 3)
+    first = identify(A, b, PRIOR, regularizer="euclidean", gamma=0.3)
+    other = identify(A / units, b, PRIOR * units.reshape(3, 10), regularizer="euclidean", gamma=0.3)
+    assert not np.allclose(other.phi.ravel() / units, first.phi.ravel(), rtol=0.05)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_point_to_set_is_the_regularized_form_of_its_gamma(regularizer):
+    A, b = data(4)
+    first = identify(A, b, PRIOR, regularizer=regularizer, gamma=3.0)
+    bound = identify(A, b, PRIOR, regularizer=regularizer, residual_bound=first.residual)
+    assert bound.residual == pytest.approx(first.residual, rel=1e-6)
+    assert bound.divergence == pytest.approx(first.divergence, rel=1e-5)
+    assert bound.gamma == pytest.approx(3.0, rel=1e-3)
+    np.testing.assert_allclose(bound.phi, first.phi, atol=1e-4)
+
+
+def test_a_generous_residual_bound_gives_the_prior():
+    A, b = data(5)
+    generous = 2.0 * np.sum((A @ PRIOR.ravel() - b) ** 2)
+    result = identify(A, b, PRIOR, regularizer="entropic", residual_bound=generous)
+    np.testing.assert_allclose(result.phi, PRIOR, atol=1e-3)
+    assert result.divergence < 1e-6
+
+
+def test_total_mass_and_ellipsoids_hold():
+    A, b = data(6)
+    radii = 0.25
+    centre = PRIOR[:, 1:4] / PRIOR[:, :1]
+    Q = np.zeros((3, 4, 4))
+    for q, c in zip(Q, centre, strict=True):
+        q[:3, :3], q[:3, 3], q[3, :3] = -np.eye(3), c, c
+        q[3, 3] = radii**2 - c @ c
+    for regularizer in REGULARIZERS:
+        result = identify(
+            A, b, PRIOR, regularizer=regularizer, gamma=0.1, ellipsoids=Q, total_mass=8.0
+        )
+        assert result.phi[:, 0].sum() == pytest.approx(8.0, rel=1e-7)
+        inside = np.einsum("bij,bji->b", pseudo_inertia(result.phi), Q)
+        assert (inside > -1e-7).all()
+    with pytest.raises(ArgumentError, match=r"bodies \[0, 1, 2\].*use −Q"):
+        identify(A, b, PRIOR, regularizer="pullback", gamma=1.0, ellipsoids=-Q)
+
+
+BAD = {
+    "regularizer": ({"regularizer": "ridge"}, 'no regularizer "ridge"; there are "euclidean", "p'),
+    "neither": ({"gamma": None}, "Exactly one of gamma and residual_bound"),
+    "both": ({"residual_bound": 1.0}, "Exactly one of gamma and residual_bound"),
+    "gamma": ({"gamma": 0.0}, "gamma must be positive; got 0"),
+    "b": ({"b": np.ones(3)}, r"b must have shape \(24\); got \(3,\)"),
+    "nan": ({"b": np.full(24, np.nan)}, "b has 24 values that are not finite"),
+    "prior": ({"prior": PRIOR * np.array([[1], [-1], [1]])}, r"not physical for bodies \[1\]"),
+    "bodies": ({"prior": np.vstack([PRIOR, PRIOR])}, "30 columns, but 6 bodies of the prior need"),
+    "sigma": ({"sigma": -1.0}, "sigma has values that are not positive"),
+    "sigma shape": ({"sigma": np.ones(3)}, r"sigma must have shape \(24\)"),
+    "ellipsoids": ({"ellipsoids": np.eye(4)}, r"ellipsoids must have shape \(3, 4, 4\)"),
+    "mass": ({"total_mass": -1.0}, "total_mass must be positive"),
+    "extra": ({"extra_bounds": [[0, 1]]}, r"extra_bounds must have shape \(0, 2\)"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_arguments_are_refused(name):
+    A, b = data(7)
+    change, message = BAD[name]
+    arguments = {"A": A, "b": b, "prior": PRIOR, "regularizer": "pullback", "gamma": 1.0}
+    arguments |= change
+    with pytest.raises(ArgumentError, match=message):
+        identify(arguments.pop("A"), arguments.pop("b"), arguments.pop("prior"), **arguments)
+
+
+def test_a_residual_bound_out_of_reach_says_the_least():
+    A, b = data(8, rows=60, noise=1.0)
+    least = np.linalg.lstsq(A, b)[1][0]
+    with pytest.raises(ArgumentError, match="least squared residual") as caught:
+        identify(A, b, PRIOR, regularizer="pullback", residual_bound=0.9 * least)
+    assert caught.value.evidence["minimum"] == pytest.approx(least, rel=1e-9)
+
+
+def test_a_residual_bound_that_no_physical_body_reaches():
+    A = np.eye(10)[[0, 4, 5, 6]]
+    b = np.array([-1.0, 0.1, 0.1, 0.1])  # a negative mass
+    with pytest.raises(IdentificationError, match="raise the residual bound"):
+        identify(A, b, PRIOR[:1], regularizer="pullback", residual_bound=0.01)
+
+
+@pytest.mark.skipif(not HUMAN.exists(), reason="the human's measurements are not here")
+def test_human_residuals_match_for_all_regularizers():
+    human = np.load(HUMAN)
+    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
+    arguments = (human["A"], human["b"], human["phi_prior"])
+    options = {"sigma": sigma, "ellipsoids": human["Q"]}
+    gamma = 1e-2 * np.sum((human["A"] / sigma[:, None]) ** 2)
+    first = identify(*arguments, regularizer="euclidean", gamma=gamma, **options)
+    assert first.residual == pytest.approx(1331878.41, rel=1e-5)
+    for regularizer in REGULARIZERS:
+        other = identify(
+            *arguments, regularizer=regularizer, residual_bound=first.residual, **options
+        )
+        assert other.residual == pytest.approx(first.residual, rel=1e-6)
+        assert is_physical(other.phi).all()
+        inside = np.einsum("bij,bji->b", pseudo_inertia(other.phi), human["Q"])
+        assert (inside > -1e-6).all()
