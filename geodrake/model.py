@@ -28,9 +28,6 @@ from geodrake.regressor import inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
 
-SIGN_WIDTH = 0.01
-"""Share of a joint's peak speed below which the direction of its motion counts as unknown."""
-
 
 @dataclass(frozen=True, eq=False)
 class FittedEffect:

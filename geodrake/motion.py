@@ -154,6 +154,7 @@ class Trajectory:
         joints: Names of the n joints, in the log's order.
         segments: Its pieces without gaps, in time.
         filter: What efforts and regressors of every segment are to be filtered by.
+        speed_noise: (n,) deviation of the noise of the smoothed velocities, rad/s or m/s.
         notes: What was done to the log and chosen from it, in words.
     """
 
@@ -161,6 +162,7 @@ class Trajectory:
     joints: tuple[str, ...]
     segments: tuple[Segment, ...]
     filter: ZeroPhaseFilter
+    speed_noise: Array
     notes: tuple[str, ...] = ()
 
     @property

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.filtering import (
+    HIGHEST_BANDWIDTH,
     ZeroPhaseFilter,
     choose_bandwidth,
     design_filter,
@@ -25,6 +26,7 @@ _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter o
 _LEAST_ROWS = 8  # of a piece worth resampling
 _STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
 _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
+_SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
@@ -57,7 +59,10 @@ def prepare_log(log: JointLog, *, bandwidth: float | None = None) -> Trajectory:
 
 
 def prepare_logs(
-    logs: Sequence[JointLog], *, bandwidth: float | None = None
+    logs: Sequence[JointLog],
+    *,
+    bandwidth: float | None = None,
+    motion_bandwidth: float | None = None,
 ) -> tuple[Trajectory, ...]:
     """Turn raw logs into smooth uniform segments and the filter for efforts and regressors.
 
@@ -65,9 +70,14 @@ def prepare_logs(
     and differentiated, and standstills at its two ends are left out. Measured velocities are
     used when they agree with the positions, apart from a lag, which is taken out.
 
+    Efforts and regressors are filtered later, which takes the noise from all that is linear in the
+    acceleration. The motion is therefore smoothed less than they are, so that the instants at
+    which joints turn round, where dry friction jumps, stay sharp.
+
     Args:
         logs: The logs, all of the same joints.
-        bandwidth: Common bandwidth, Hz; by default chosen from the data.
+        bandwidth: Common bandwidth of efforts and regressors, Hz; by default chosen from the data.
+        motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other.
 
     Raises:
         ArgumentError: If there is no log, joints differ, or the bandwidth does not fit.
@@ -85,7 +95,8 @@ def prepare_logs(
         bandwidth = choose_bandwidth(
             [(piece.position[:, moving], each.period) for each in uniform for piece in each.pieces]
         )
-    return tuple(_prepare(each, bandwidth, how) for each in uniform)
+    sharp = motion_bandwidth or _SHARPER * bandwidth
+    return tuple(_prepare(each, bandwidth, sharp, how) for each in uniform)
 
 
 def _make_uniform(log: JointLog) -> _Uniform:
@@ -150,9 +161,12 @@ def _find_moving(
     return noise, moving
 
 
-def _prepare(uniform: _Uniform, bandwidth: float, how: str) -> Trajectory:
+def _prepare(
+    uniform: _Uniform, bandwidth: float, motion_bandwidth: float, how: str
+) -> Trajectory:
     log, period = uniform.log, uniform.period
     low_pass = design_filter(period, bandwidth)
+    smoother = design_filter(period, min(motion_bandwidth, HIGHEST_BANDWIDTH / period))
     notes = list(uniform.notes)
     notes.append(
         f"bandwidth {low_pass.bandwidth:.3g} Hz {how}; efforts decimated {1 / period:.4g} → "
@@ -160,8 +174,9 @@ def _prepare(uniform: _Uniform, bandwidth: float, how: str) -> Trajectory:
     )
     seconds = sum(len(piece.time) for piece in uniform.pieces) * period
     long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p.time)) > 0)
-    segments = _smooth(replace(uniform, pieces=long), low_pass, notes) if long else ()
-    trajectory = Trajectory(log.name, log.joints, segments, low_pass, tuple(notes))
+    segments = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
+    speed_noise = _speed_noise(uniform, smoother)
+    trajectory = Trajectory(log.name, log.joints, segments, low_pass, speed_noise, tuple(notes))
     outputs = sum(trajectory.output_counts)
     if outputs < LEAST_OUTPUTS:
         ends = 4 * low_pass.halfwidth * period
@@ -182,14 +197,16 @@ def _prepare(uniform: _Uniform, bandwidth: float, how: str) -> Trajectory:
     return trajectory
 
 
-def _smooth(uniform: _Uniform, low_pass: ZeroPhaseFilter, notes: list[str]) -> tuple[Segment, ...]:
-    velocities, note = _choose_velocities(uniform, low_pass)
+def _smooth(
+    uniform: _Uniform, low_pass: ZeroPhaseFilter, smoother: ZeroPhaseFilter, notes: list[str]
+) -> tuple[Segment, ...]:
+    velocities, note = _choose_velocities(uniform, smoother)
     notes += [note] if note else []
-    kept = _keep(uniform, velocities, low_pass, notes)
+    kept = _keep(uniform, velocities, low_pass, smoother, notes)
     return tuple(
         Segment(
             piece.time[rows],
-            low_pass.smooth(piece.position)[rows],
+            smoother.smooth(piece.position)[rows],
             velocity[rows],
             differentiate(velocity, uniform.period)[rows],
             piece.effort[rows],
@@ -201,19 +218,19 @@ def _smooth(uniform: _Uniform, low_pass: ZeroPhaseFilter, notes: list[str]) -> t
 
 
 def _choose_velocities(
-    uniform: _Uniform, low_pass: ZeroPhaseFilter
+    uniform: _Uniform, smoother: ZeroPhaseFilter
 ) -> tuple[list[Array], str | None]:
     """Smooth velocities of each piece: measured ones if they agree with the positions."""
     derived = [
-        differentiate(low_pass.smooth(piece.position), uniform.period) for piece in uniform.pieces
+        differentiate(smoother.smooth(piece.position), uniform.period) for piece in uniform.pieces
     ]
     measured = [
-        low_pass.smooth(piece.velocity) for piece in uniform.pieces if piece.velocity is not None
+        smoother.smooth(piece.velocity) for piece in uniform.pieces if piece.velocity is not None
     ]
     if not measured:
         return derived, None
     slopes = [differentiate(velocity, uniform.period) for velocity in measured]
-    inner = slice(low_pass.halfwidth, -low_pass.halfwidth)  # free of reflected data
+    inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
     truth, found, slope = (
         np.concatenate([signal[inner] for signal in signals])
         for signals in (derived, measured, slopes)
@@ -238,26 +255,33 @@ def _choose_velocities(
     )
 
 
+def _speed_noise(uniform: _Uniform, smoother: ZeroPhaseFilter) -> Array:
+    """(n,) deviation of white noise of the positions, low-passed and differentiated."""
+    cutoff = smoother.bandwidth
+    return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
+
+
 def _keep(
-    uniform: _Uniform, velocities: Sequence[Array], low_pass: ZeroPhaseFilter, notes: list[str]
+    uniform: _Uniform,
+    velocities: Sequence[Array],
+    low_pass: ZeroPhaseFilter,
+    smoother: ZeroPhaseFilter,
+    notes: list[str],
 ) -> Iterator[slice]:
     """Samples of each piece to keep.
 
-    Within L samples of a piece's end, smoothing leans on reflected data, which is right only
-    for a joint at rest: those samples go. Of a standstill at an end of the log only the L samples
-    that the filter needs to reach the first moving one stay.
+    Near a piece's end, smoothing leans on reflected data, which is right only for a joint at rest:
+    those samples go. Of a standstill at an end of the log only what the filter needs to reach the
+    first moving sample stays.
     """
     peak = np.max([np.abs(velocity).max(axis=0) for velocity in velocities], axis=0)
-    cutoff = low_pass.bandwidth
-    # White noise of the position, low-passed and differentiated.
-    noise = uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
-    threshold = np.maximum(_STILL_SPEED * peak, _SPEED_NOISE * noise)
+    threshold = np.maximum(_STILL_SPEED * peak, _SPEED_NOISE * _speed_noise(uniform, smoother))
     moving = [
         np.flatnonzero((np.abs(velocity) > threshold)[:, uniform.moving].any(axis=1))
         for velocity in velocities
     ]
     busy = [k for k, samples in enumerate(moving) if len(samples)]
-    reach = low_pass.halfwidth
+    lean, reach = smoother.halfwidth, low_pass.halfwidth
     for k, (velocity, samples) in enumerate(zip(velocities, moving, strict=True)):
         count = len(velocity)
         if not busy or k < busy[0] or k > busy[-1]:
@@ -265,7 +289,7 @@ def _keep(
             continue
         before = int(samples[0]) if len(samples) else count
         after = count - 1 - int(samples[-1]) if len(samples) else count
-        first, last = max(reach - before, 0), max(reach - after, 0)
+        first, last = max(lean - before, 0), max(lean - after, 0)
         if k == busy[0] and before > reach:
             first = before - reach
             notes.append(f"left out {first * uniform.period:.2f} s of standstill at the start")

@@ -79,7 +79,7 @@ def open_case(
     if bandwidth is None:
         coherent = coherent_bandwidth(model, trajectories)
         if coherent is not None:
-            trajectories = prepare_logs(matched, bandwidth=coherent)
+            trajectories = prepare_logs(matched, bandwidth=coherent, motion_bandwidth=coherent)
             hints.append(
                 f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts "
                 "that were not measured, as vibration, play or position noise do"

@@ -22,7 +22,7 @@ from geodrake.identification.dataset import (
     is_payload,
 )
 from geodrake.identification.noise import noise_floor
-from geodrake.model import SIGN_WIDTH, RobotModel
+from geodrake.model import RobotModel
 from geodrake.motion import Motion, Segment, Trajectory
 from geodrake.reduction import triangular_factor
 from geodrake.regressor import inverse_dynamics_regressor
@@ -31,6 +31,15 @@ Array = NDArray[np.float64]
 
 CHUNK = 20_000
 """Samples whose regressors are in memory at once."""
+
+LEAST_SIGN_WIDTH = 0.002
+"""Least share of its peak speed below which the direction of a joint's motion is not known."""
+
+SIGN_NOISE = 3.0
+"""Deviations of the speed's noise below which the direction of motion is not known."""
+
+STILL_SPEED = 0.01
+"""Share of its peak speed below which a joint counts as at rest."""
 
 MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
@@ -61,7 +70,7 @@ def reduce_logs(
         LogError: The effort of a joint never changes.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if not isinstance(e, EffortDelay))
-    layout = _Layout.of(model, effects, SIGN_WIDTH * peak_speeds(trajectories))
+    layout = _Layout.of(model, effects, trajectories)
     advance = [delay + model.delay for delay in delays]
     boxes = [[_Box() for _ in folds] for _ in model.joints]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
@@ -114,10 +123,16 @@ class _Layout:
     model: RobotModel
     effects: tuple[Effect, ...]
     sign_width: Array
+    still_speed: Array
     columns: tuple[Indices, ...]
 
     @classmethod
-    def of(cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array) -> _Layout:
+    def of(
+        cls, model: RobotModel, effects: tuple[Effect, ...], trajectories: Sequence[Trajectory]
+    ) -> _Layout:
+        peak = peak_speeds(trajectories)
+        noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+        sign_width = np.maximum(LEAST_SIGN_WIDTH * peak, SIGN_NOISE * noise)
         inertial = _inertial_structure(model)
         starts = column_starts(effects, model.bodies)
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
@@ -127,7 +142,13 @@ class _Layout:
                 indices = starts[effect] + np.arange(len(effect.parameters))
                 for joint in effect.rows(probe):
                     columns[model.joints.index(joint)].append(indices)
-        return cls(model, effects, sign_width, tuple(np.concatenate(c) for c in columns))
+        return cls(
+            model,
+            effects,
+            sign_width,
+            STILL_SPEED * peak,
+            tuple(np.concatenate(c) for c in columns),
+        )
 
     def evaluate(self, motion: Motion) -> list[Array]:
         """(N, p_j) unfiltered columns of every joint."""
@@ -187,7 +208,7 @@ def _chunks(
         v, vd = segment.velocity[samples], segment.acceleration[samples]
         instants = low_pass.output_indices(len(v))
         states = np.stack([segment.position[samples], v, vd], 1)[instants]
-        still = low_pass.apply(np.abs(v) < layout.sign_width) > MOSTLY_STILL
+        still = low_pass.apply(np.abs(v) < layout.still_speed) > MOSTLY_STILL
         rows = [
             JointRows(
                 segment.time[samples][instants],
