@@ -10,7 +10,7 @@ from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
 from geodrake.effects.base import Effect
 from geodrake.folds import Fold, validation_blocks
-from geodrake.identification.coherent_bandwidth import coherent_bandwidth
+from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import effects_of
@@ -75,15 +75,11 @@ def open_case(
     matched = [match_joints(log, model.joints) for log in read]
     limits = effort_limits(model.plant)
     hints = [hint for log in matched for hint in _hints(log, limits)]
-    trajectories = prepare_logs(matched, bandwidth=bandwidth)
     if bandwidth is None:
-        coherent = coherent_bandwidth(model, trajectories)
-        if coherent is not None:
-            trajectories = prepare_logs(matched, bandwidth=coherent, motion_bandwidth=coherent)
-            hints.append(
-                f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts "
-                "that were not measured, as vibration, play or position noise do"
-            )
+        trajectories, changed = prepare_for_model(model, matched)
+        hints += [changed] if changed else []
+    else:
+        trajectories = prepare_logs(matched, bandwidth=bandwidth)
     folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.case import Case, error_table, open_case, reopen
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
-from geodrake.diagnosis.forward import Progress, search
+from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis, settle
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import steps_of
@@ -20,6 +20,7 @@ from geodrake.effects import CoulombFriction, EffortDelay, ViscousFriction
 from geodrake.effects.base import Effect
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import ModelFit, effects_of, fit_model, model_unknowns
+from geodrake.identification.reduce import reduce_logs
 from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.model import FittedEffect, RobotModel
 from geodrake.motion import JointLog
@@ -62,7 +63,13 @@ def explain(
     before = comparison(case)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     tune = model.information is None
-    trail = search(start, effects_of(model), criteria, tune=tune, progress=progress)
+    trail = search(
+        start, effects_of(model), criteria, tune=tune, pause_at_delay=True, progress=progress
+    )
+    if trail.end.delay != trail.start.delay:
+        case, trail = with_exact_delay(case, trail)
+        more = search(trail.end, effects_of(model), criteria, tune=tune, progress=progress)
+        trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
     after_case, fit = final_fit(case, trail.end)
     steps = steps_of(case, trail, fit)
     after = comparison(after_case, fit.unknowns, fit.held_out)
@@ -80,17 +87,40 @@ def explain(
     )
 
 
+def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
+    """The case with its efforts advanced by the delay that was found, and the trail carried over.
+
+    A delay that is off by a part of the grid's step would look like further effects.
+    """
+    delay = refined_delay(trail.end)
+    step = abs(case.dataset.delays[1])
+    lag = FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))
+    kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
+    model = replace(case.model, effects=(*kept, lag))
+    dataset = reduce_logs(
+        model,
+        case.trajectories,
+        case.folds,
+        effects=case.dataset.effects,
+        delays=(0.0, -delay, 0.5 * step, -0.5 * step),
+    )
+    start = settle(replace(trail.start, dataset=dataset, delay=1))
+    end = settle(replace(trail.end, dataset=dataset, delay=0))
+    return replace(case, model=model, dataset=dataset), Trail(start, end, trail.rivals)
+
+
 def final_fit(case: Case, end: Hypothesis) -> tuple[Case, ModelFit]:
     """The physically consistent fit of what a search found, loads and delay brought up to date."""
     delay = refined_delay(end)
     delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
     if delay:
         delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
-    unknowns = with_companions(end.unknowns, case.dataset)
-    effects = [
-        FittedEffect(effect, unknowns.mean[unknowns.span(effect)]) for effect in unknowns.effects
-    ]
-    provisional = replace(case.model, effects=(*effects, *delays))
+    x, found = end.cv.fit_all(), end.unknowns
+    unknowns = with_companions(found, case.dataset)
+    fitted = [FittedEffect(effect, x[found.span(effect)]) for effect in found.effects]
+    fitted += [FittedEffect(e, np.zeros(1)) for e in unknowns.effects[len(found.effects) :]]
+    phi = x[: case.model.phi.size].reshape(case.model.phi.shape)
+    provisional = replace(case.model, phi=phi, effects=(*fitted, *delays))
     reopened = reopen(case, provisional)
     columns = np.concatenate(
         [np.arange(10 * len(case.model.bodies))]

@@ -39,6 +39,7 @@ def search(
     criteria: Criteria,
     *,
     tune: bool = False,
+    pause_at_delay: bool = False,
     max_steps: int = 20,
     progress: Progress | None = None,
 ) -> Trail:
@@ -49,6 +50,7 @@ def search(
         fixed: Effects that stay.
         criteria: When an effect counts as found.
         tune: Whether the data may say that the inertial prior is better than assumed.
+        pause_at_delay: Whether to return as soon as an effort delay was chosen.
         max_steps: Largest number of steps.
         progress: Told about each step.
     """
@@ -69,7 +71,9 @@ def search(
             rivals.setdefault(name, tuple(sorted(tied.difference(chosen.names))))
         if progress is not None:
             progress(" and ".join(chosen.names), hypothesis.nrms)
-    return Trail(start, prune(hypothesis, fixed, criteria), rivals)
+        if pause_at_delay and "effort_delay" in chosen.names:
+            return Trail(start, hypothesis, rivals)
+    return Trail(start, _settled(hypothesis, fixed, criteria, tune=tune), rivals)
 
 
 def tuned(hypothesis: Hypothesis) -> Hypothesis:
@@ -82,6 +86,19 @@ def tuned(hypothesis: Hypothesis) -> Hypothesis:
     others = [hypothesis.loosened(to / hypothesis.looseness) for to in TIGHTER_PRIORS]
     best = max(others, key=lambda other: gain_of(hypothesis, other))
     return best if gain_of(hypothesis, best) > PENALTY else hypothesis
+
+
+def _settled(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria, *, tune: bool
+) -> Hypothesis:
+    """The hypothesis once nothing is left to simplify, prune or tune."""
+    for _ in range(3):
+        before = hypothesis.unknowns.effects
+        hypothesis = prune(simplify(hypothesis, fixed, criteria), fixed, criteria)
+        hypothesis = tuned(hypothesis) if tune else hypothesis
+        if set(hypothesis.unknowns.effects) == set(before):
+            break
+    return hypothesis
 
 
 def _refined(

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from geodrake.diagnosis.candidates import Package, kind_complexity, kinds
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.search import try_package
+from geodrake.diagnosis.search import PENALTY, best_trial, gain_of, try_package
 from geodrake.effects.base import Effect
 
 
@@ -45,8 +47,20 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
             for package in kind.options[effect.where]
         ]
         trials = [try_package(reduced, package, len(simpler)) for package in simpler]
-        for trial in sorted(trials, key=lambda t: -t.score)[:1]:
-            swapped = reduced.with_effects(trial.package.effects)
-            if tie_probability(hypothesis.loss(), swapped.loss()) > criteria.tie:
+        if trials:
+            swapped = reduced.with_effects(best_trial(reduced, trials).package.effects)
+            if not _worth_it(swapped, hypothesis, effect, criteria):
                 hypothesis = swapped
     return hypothesis
+
+
+def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
+    """Whether a more complex effect convinces against a simpler one in its place."""
+    more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
+    joints = [refined.dataset.joints.index(j) for j in effect.where if j in refined.dataset.joints]
+    before, after = simple.held_out.mse[joints], refined.held_out.mse[joints]
+    return (
+        gain_of(simple, refined) > PENALTY * max(more, 1)
+        and bool(np.mean(after / before) <= 1.0 - criteria.reduction)
+        and tie_probability(refined.loss(), simple.loss()) <= criteria.tie
+    )

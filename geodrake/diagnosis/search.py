@@ -126,9 +126,27 @@ def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteri
         trials = [try_package(hypothesis, package, tried) for package in packages]
         good = [trial for trial in trials if trial.convinces(criteria)]
         if good:
-            found.append(max(good, key=lambda trial: trial.score))
+            found.append(best_trial(hypothesis, good))
     found.sort(key=lambda trial: -trial.score)
     return found if kind.unite else found[:1]
+
+
+def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
+    """The best of several trials at a place.
+
+    A trial keeps the weights of the hypothesis, which may be far from those that its own residuals
+    deserve; those that stand out by score or by reduction are therefore fitted in full.
+    """
+    by_score = max(trials, key=lambda trial: trial.score)
+    by_reduction = max(trials, key=lambda trial: trial.reduction)
+    if by_score is by_reduction:
+        return by_score
+
+    def settled_score(trial: Trial) -> float:
+        after = hypothesis.with_effects(trial.package.effects)
+        return gain_of(hypothesis, after) - PENALTY * trial.package.parameters
+
+    return max((by_score, by_reduction), key=settled_score)
 
 
 def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:

@@ -8,23 +8,67 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
 
+from geodrake.filtering import HIGHEST_BANDWIDTH
 from geodrake.model import RobotModel
-from geodrake.motion import Motion, Trajectory
+from geodrake.motion import JointLog, Motion, Trajectory
+from geodrake.preparation import prepare_logs
 
 Array = NDArray[np.float64]
 
 _EXCESS = 25.0
 """Power by which the needed effort must exceed the measured one: five times its amplitude."""
 
+_ENOUGH = 450
+"""Filtered samples of each joint that make folds of some fifty samples."""
+
 _SAMPLES = 200_000
-"""Samples of the logs that are looked at."""
+"""Samples of a segment that are looked at."""
+
+
+def prepare_for_model(
+    model: RobotModel, logs: Sequence[JointLog]
+) -> tuple[tuple[Trajectory, ...], str | None]:
+    """Prepare logs at a bandwidth that suits motion and efforts alike.
+
+    The motion alone suggests a bandwidth (`prepare_logs`). It is lowered to where the motion asks
+    for efforts that were not measured: vibration, play and elasticity behind the motor move the
+    joint without the motor's effort. It is raised where the log is short, as far as position noise
+    does not ask for more effort than was measured.
+
+    Args:
+        model: The model; a rough one will do.
+        logs: Logs, joints in the model's order.
+
+    Returns:
+        The prepared logs, and a sentence on what was changed and why, if anything was.
+    """
+    trajectories = prepare_logs(logs)
+    chosen = trajectories[0].filter.bandwidth
+    coherent = coherent_bandwidth(model, trajectories)
+    if coherent is not None:
+        lowered = prepare_logs(logs, bandwidth=coherent, motion_bandwidth=coherent)
+        return lowered, (
+            f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts that "
+            "were not measured, as vibration, play or position noise do"
+        )
+    outputs = sum(sum(trajectory.output_counts) for trajectory in trajectories)
+    if outputs >= _ENOUGH:
+        return trajectories, None
+    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
+    sharp = prepare_logs(logs, bandwidth=chosen, motion_bandwidth=highest)
+    frequency, ratio = effort_ratio(model, sharp)
+    noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
+    limit = min([highest, *noisy[:1].tolist()])
+    raised = min(chosen * _ENOUGH / outputs, limit)
+    if raised < 1.2 * chosen:
+        return trajectories, None
+    return prepare_logs(logs, bandwidth=raised), (
+        f"bandwidth raised from {chosen:.3g} to {raised:.3g} Hz, as the log is short"
+    )
 
 
 def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) -> float | None:
     """Frequency above which the motion asks for efforts that were not measured, Hz.
-
-    Vibration, play and elasticity behind the motor move the joint without the motor's effort, and
-    position noise asks for efforts that nobody gave. No rigid-body model fits there.
 
     Args:
         model: The model; a rough one will do.
@@ -34,26 +78,38 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
         The frequency from which on the effort that the model needs has more than 25 times the
         measured power, the geometric mean over joints; None if it has not up to the bandwidth.
     """
-    bandwidth = trajectories[0].filter.bandwidth
-    needed = measured = frequency = np.zeros(1)
-    shortest = min(len(s) * s.period for t in trajectories for s in t.segments)
-    window = min(0.5 * shortest, 100.0 / bandwidth)
-    for segment in (s for t in trajectories for s in t.segments):
-        part = slice(0, _SAMPLES)
-        position = model.positions(segment.position[part])
-        motion = Motion(position, segment.velocity[part], segment.acceleration[part])
-        length = int(window / segment.period)
-        frequency, density = welch(model.effort(motion), 1 / segment.period, "hann", length, axis=0)
-        needed = needed + len(segment) * density
-        measured = (
-            measured
-            + len(segment)
-            * welch(segment.effort[part], 1 / segment.period, "hann", length, axis=0)[1]
-        )
-    inside = (frequency > 0) & (frequency <= bandwidth)
-    ratio = np.exp(np.mean(np.log(needed[inside] / measured[inside]), axis=1))
+    frequency, ratio = effort_ratio(model, trajectories)
+    inside = frequency <= trajectories[0].filter.bandwidth
+    frequency, ratio = frequency[inside], ratio[inside]
     worst = int(np.argmax(ratio))
     if ratio[worst] <= _EXCESS:
         return None
     together = np.flatnonzero(ratio[:worst] <= _EXCESS)
-    return float(frequency[inside][together[-1] + 1 if len(together) else 0])
+    return float(frequency[together[-1] + 1 if len(together) else 0])
+
+
+def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
+    """Power of the effort that the model needs over that of the measured effort.
+
+    Returns:
+        frequency (K,) in Hz, without 0, and ratio (K,), the geometric mean over joints.
+    """
+    segments = [segment for trajectory in trajectories for segment in trajectory.segments]
+    shortest = min(len(segment) * segment.period for segment in segments)
+    window = min(0.5 * shortest, 100.0 / trajectories[0].filter.bandwidth)
+    needed = measured = frequency = np.zeros(1)
+    for segment in segments:
+        rate, part = 1.0 / segment.period, slice(0, _SAMPLES)
+        motion = Motion(
+            model.positions(segment.position[part]),
+            segment.velocity[part],
+            segment.acceleration[part],
+        )
+        length = int(window * rate)
+        frequency, density = welch(model.effort(motion), rate, "hann", length, axis=0)
+        needed = needed + len(segment) * density
+        _, density = welch(segment.effort[part], rate, "hann", length, axis=0)
+        measured = measured + len(segment) * density
+    tiny = np.finfo(float).tiny
+    ratio = np.exp(np.mean(np.log((needed[1:] + tiny) / (measured[1:] + tiny)), axis=1))
+    return frequency[1:], ratio
