@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 from scipy.stats import chi2, t
 
 Array = NDArray[np.float64]
@@ -45,18 +46,18 @@ def effective_samples(blocks: Sequence[Array]) -> float:
     Returns:
         A number between 1 and Σ K_i.
     """
-    n = sum(len(block) for block in blocks)
-    power = sum(float(block @ block) for block in blocks)
-    if power == 0.0:
+    n, longest = sum(map(len, blocks)), max(map(len, blocks))
+    padded = np.zeros((len(blocks), next_fast_len(2 * longest)))
+    for row, block in zip(padded, blocks, strict=True):
+        row[: len(block)] = block
+    spectrum = np.square(np.abs(np.fft.rfft(padded))).sum(0)
+    covariance = np.fft.irfft(spectrum, padded.shape[1])[:longest]
+    if covariance[0] <= 0.0:
         return float(n)
-    total = 1.0
-    for lag in range(1, max(len(block) for block in blocks)):
-        products = sum(float(b[lag:] @ b[:-lag]) for b in blocks if len(b) > lag)
-        correlation = products / power
-        if correlation < 0.02:
-            break
-        total += 2.0 * correlation
-    return max(1.0, n / total)
+    correlation = covariance[1:] / covariance[0]
+    below = np.flatnonzero(correlation < 0.02)
+    last = below[0] if len(below) else len(correlation)
+    return max(1.0, n / (1.0 + 2.0 * float(correlation[:last].sum())))
 
 
 def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:

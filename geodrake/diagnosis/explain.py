@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case, error_table, open_case, reopen
 from geodrake.diagnosis.compare import comparison
+from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis, settle
@@ -92,7 +93,7 @@ def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
 
     A delay that is off by a part of the grid's step would look like further effects.
     """
-    delay = refined_delay(trail.end)
+    delay = fine_delay(trail.end)[0]
     step = abs(case.dataset.delays[1])
     lag = FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))
     kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
@@ -111,7 +112,7 @@ def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
 
 def final_fit(case: Case, end: Hypothesis) -> tuple[Case, ModelFit]:
     """The physically consistent fit of what a search found, loads and delay brought up to date."""
-    delay = refined_delay(end)
+    delay = fine_delay(end)[0] if end.delay else 0.0
     delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
     if delay:
         delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
@@ -148,23 +149,6 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
                 companion, dataset.effect_columns(companion), information, mean
             )
     return unknowns
-
-
-def refined_delay(end: Hypothesis) -> float:
-    """The delay between those of the grid at which the held-out loss is least, s."""
-    delays = np.array(end.dataset.delays)
-    chosen = delays[end.delay]
-    if end.delay == 0:
-        return 0.0
-    order = np.argsort(delays)
-    at = int(np.flatnonzero(order == end.delay)[0])
-    if not 0 < at < len(order) - 1:
-        return float(chosen)
-    near = order[at - 1 : at + 2]
-    losses = [end.delayed(int(d)).loss().sum() for d in near]
-    curvature, slope, _ = np.polyfit(delays[near] - chosen, losses, 2)
-    step = -slope / (2 * curvature) if curvature > 0 else 0.0
-    return float(chosen + np.clip(step, delays[near[0]] - chosen, delays[near[-1]] - chosen))
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case, error_table
+from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import false_alarm_probability
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
@@ -65,7 +66,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     tried = len(case.dataset.effects)
     steps = []
     for i, group in enumerate(ordered):
-        parameters, deviations = _values(case, group, fit)
+        parameters, deviations = _values(case, group, trail, fit)
         count = sum(len(effect.parameters) for effect in group.effects) or 1
         gain = gain_of(hypotheses[i], hypotheses[i + 1])
         steps.append(
@@ -122,7 +123,7 @@ def _moved_bodies(case: Case, fit: ModelFit) -> Mapping[str, float]:
     return {b: float(d) for b, d, f in zip(case.model.bodies, distance, far, strict=True) if f}
 
 
-def _values(case: Case, group: _Group, fit: ModelFit) -> tuple[Values, Values]:
+def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Values, Values]:
     values: Values = {}
     deviations: Values = {}
     if group.looseness is not None:
@@ -132,7 +133,8 @@ def _values(case: Case, group: _Group, fit: ModelFit) -> tuple[Values, Values]:
         return values, deviations
     if group.delay is not None:
         delay = next(f.effect for f in fit.model.effects if isinstance(f.effect, EffortDelay))
-        return {"all joints": {"delay": delay.delay}}, deviations
+        _, deviation = fine_delay(trail.end)
+        return {"all joints": {"delay": delay.delay}}, {"all joints": {"delay": deviation}}
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
             place = " & ".join(fitted.effect.where)

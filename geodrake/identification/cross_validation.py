@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import nnls
 
-from geodrake.identification.dataset import Dataset, JointData
+from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -45,30 +45,42 @@ class HeldOut:
         return np.sqrt(self.mse)
 
 
-def normal_matrix(
-    data: JointData, fold: int, left: Indices, right: Indices, delay: int
-) -> tuple[Array, Array]:
-    """AᵀA between two sets of columns, and Aᵀb of the first, for one joint and fold."""
-    gram = data.grams[fold]
-    loc_left, loc_right = data.local(left), data.local(right)
-    on_left, on_right = loc_left >= 0, loc_right >= 0
-    block = np.zeros((len(left), len(right)))
-    block[np.ix_(on_left, on_right)] = gram[np.ix_(loc_left[on_left], loc_right[on_right])]
-    rhs = np.zeros(len(left))
-    rhs[on_left] = gram[loc_left[on_left], len(data.columns) + delay]
-    return block, rhs
+def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0) -> HeldOut:
+    """Errors of given parameters in every fold, through the triangular factors.
 
-
-def residual_norms(dataset: Dataset, fold: int, columns: Indices, x: Array, delay: int) -> Array:
-    """(nv,) squared norms of b − A x in one fold, through the triangular factors."""
-    out = np.empty(len(dataset.joints))
+    Args:
+        dataset: The reduced logs.
+        columns: (p,) columns in use.
+        x: (F, p) parameters for each fold.
+        delay: Index of the effort column.
+    """
+    sse = np.empty((len(dataset.folds), len(dataset.joints)))
     for j, data in enumerate(dataset.data):
         local = data.local(columns)
         used = local >= 0
-        factor = data.factors[fold]
-        r = factor[:, len(data.columns) + delay] - factor[:, local[used]] @ x[used]
-        out[j] = r @ r
-    return out
+        predicted = (data.factors[:, :, local[used]] @ x[:, used, None])[..., 0]
+        sse[:, j] = np.square(data.factors[:, :, len(data.columns) + delay] - predicted).sum(1)
+    return HeldOut(sse, dataset.samples, x)
+
+
+def normal_matrices(
+    dataset: Dataset, weights: Array, left: Indices, right: Indices, *, delay: int = 0
+) -> tuple[Array, Array]:
+    """Weighted AᵀA between two sets of columns, and Aᵀb of the second, of every fold.
+
+    Returns:
+        (F, l, r) and (F, r).
+    """
+    gram = np.zeros((len(dataset.folds), len(left), len(right)))
+    rhs = np.zeros((len(dataset.folds), len(right)))
+    for data, weight in zip(dataset.data, weights, strict=True):
+        at_left, at_right = data.local(left), data.local(right)
+        on_left, on_right = np.flatnonzero(at_left >= 0), np.flatnonzero(at_right >= 0)
+        if len(on_right):
+            rows, cols = at_left[on_left], at_right[on_right]
+            gram[:, on_left[:, None], on_right] += weight * data.grams[:, rows[:, None], cols]
+            rhs[:, on_right] += weight * data.grams[:, cols, len(data.columns) + delay]
+    return gram, rhs
 
 
 class CrossValidation:
@@ -85,57 +97,35 @@ class CrossValidation:
         self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: int = 0
     ) -> None:
         self.dataset, self.unknowns, self.weights, self.delay = dataset, unknowns, weights, delay
-        columns = unknowns.columns
-        blocks = [self._assemble(f, columns, columns) for f in range(len(dataset.folds))]
-        self._gram = np.array([gram for gram, _ in blocks])
-        self._rhs = np.array([rhs for _, rhs in blocks])
-        self._solutions = [self._solve_fold(f) for f in range(len(dataset.folds))]
-        self.held_out = self._evaluate(columns, np.array([x for x, _, _ in self._solutions]))
+        gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
+        information = unknowns.information
+        self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
+        others = zip(self._gram - gram, self._rhs - rhs, strict=True)
+        self._fits = [self._solve(*problem) for problem in others]
+        x = np.array([fit.x for fit in self._fits])
+        self.held_out = hold_out(dataset, unknowns.columns, x, delay=delay)
 
-    def _assemble(self, fold: int, left: Indices, right: Indices) -> tuple[Array, Array]:
-        gram, rhs = np.zeros((len(left), len(right))), np.zeros(len(left))
-        for data, weight in zip(self.dataset.data, self.weights, strict=True):
-            block, b = normal_matrix(data, fold, left, right, self.delay)
-            gram += weight * block
-            rhs += weight * b
-        return gram, rhs
+    def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
+        return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
 
-    def training(self, fold: int | None) -> tuple[Array, Array]:
-        """Normal matrix and right-hand side without a fold, prior included."""
-        gram, rhs = self._gram.sum(0), self._rhs.sum(0)
-        if fold is not None:
-            gram, rhs = gram - self._gram[fold], rhs - self._rhs[fold]
-        information = self.unknowns.information
-        return gram + information, rhs + information @ self.unknowns.mean
-
-    def _solve_fold(self, fold: int | None) -> tuple[Array, tuple[Array, bool], Array]:
-        gram, rhs = self.training(fold)
+    def _solve(self, gram: Array, rhs: Array) -> _Fit:
+        """Minimizer within the bounds, and the factor of the unbounded problem."""
         scale = 1.0 / np.sqrt(np.diag(gram))
         factor = cho_factor(gram * scale[:, None] * scale + _ridge(len(gram)), lower=True)
         x = scale * cho_solve(factor, scale * rhs)
         free = np.ones(len(x), bool)
         lower, upper = self.unknowns.lower, self.unknowns.upper
-        for _ in range(len(x)):
-            outside = (x < lower - 1e-12) | (x > upper + 1e-12)
-            if not outside.any():
-                break
+        while np.any(outside := (x < lower - 1e-12) | (x > upper + 1e-12)):
             free &= ~outside
             x = np.clip(x, lower, upper)
-            fixed = ~free
             sub = gram[np.ix_(free, free)] * scale[free, None] * scale[free]
-            right = scale[free] * (rhs[free] - gram[np.ix_(free, fixed)] @ x[fixed])
+            right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
             x[free] = scale[free] * cho_solve(cho_factor(sub + _ridge(len(sub)), lower=True), right)
-        return x, factor, scale
-
-    def _evaluate(self, columns: Indices, x: Array) -> HeldOut:
-        folds = range(len(self.dataset.folds))
-        sse = [residual_norms(self.dataset, f, columns, x[f], self.delay) for f in folds]
-        samples = np.stack([data.samples for data in self.dataset.data], 1)
-        return HeldOut(np.array(sse), samples, x)
+        return _Fit(x, factor, scale)
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
-        return self._solve_fold(None)[0]
+        return self._solve(self._gram, self._rhs).x
 
     def with_candidate(self, columns: Indices, information: Array, lower: Array) -> HeldOut:
         """Held-out errors with candidate columns beside the unknowns.
@@ -146,22 +136,29 @@ class CrossValidation:
             lower: (k,) lower bounds, 0 or −inf.
         """
         base = self.unknowns.columns
-        folds = range(len(self.dataset.folds))
-        both = [self._assemble(f, base, columns) for f in folds]
-        own = [self._assemble(f, columns, columns) for f in folds]
-        cross, gram = np.array([b for b, _ in both]), np.array([g for g, _ in own])
-        rhs = np.array([r for _, r in own])
-        x = np.empty((len(base) + len(columns),))
-        out = []
-        for f in folds:
-            c, d = cross.sum(0) - cross[f], gram.sum(0) - gram[f] + information
-            r = rhs.sum(0) - rhs[f]
-            x_base, factor, scale = self._solutions[f]
-            solved = scale[:, None] * cho_solve(factor, scale[:, None] * c)
-            y = _bounded_solve(d - c.T @ solved, r - c.T @ x_base, lower)
-            x = np.concatenate([x_base - solved @ y, y])
-            out.append(x)
-        return self._evaluate(np.concatenate([base, columns]), np.array(out))
+        cross, rhs = self._assemble(base, columns)
+        own, _ = self._assemble(columns, columns)
+        cross, rhs = cross.sum(0) - cross, rhs.sum(0) - rhs
+        own = own.sum(0) - own + information
+        x = np.empty((len(rhs), len(base) + len(columns)))
+        for f, fit in enumerate(self._fits):
+            solved = fit.solve(cross[f])
+            schur, right = own[f] - cross[f].T @ solved, rhs[f] - cross[f].T @ fit.x
+            y = _bounded_solve(schur, right, lower)
+            x[f] = np.concatenate([fit.x - solved @ y, y])
+        return hold_out(self.dataset, np.concatenate([base, columns]), x, delay=self.delay)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A solution, and the scaled Cholesky factor of its normal matrix."""
+
+    x: Array
+    factor: tuple[Array, bool]
+    scale: Array
+
+    def solve(self, right: Array) -> Array:
+        return self.scale[:, None] * cho_solve(self.factor, self.scale[:, None] * right)
 
 
 def _ridge(size: int) -> Array:

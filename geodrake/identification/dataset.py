@@ -64,20 +64,20 @@ class JointData:
 
     Attributes:
         columns: (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
-        factors: One (·, p_j + d) triangular factor of [A | b] per fold.
+        factors: (F, p_j + d, p_j + d) triangular factors of [A | b], one for each fold.
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
     """
 
     columns: Indices
-    factors: tuple[Array, ...]
+    factors: Array
     samples: NDArray[np.int_]
     rows: tuple[tuple[JointRows, ...], ...]
 
     @cached_property
-    def grams(self) -> tuple[Array, ...]:
-        """RᵀR of every fold's factor."""
-        return tuple(factor.T @ factor for factor in self.factors)
+    def grams(self) -> Array:
+        """(F, p_j + d, p_j + d) normal matrices RᵀR of every fold."""
+        return np.swapaxes(self.factors, 1, 2) @ self.factors
 
     def local(self, columns: Indices) -> Indices:
         """Positions of global columns at this joint; −1 where a column cannot be nonzero."""

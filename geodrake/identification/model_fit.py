@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from geodrake.effects.base import Effect
 from geodrake.effects.effort_delay import EffortDelay
-from geodrake.identification.cross_validation import HeldOut, residual_norms
+from geodrake.identification.cross_validation import HeldOut, hold_out
 from geodrake.identification.dataset import Dataset, is_payload
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.problem import FitProblem
@@ -84,7 +84,8 @@ def fit_problem(
     for data, weight in zip(dataset.data, weights, strict=True):
         local = data.local(unknowns.columns)
         used = local >= 0
-        stacked = np.vstack([f for i, f in enumerate(data.factors) if i != without])
+        kept = [fold for fold in range(len(dataset.folds)) if fold != without]
+        stacked = np.concatenate(data.factors[kept])
         rows = np.zeros((len(stacked), p + 1))
         rows[:, :p][:, used] = stacked[:, local[used]]
         rows[:, p] = stacked[:, len(data.columns) + delay]
@@ -108,12 +109,10 @@ def held_out_physical(
     dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: int = 0
 ) -> HeldOut:
     """Held-out errors of physically consistent fits, one for every fold."""
-    x, sse = [], []
-    for fold in range(len(dataset.folds)):
-        problem = fit_problem(dataset, unknowns, weights, without=fold, delay=delay)
-        x.append(solve_fit(problem).x)
-        sse.append(residual_norms(dataset, fold, unknowns.columns, x[-1], delay))
-    return HeldOut(np.array(sse), dataset.samples, np.array(x))
+    folds = range(len(dataset.folds))
+    problems = (fit_problem(dataset, unknowns, weights, without=f, delay=delay) for f in folds)
+    x = np.array([solve_fit(problem).x for problem in problems])
+    return hold_out(dataset, unknowns.columns, x, delay=delay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +170,7 @@ def as_it_stands(dataset: Dataset, model: RobotModel) -> HeldOut:
     """Errors of a model on logs without any fit to them."""
     unknowns = model_unknowns(dataset, model)
     x = np.tile(unknowns.mean, (len(dataset.folds), 1))
-    folds = range(len(dataset.folds))
-    sse = [residual_norms(dataset, f, unknowns.columns, x[f], 0) for f in folds]
-    return HeldOut(np.array(sse), dataset.samples, x)
+    return hold_out(dataset, unknowns.columns, x)
 
 
 def _has_columns(fitted: FittedEffect) -> bool:

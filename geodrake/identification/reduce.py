@@ -38,6 +38,9 @@ LEAST_SIGN_WIDTH = 0.002
 SIGN_NOISE = 3.0
 """Deviations of the speed's noise below which the direction of motion is not known."""
 
+AT_REST = 8.0
+"""Deviations of the speed's noise that a joint does not exceed if it never moves."""
+
 STILL_SPEED = 0.01
 """Share of its peak speed below which a joint counts as at rest."""
 
@@ -72,7 +75,7 @@ def reduce_logs(
     effects = tuple(e for e in dict.fromkeys(effects) if not isinstance(e, EffortDelay))
     layout = _Layout.of(model, effects, trajectories)
     advance = [delay + model.delay for delay in delays]
-    boxes = [[_Box() for _ in folds] for _ in model.joints]
+    boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
     for f, fold in enumerate(folds):
         for block in fold.blocks:
@@ -94,7 +97,7 @@ def reduce_logs(
         tuple(
             JointData(
                 columns,
-                tuple(box.finish() for box in joint),
+                np.array([box.finish() for box in joint]),
                 np.array([box.samples for box in joint]),
                 tuple(box.blocks() for box in joint),
             )
@@ -107,13 +110,15 @@ def reduce_logs(
 
 
 def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
-    """(nv,) largest speed of every joint, rad/s or m/s."""
+    """(nv,) largest speed of every joint, rad/s or m/s; 0 for one that does not move."""
     speeds = [
         np.abs(segment.velocity).max(axis=0)
         for trajectory in trajectories
         for segment in trajectory.segments
     ]
-    return np.max(speeds, axis=0)
+    peak = np.max(speeds, axis=0)
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    return np.where(peak > AT_REST * noise, peak, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +172,7 @@ class _Layout:
 class _Box:
     """Rows of one joint and fold on their way into a factor."""
 
+    width: int
     factor: Array | None = None
     pending: list[Array] = field(default_factory=list)
     kept: dict[Block, list[JointRows]] = field(default_factory=lambda: defaultdict(list))
@@ -184,10 +190,8 @@ class _Box:
             self.finish()
 
     def finish(self) -> Array:
-        before = [] if self.factor is None else [self.factor]
-        if self.pending or self.factor is None:
-            self.factor = triangular_factor([*before, *self.pending])
-            self.pending = []
+        before = np.zeros((self.width, self.width)) if self.factor is None else self.factor
+        self.factor, self.pending = triangular_factor([before, *self.pending]), []
         return self.factor
 
     def blocks(self) -> tuple[JointRows, ...]:

@@ -146,6 +146,6 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     for data, std in zip(dataset.data, dataset.effort_std, strict=True):
         local = data.local(columns)
         on = local >= 0
-        power = sum(np.square(factor[:, local[on]]).sum(0) for factor in data.factors)
+        power = np.square(data.factors[:, :, local[on]]).sum((0, 1))
         squares[on] += power / std**2 / data.samples.sum()
     return np.zeros(k), np.diag(np.maximum(1e-12 * squares, 1e-300))
