@@ -1,0 +1,40 @@
+"""Effort delays between those of a dataset's grid."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geodrake.diagnosis.evidence import log_likelihood_gain
+from geodrake.diagnosis.hypothesis import Hypothesis
+
+
+def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
+    """The delay near that of a hypothesis at which its held-out likelihood is greatest.
+
+    Args:
+        hypothesis: A hypothesis whose delay has neighbours on both sides of the grid.
+
+    Returns:
+        Delay on top of the model's, s, and its standard deviation, s, from a parabola through the
+        likelihoods of the delay and its neighbours; the delay itself and NaN where there is no
+        neighbour on one side, or no maximum between them.
+    """
+    delays = np.array(hypothesis.dataset.delays)
+    order = np.argsort(delays)
+    at = int(np.flatnonzero(order == hypothesis.delay)[0])
+    chosen = delays[hypothesis.delay]
+    if not 0 < at < len(order) - 1:
+        return float(chosen), np.nan
+    near = order[at - 1 : at + 2]
+    gains = [
+        log_likelihood_gain(
+            hypothesis.held_out.mse, hypothesis.delayed(int(d)).held_out.mse, hypothesis.effective
+        ).sum()
+        for d in near
+    ]
+    offsets = delays[near] - chosen
+    curvature, slope, _ = np.polyfit(offsets, gains, 2)
+    if curvature >= 0.0:
+        return float(chosen), np.nan
+    step = np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1])
+    return float(chosen + step), float(1.0 / np.sqrt(-curvature))
