@@ -1,7 +1,6 @@
 """Fitted models as YAML files, read and written through Drake's `yaml_load_typed`."""
 
-from __future__ import annotations
-
+# Drake reads the schema from the annotations themselves, so they must not be strings here.
 import dataclasses as dc
 import hashlib
 import os

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from geodrake.effects.base import Effect
@@ -27,6 +27,9 @@ COMPLEXITY: Mapping[str, int] = {
 """Of candidates that the data cannot tell apart, the one of least complexity is named."""
 
 DRY_AND_VISCOUS = ("coulomb_friction", "viscous_friction")
+
+REFINEMENTS = ("stribeck_friction", "nonlinear_viscous_friction")
+"""Offered on top of dry and viscous friction only: alone they are compromises between the two."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +90,7 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
     joint_kinds: set[tuple[str, ...]] = set()
     by_place: dict[tuple[str, ...], dict[str, Effect]] = defaultdict(dict)
     for effect in effects:
-        if (effect.name, effect.where) in taken:
+        if (effect.name, effect.where) in taken or not has_base(effect, taken):
             continue
         options[(effect.name,)][effect.where].append(Package((effect,), effect.where))
         by_place[effect.where][effect.name] = effect
@@ -103,6 +106,13 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
         Kind(names, {p: tuple(packages) for p, packages in places.items()}, names in joint_kinds)
         for names, places in options.items()
     ]
+
+
+def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
+    """Whether the frictions that an effect refines are among those taken, by name and place."""
+    if effect.name not in REFINEMENTS or ("asymmetric_friction", effect.where) in taken:
+        return True
+    return all((name, effect.where) in taken for name in DRY_AND_VISCOUS)
 
 
 def _free_shapes(effect: Effect) -> int:

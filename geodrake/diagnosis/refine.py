@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geodrake.diagnosis.candidates import Package, kind_complexity, kinds
+from geodrake.diagnosis.candidates import (
+    DRY_AND_VISCOUS,
+    REFINEMENTS,
+    Package,
+    kind_complexity,
+    kinds,
+)
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.search import PENALTY, best_trial, gain_of, try_package
@@ -24,7 +30,7 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
     while True:
         weakest: tuple[float, Hypothesis] | None = None
         for effect in hypothesis.unknowns.effects:
-            if effect not in fixed:
+            if effect not in fixed and not _is_base(hypothesis, effect):
                 reduced = hypothesis.without([effect])
                 trial = try_package(reduced, Package((effect,), effect.where), 1)
                 if not trial.convinces(criteria) and (weakest is None or trial.score < weakest[0]):
@@ -32,6 +38,19 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         if weakest is None:
             return hypothesis
         hypothesis = weakest[1]
+
+
+def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
+    """Whether a refinement stands on an effect that is clearly there (by three deviations)."""
+    refined = any(
+        other.name in REFINEMENTS and other.where == effect.where
+        for other in hypothesis.unknowns.effects
+    )
+    if effect.name not in DRY_AND_VISCOUS or not refined:
+        return False
+    span = hypothesis.unknowns.span(effect)
+    x, deviations = hypothesis.cv.fit_all(), hypothesis.cv.deviations()
+    return bool(np.all(x[span] > 3.0 * deviations[span]))
 
 
 def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:

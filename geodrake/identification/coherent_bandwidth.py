@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _EXCESS = 25.0
 """Power by which the needed effort must exceed the measured one: five times its amplitude."""
 
-_ENOUGH = 450
+_ENOUGH = 400
 """Filtered samples of each joint that make folds of some fifty samples."""
 
 _SAMPLES = 200_000

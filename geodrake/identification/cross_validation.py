@@ -127,6 +127,12 @@ class CrossValidation:
         """(p,) parameters fitted to all folds."""
         return self._solve(self._gram, self._rhs).x
 
+    def deviations(self) -> Array:
+        """(p,) standard deviations of `fit_all`, bounds left aside."""
+        scale = 1.0 / np.sqrt(np.diag(self._gram))
+        matrix = self._gram * scale[:, None] * scale + _ridge(len(scale))
+        return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
+
     def with_candidate(self, columns: Indices, information: Array, lower: Array) -> HeldOut:
         """Held-out errors with candidate columns beside the unknowns.
 

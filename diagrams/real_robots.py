@@ -1,0 +1,177 @@
+"""What geodrake finds on public measurements of real robots, with the errors before and after.
+
+The measurements are not part of the project. They are read from a folder that holds `data` (logs)
+and `reference` (model files); by default the one called `shared` beside the checkout.
+
+    python diagrams/real_robots.py --json real_robots.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from geodrake import load_model, save_model
+from geodrake.diagnosis import Explanation, Step, explain
+
+ROOT = Path(__file__).parents[1]
+SHARED = ROOT.parent / "shared"
+
+
+@dataclass(frozen=True)
+class Study:
+    """One call of `explain`.
+
+    Attributes:
+        name: Name of the study, and of the model it saves for later ones.
+        model: Model file below `reference` or the checkout's `models`; or the name of a study.
+        logs: Log files below `data`.
+        blocks: Blocks into which a log is cut, None for the default.
+    """
+
+    name: str
+    model: str
+    logs: tuple[str, ...]
+    blocks: int | None = None
+
+
+PENDULUM = tuple(f"double_pendulum_c1_{run}.csv" for run in (143339, 143524, 143601, 143704))
+STUDIES = (
+    Study("ur10e free", "ur10e.urdf", ("ur10e_free_a.csv", "ur10e_free_b.csv")),
+    Study("ur10e again", "ur10e free", ("ur10e_free_c.csv",)),
+    Study("ur10e changed", "ur10e free", ("ur10e_changed.csv",)),
+    Study("ur10e point to point", "ur10e free", ("ur10e_ptp.csv",)),
+    Study("tx40", "tx40.urdf", ("tx40.csv",), blocks=6),
+    Study("double pendulum", "double_pendulum.urdf", PENDULUM),
+)
+QUICK = ("double pendulum",)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One step of a study; the first row of a study is the model as it stands.
+
+    Attributes:
+        study: Name of the study.
+        step: Effect that was added, or "as it stands".
+        where: Joints or bodies.
+        nrms: Held-out error afterwards, over the effort's standard deviation.
+        pooled_rms: Root mean square over joints of the held-out RMS, N·m.
+        parameters: Parameters of the effect, SI units.
+        deviations: Their standard deviations.
+        seconds: Time of the whole study, s.
+        verdict: Verdict of the study.
+        floor_nrms: Estimated noise floor.
+    """
+
+    study: str
+    step: str
+    where: Sequence[str]
+    nrms: float
+    pooled_rms: float
+    parameters: dict[str, dict[str, float]]
+    deviations: dict[str, dict[str, float]]
+    seconds: float
+    verdict: str
+    floor_nrms: float
+
+
+def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
+    """Explain the logs of one study and save its model for later ones.
+
+    Args:
+        study: The study.
+        shared: Folder with `data` and `reference`.
+        saved: Folder for fitted models.
+    """
+    own, reference = ROOT / "models" / study.model, shared / "reference" / study.model
+    path = next((p for p in (own, reference) if p.is_file()), saved / f"{study.model}.yaml")
+    logs = [shared / "data" / log for log in study.logs]
+    explanation = explain(load_model(path), logs, blocks=study.blocks)
+    save_model(explanation.model, saved / f"{study.name}.yaml")
+    return explanation
+
+
+def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[Row]:
+    """The table of one study."""
+    rest = (seconds, explanation.verdict, explanation.end.floor_nrms)
+    start = explanation.start
+    rows = [Row(study.name, "as it stands", (), start.nrms, start.pooled_rms, {}, {}, *rest)]
+    for step in explanation.steps:
+        values = ({k: dict(v) for k, v in part.items()} for part in (step.parameters, step.deviations))
+        rows.append(
+            Row(study.name, step.effect, step.where, step.error_after, pooled(step), *values, *rest)
+        )
+    return rows
+
+
+def pooled(step: Step) -> float:
+    """Root mean square over joints of the RMS after a step, N·m."""
+    return float(np.sqrt(np.mean(np.square(list(step.rms_after.values())))))
+
+
+def show(rows: Sequence[Row], console: Console) -> None:
+    """Print the table."""
+    table = Table("study", "step", "where", "nrms", "pooled RMS", "floor", "verdict", "s")
+    for row in rows:
+        first = row.step == "as it stands"
+        table.add_row(
+            row.study if first else "",
+            row.step,
+            ", ".join(row.where),
+            f"{row.nrms:.4f}",
+            f"{row.pooled_rms:.3f}",
+            f"{row.floor_nrms:.4f}" if first else "",
+            row.verdict if first else "",
+            f"{row.seconds:.1f}" if first else "",
+            end_section=False,
+        )
+    console.print(table)
+
+
+def main() -> None:
+    """Run the studies from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the measurements")
+    parser.add_argument("--quick", action="store_true", help="only the double pendulum")
+    parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
+    parser.add_argument("--json", type=Path, help="write the table here")
+    parser.add_argument("--figures", type=Path, help="write figures into this folder")
+    options = parser.parse_args()
+    console, rows = Console(width=160), []
+    if not (options.shared / "data").is_dir():
+        parser.exit(2, f"There are no measurements in {options.shared / 'data'}; see --shared.\n")
+    with tempfile.TemporaryDirectory() as saved:
+        for study in STUDIES:
+            if options.quick and study.name not in QUICK:
+                continue
+            begin = time.perf_counter()
+            explanation = run(study, shared=options.shared, saved=Path(saved))
+            rows += rows_of(study, explanation, time.perf_counter() - begin)
+            if options.figures:
+                write_figures(study, explanation, options.figures)
+    show(rows, console)
+    if options.json:
+        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+
+
+def write_figures(study: Study, explanation: Explanation, folder: Path) -> None:
+    """Write the figures of a study's report."""
+    from geodrake.visualization import report_figures
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, figure in report_figures(explanation).items():
+        figure.savefig(folder / f"{study.name.replace(' ', '_')}_{name}.png", dpi=120)
+
+
+if __name__ == "__main__":
+    main()
