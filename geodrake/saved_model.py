@@ -164,6 +164,9 @@ def _with_parameters(
     model: RobotModel, saved: SavedModel, base: Path, extra: Sequence[type[Effect]]
 ) -> RobotModel:
     phi = np.array([saved.inertial_parameters[body] for body in model.bodies])
+    for e in saved.effects:
+        for place in set(e.where).difference(model.joints, model.bodies):
+            raise ModelError(f"it has {e.name} at {place!r}, which the robot does not have.")
     effects = tuple(
         FittedEffect(
             make_effect(e.name, e.where, e.shape, extra),

@@ -8,7 +8,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -106,6 +106,10 @@ def make_effect(
             f"{name} has no shape parameter {unknown[0]!r}.",
             advice=f"It has {', '.join(known)}." if known else "It has none.",
         )
+    for field in fields(cls):  # type: ignore[arg-type]
+        value = shape.get(field.name)
+        if field.type in (int, "int") and isinstance(value, float) and value.is_integer():
+            shape[field.name] = int(value)  # which a saved model holds as a float
     if where:
         shape[place] = tuple(where) if cls.places == "joint_pair" else where[0]
     try:
