@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from geodrake.systems.effect_force import EffectForce
 from geodrake.systems.effort_delay import DelayedEffort
+from geodrake.systems.tracking import add_tracking_drives
 
-__all__ = ["DelayedEffort", "EffectForce"]
+__all__ = ["DelayedEffort", "EffectForce", "add_tracking_drives"]

@@ -1,0 +1,221 @@
+"""Logs of robots that Pinocchio simulates, with hidden effects in formulas of their own.
+
+Nothing here comes from geodrake but the container of the log: dry friction is v / √(v² + ε²), not
+tanh; springs are given by their rest position, payloads as welded bodies, rotors by gear ratio;
+bodies are perturbed, so that the model file's inertias are off.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from geodrake.motion import JointLog
+
+MODELS = Path(__file__).parents[1] / "models"
+STEP = 5e-4
+BANDWIDTH = 120.0  # of the drives, rad/s
+BREAKAWAY_SPEED = 1e-2
+
+
+@dataclass(frozen=True)
+class HiddenEffects:
+    """What the simulated robot has and the model file lacks; joints by index, SI units.
+
+    Attributes:
+        coulomb, viscous: Joint -> F, c.
+        asymmetric: Joint -> (F forwards, F backwards).
+        offset: Joint -> constant effort.
+        spring: Joint -> (stiffness, rest position).
+        load_factor: Joint -> share of the gear's load that friction takes.
+        rotor: Joint -> (gear ratio, inertia of the rotor).
+        belt: (i, j) -> (F, c) of a motor that turns with v_i + v_j.
+        payload: (mass, centre, gyration radius) of a ball held by the last link.
+        late: By how much logged efforts lag behind, s.
+    """
+
+    coulomb: Mapping[int, float] = field(default_factory=dict)
+    viscous: Mapping[int, float] = field(default_factory=dict)
+    asymmetric: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    offset: Mapping[int, float] = field(default_factory=dict)
+    spring: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    load_factor: Mapping[int, float] = field(default_factory=dict)
+    rotor: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    belt: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
+    payload: tuple[float, tuple[float, float, float], float] | None = None
+    late: float = 0.0
+
+
+@dataclass(frozen=True)
+class Multisine:
+    """A smooth random motion that does not repeat, q = centre + Σ_k a_k sin(ω_k t + φ_k)."""
+
+    center: np.ndarray
+    amplitude: np.ndarray
+    phase: np.ndarray
+    rate: np.ndarray
+
+    def __call__(self, t):
+        """Position, velocity and acceleration, (…, n) each, at times t (…)."""
+        angle = self.rate * np.asarray(t)[..., None, None] + self.phase
+        swing = self.amplitude * np.sin(angle)
+        q = self.center + swing.sum(-2)
+        v = (self.amplitude * self.rate * np.cos(angle)).sum(-2)
+        return q, v, -(self.rate**2 * swing).sum(-2)
+
+
+def robot(name):
+    """Pinocchio's model of one of the repository's robots."""
+    return pin.buildModelFromUrdf(str(MODELS / f"{name}.urdf"))
+
+
+def random_motion(model, rng, *, base=0.1, harmonics=6, reach=0.6, pace=0.6):
+    """A motion within shares `reach` of the position and `pace` of the speed limits."""
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    half = np.minimum((high - low) / 2, np.pi / 2)
+    center = np.clip(0.0, low + half, high - half)
+    shape = (harmonics, model.nv)
+    rate = 2 * np.pi * base * (np.arange(1, 1 + harmonics)[:, None] + rng.uniform(-0.4, 0.4, shape))
+    amplitude, phase = rng.uniform(0.3, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
+    q, v, _ = Multisine(center, amplitude, phase, rate)(np.arange(0, 4 / base, 0.01))
+    limit = np.minimum(model.velocityLimit, 4.0)
+    scale = 1 / np.maximum(
+        np.abs(q - center).max(0) / (reach * half), np.abs(v).max(0) / (pace * limit)
+    )
+    return Multisine(center, amplitude * scale, phase, rate)
+
+
+def perturbed(model, rng, off):
+    """A model whose masses, mass centres and inertias are off by a share `off`, still physical."""
+    model = pin.Model(model)
+    for i in range(1, model.njoints):
+        body = model.inertias[i]
+        moments, axes = np.linalg.eigh(0.5 * np.trace(body.inertia) * np.eye(3) - body.inertia)
+        mass = body.mass * np.exp(off * rng.normal())
+        moments = moments * np.exp(off * rng.normal(size=3)) * mass / body.mass
+        lever = body.lever * (1 + off * rng.normal(size=3))
+        second = axes @ np.diag(moments) @ axes.T
+        model.inertias[i] = pin.Inertia(mass, lever, np.trace(second) * np.eye(3) - second)
+    return model
+
+
+def with_hidden_bodies(model, hidden):
+    """The robot that is simulated: payload and rotors included."""
+    model = pin.Model(model)
+    if hidden.payload is not None:
+        mass, center, radius = hidden.payload
+        last = model.inertias[model.njoints - 1]
+        ball = pin.Inertia(mass, np.array(center), mass * radius**2 * np.eye(3))
+        model.inertias[model.njoints - 1] = last + ball
+    for joint, (ratio, inertia) in hidden.rotor.items():
+        model.armature[joint] += ratio**2 * inertia
+    return model
+
+
+def resistance(hidden, n) -> Callable:
+    """The hidden joint torques as a function (q, v, transmitted load), and their slope in v."""
+    dry, wet = np.zeros(n), np.zeros(n)
+    constant, stiffness, rest, factor = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    for joint, value in hidden.coulomb.items():
+        dry[joint] = value
+    for joint, value in hidden.viscous.items():
+        wet[joint] = value
+    for joint, (forwards, backwards) in hidden.asymmetric.items():
+        # Friction of the mean height, and a constant effort on top: the same two levels.
+        dry[joint], constant[joint] = (forwards + backwards) / 2, (forwards - backwards) / 2
+    for joint, value in hidden.offset.items():
+        constant[joint] = value
+    for joint, (k, zero) in hidden.spring.items():
+        stiffness[joint], rest[joint] = k, zero
+    for joint, value in hidden.load_factor.items():
+        factor[joint] = value
+    belts = [(np.eye(n)[i] + np.eye(n)[j], F, c) for (i, j), (F, c) in hidden.belt.items()]
+
+    def torque(q, v, load):
+        height = dry + factor * np.abs(load)
+        root = np.sqrt(v * v + BREAKAWAY_SPEED**2)
+        f = height * v / root + wet * v + constant + stiffness * (q - rest)
+        slope = np.diag(height * BREAKAWAY_SPEED**2 / root**3 + wet)
+        for row, F, c in belts:
+            w = row @ v
+            root_w = np.hypot(w, BREAKAWAY_SPEED)
+            f = f + row * (F * w / root_w + c * w)
+            slope = slope + np.outer(row, row) * (F * BREAKAWAY_SPEED**2 / root_w**3 + c)
+        return f, slope
+
+    return torque
+
+
+def simulate(model, controller_model, motion, hidden, duration):
+    """Positions, velocities and applied efforts, a row a step, of a robot that tracks a motion.
+
+    The drives add stiff PD control to the controller model's inverse dynamics. Steps are linearly
+    implicit in friction and PD, and take the rest at their middle: stable however stiff they are.
+    """
+    plant, n = with_hidden_bodies(model, hidden), model.nv
+    data, inverse = plant.createData(), controller_model.createData()
+    torque = resistance(hidden, n)
+    steps = round(duration / STEP)
+    q_ref, v_ref, a_ref = motion(STEP * np.arange(steps + 1))
+    inertia = 0.1 + np.diag(pin.crba(controller_model, inverse, motion.center))
+    damping = 2 * 0.7 * BANDWIDTH * inertia
+    stiffness = BANDWIDTH**2 * inertia
+    implicit = np.diag(damping + STEP * stiffness)
+    q, v, a, load = q_ref[0].copy(), v_ref[0].copy(), a_ref[0].copy(), np.zeros(n)
+    rows = np.empty((3, steps, n))
+    for k in range(steps):
+        ahead = 0.5 * STEP
+        u = pin.rnea(controller_model, inverse, q_ref[k], v_ref[k], a_ref[k])
+        u += stiffness * (q_ref[k + 1] - q - STEP * v) + damping * (v_ref[k + 1] - v)
+        f, slope = torque(q + ahead * v, v, load)
+        mass = pin.crba(plant, data, q + ahead * v)
+        bias = pin.nle(plant, data, q + ahead * v, v + ahead * a)
+        a = np.linalg.solve(mass + STEP * (slope + implicit), u - f - bias)
+        u -= STEP * implicit @ a
+        load = u - f - STEP * slope @ a
+        rows[:, k] = q, v, u
+        q, v = q + STEP * (v + ahead * a), v + STEP * a
+    return rows
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A log, and the deviation (n,) of the white noise that was added to its efforts."""
+
+    log: JointLog
+    noise: np.ndarray
+
+
+def record(name, rows, rng, *, joints, share=0.04, late=0.0, every=8, encoder=1e-5, least=0.0):
+    """What sensors make of a simulation: white noise on efforts, encoder ticks, late efforts.
+
+    Args:
+        name: Name of the log.
+        rows: Positions, velocities and efforts of `simulate`, a row a step.
+        rng: Random generator.
+        joints: Names of the joints.
+        share: Deviation of the effort's noise, as a share of that of the effort.
+        late: By how much logged efforts lag behind, s.
+        every: Steps from one sample to the next.
+        encoder: Deviation of the position's noise, rad.
+    """
+    q, v, u = rows
+    time = STEP * np.arange(len(q))
+    # An effort is held over a step: at the instant between two steps it is their mean.
+    at = np.arange(1, len(q), every)
+    u = 0.5 * (u[at] + u[at - 1])
+    u = np.stack([np.interp(time[at] - late, time[at], column) for column in u.T], 1)
+    noise = np.hypot(share * u.std(0), least)
+    return Recording(
+        JointLog(
+            name,
+            tuple(joints),
+            time[at],
+            q[at] + encoder * rng.normal(size=u.shape),
+            u + noise * rng.normal(size=u.shape),
+            v[at] + 20 * encoder * rng.normal(size=u.shape),
+        ),
+        noise,
+    )
