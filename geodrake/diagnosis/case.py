@@ -90,6 +90,13 @@ def open_case(
     dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays)
     notes = [*model.notes, *hints]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
+    most = int(dataset.still.argmax())
+    if dataset.still[most] > 0.0:
+        notes.append(
+            "left out of fit and errors: samples at which a joint stands still, where dry friction "
+            f"may be anything ({100 * dataset.still[most]:.0f} % of {model.joints[most]}'s, the "
+            "most of all joints)"
+        )
     notes.append(f"validated on {len(folds)} held-out folds")
     return Case(model, trajectories, folds, dataset, tuple(dict.fromkeys(notes)))
 

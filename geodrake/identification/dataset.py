@@ -101,6 +101,7 @@ class Dataset:
         effort_std: (nv,) standard deviation of the measured effort, N·m or N.
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
         bandwidth: Bandwidth of the filter, Hz.
+        still: (nv,) share of the samples left out because the joint stands still.
     """
 
     joints: tuple[str, ...]
@@ -113,6 +114,7 @@ class Dataset:
     effort_std: Array
     noise_floor: Array
     bandwidth: float
+    still: Array
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:

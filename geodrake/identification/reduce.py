@@ -86,6 +86,7 @@ def reduce_logs(
                 low, high = max(block.start - first, 0), min(block.stop - first, len(chunk[0].b))
                 if low < high:
                     for j, rows in enumerate(chunk):
+                        boxes[j][f].seen += high - low
                         boxes[j][f].add(block, rows.part(low, high))
     return Dataset(
         model.joints,
@@ -106,6 +107,7 @@ def reduce_logs(
         _effort_deviation(model.joints, boxes),
         noise_floor(trajectories),
         trajectories[0].filter.bandwidth,
+        np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
     )
 
 
@@ -176,6 +178,7 @@ class _Box:
     factor: Array | None = None
     pending: list[Array] = field(default_factory=list)
     kept: dict[Block, list[JointRows]] = field(default_factory=lambda: defaultdict(list))
+    seen: int = 0
     samples: int = 0
     sums: Array = field(default_factory=lambda: np.zeros(2))
 
