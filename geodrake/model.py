@@ -58,6 +58,7 @@ class RobotModel:
             then of all effects' parameters; None if the model was never fitted.
         effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
             or N; None if the model was never fitted.
+        fitted_to: Fingerprints of the logs that the model was fitted to.
         notes: What was noticed while loading: repairs, things left out.
     """
 
@@ -68,6 +69,7 @@ class RobotModel:
     effects: tuple[FittedEffect, ...] = ()
     information: Array | None = None
     effort_noise: Array | None = None
+    fitted_to: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @cached_property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -59,6 +60,15 @@ class JointLog:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of the measurements, whatever the order of the joints: tells logs apart."""
+        order = np.argsort(self.joints)
+        digest = hashlib.sha256(np.ascontiguousarray(self.time).tobytes())
+        for values in (self.position, self.effort):
+            digest.update(np.ascontiguousarray(values[:, order]).tobytes())
+        return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
         """The log of some of its joints, in the order given.

@@ -42,6 +42,7 @@ class SavedModel:
         effects: The effects.
         information: Information matrix of the inertial parameters, then of the effects'.
         effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
+        fitted_to: Fingerprints of the logs that the model was fitted to.
     """
 
     format: str = FORMAT
@@ -51,6 +52,7 @@ class SavedModel:
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
     effects: list[SavedEffect] = dc.field(default_factory=list)
     effort_noise: dict[str, float] = dc.field(default_factory=dict)
+    fitted_to: list[str] = dc.field(default_factory=list)
     information: list[list[float]] = dc.field(default_factory=list)
 
 
@@ -103,6 +105,7 @@ def save_model(model: RobotModel, path: str | Path) -> None:
         effort_noise={}
         if model.effort_noise is None
         else dict(zip(model.joints, model.effort_noise.tolist(), strict=True)),
+        fitted_to=list(model.fitted_to),
         information=[] if model.information is None else model.information.tolist(),
     )
     write_whole(path, yaml_dump_typed(saved, schema=SavedModel))
@@ -188,5 +191,11 @@ def _with_parameters(
     if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
         notes += (f"{base.name} has changed since the model was saved.",)
     return replace(
-        model, phi=phi, effects=effects, information=information, effort_noise=noise, notes=notes
+        model,
+        phi=phi,
+        effects=effects,
+        information=information,
+        effort_noise=noise,
+        fitted_to=tuple(saved.fitted_to),
+        notes=notes,
     )

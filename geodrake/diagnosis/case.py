@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
 from geodrake.effects.base import Effect
@@ -38,6 +40,7 @@ class Case:
         trajectories: The prepared logs.
         folds: Validation folds.
         dataset: The reduced logs, with columns for the model's effects and the candidates.
+        fingerprints: Fingerprints of the logs.
         notes: What was done to the logs and noticed about the model.
     """
 
@@ -45,6 +48,7 @@ class Case:
     trajectories: tuple[Trajectory, ...]
     folds: tuple[Fold, ...]
     dataset: Dataset
+    fingerprints: tuple[str, ...]
     notes: tuple[str, ...]
 
 
@@ -71,6 +75,7 @@ def open_case(
     Raises:
         LogError: A log cannot be used.
     """
+    model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     read = [log if isinstance(log, JointLog) else read_log(log) for log in logs]
     matched = [match_joints(log, model.joints) for log in read]
     limits = effort_limits(model.plant)
@@ -98,7 +103,14 @@ def open_case(
             "most of all joints)"
         )
     notes.append(f"validated on {len(folds)} held-out folds")
-    return Case(model, trajectories, folds, dataset, tuple(dict.fromkeys(notes)))
+    fingerprints = tuple(log.fingerprint for log in matched)
+    notes += [
+        f"the model was fitted to {log.name} before: its errors there as it stands are those of "
+        "training data"
+        for log, fingerprint in zip(matched, fingerprints, strict=True)
+        if fingerprint in model.fitted_to
+    ]
+    return Case(model, trajectories, folds, dataset, fingerprints, tuple(dict.fromkeys(notes)))
 
 
 def reopen(case: Case, model: RobotModel) -> Case:

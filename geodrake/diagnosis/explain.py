@@ -129,7 +129,9 @@ def final_fit(case: Case, end: Hypothesis) -> tuple[Case, ModelFit]:
     )
     unknowns = replace(unknowns, columns=columns)
     settled = settle(replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0))
-    fit = fit_model(case.model, reopened.dataset, unknowns, settled.weights, delays=delays)
+    seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
+    base = replace(case.model, fitted_to=seen)
+    fit = fit_model(base, reopened.dataset, unknowns, settled.weights, delays=delays)
     return reopened, fit
 
 
