@@ -1,0 +1,156 @@
+"""The commands of `geodrake`. What they need is imported when they run, so that help is quick."""
+
+from __future__ import annotations
+
+import sys
+from importlib.resources import as_file, files
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geodrake.cli.options import AddOptions, DemoOptions, Options, taking
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from geodrake.cli.session import Input
+    from geodrake.diagnosis.results import Explanation
+
+DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"
+
+app = typer.Typer(
+    name="geodrake",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Tells you what your robot's model is missing, and then fixes it.",
+    epilog="Start with: geodrake demo. Then: geodrake explain robot.urdf log.csv",
+)
+
+
+def main() -> None:
+    """Run the `geodrake` command."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
+    app(prog_name="geodrake")
+
+
+@app.command()
+@taking(Options)
+def compare(options: Options) -> None:
+    """How far the model is from the logs, at which joints, and in which circumstances."""
+    from geodrake.cli.session import Command, run
+    from geodrake.cli.tables import show_comparison
+    from geodrake.diagnosis.compare import compare as work
+    from geodrake.diagnosis.results import Comparison
+    from geodrake.json_output import comparison_dict
+
+    def compared(given: Input) -> Comparison:
+        return work(given.model, given.logs, **given.settings)
+
+    command = Command(
+        "compare", "Comparing", compared, comparison_dict, "render_comparison", show_comparison
+    )
+    run(command, options)
+
+
+@app.command()
+@taking(Options)
+def diagnose(options: Options) -> None:
+    """Which effect the model lacks most, with the evidence."""
+    from geodrake.cli.session import Command, run
+    from geodrake.cli.tables import show_diagnosis
+    from geodrake.diagnosis.diagnose import diagnose as work
+    from geodrake.diagnosis.results import Diagnosis
+    from geodrake.json_output import diagnosis_dict
+
+    def diagnosed(given: Input) -> Diagnosis:
+        return work(given.model, given.logs, extra=given.extra, **given.settings)
+
+    command = Command(
+        "diagnose", "Diagnosing", diagnosed, diagnosis_dict, "render_diagnosis", show_diagnosis
+    )
+    run(command, options)
+
+
+@app.command()
+@taking(AddOptions)
+def add(options: AddOptions) -> None:
+    """Add an effect to the model, refit, and show what it changes."""
+    from geodrake.diagnosis.add import add as work
+
+    def added(given: Input) -> Explanation:
+        return work(
+            options.effect,
+            given.model,
+            given.logs,
+            where=options.where or None,
+            extra=given.extra,
+            **given.settings,
+        )
+
+    _run_explaining("add", f"Adding {options.effect}", added, options)
+
+
+@app.command()
+@taking(Options)
+def explain(options: Options) -> None:
+    """Compare, diagnose and add, until only noise is left or nothing explains the rest."""
+    _explain(options)
+
+
+@app.command()
+@taking(DemoOptions)
+def demo(options: DemoOptions) -> None:
+    """Explain a log that comes with the package, made with an effect that its model lacks."""
+    folder = files("geodrake") / "demo"
+    with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as log:
+        _explain(Options(model=model, logs=[log], json=options.json, report=options.report))
+
+
+def _explain(options: Options) -> None:
+    from geodrake.diagnosis.explain import explain as work
+
+    def explained(given: Input) -> Explanation:
+        return work(
+            given.model,
+            given.logs,
+            extra=given.extra,
+            progress=lambda words, nrms: given.tell(f"Found {words}: nrms {nrms:.3f}"),
+            **given.settings,
+        )
+
+    _run_explaining("explain", "Explaining", explained, options)
+
+
+def _run_explaining(
+    name: str, working: str, work: Callable[[Input], Explanation], options: Options
+) -> None:
+    """Run a command whose result is an explanation."""
+    from geodrake.cli.session import Command, run
+    from geodrake.cli.tables import show_explanation
+    from geodrake.json_output import explanation_dict
+
+    command = Command(name, working, work, explanation_dict, "render_explanation", show_explanation)
+    run(command, options)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from geodrake.cli.session import version
+
+        print(f"geodrake {version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _command(
+    _version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    pass

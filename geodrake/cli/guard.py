@@ -1,0 +1,67 @@
+"""What becomes of errors: one clear message and an exit code, never a traceback unasked."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import typer
+
+from geodrake.errors import GeodrakeError
+
+BAD_INPUT = 2
+INTERNAL_ERROR = 1
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it
+
+
+@contextmanager
+def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterator[None]:
+    """Turn errors into a message on stderr and an exit code.
+
+    Args:
+        debug: Show the traceback too; so does the environment variable GEODRAKE_DEBUG.
+        effect_files: Python files of the user's own, which may be what fails.
+    """
+    try:
+        yield
+    except (typer.Exit, BrokenPipeError):
+        raise
+    except KeyboardInterrupt:
+        _stop("Interrupted.", INTERRUPTED)
+    except Exception as error:  # whatever it is, the user gets a sentence
+        if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
+            traceback.print_exc()
+        if isinstance(error, GeodrakeError):
+            _stop(f"Error: {error}", BAD_INPUT)
+        line = _line_of_user(error, effect_files)
+        if line:
+            _stop(f"Error: {line} raises {_words(error)}.", BAD_INPUT)
+        _stop(
+            f"Internal error: {_words(error)}. This is a bug in geodrake; please report it with "
+            "what --debug shows.",
+            INTERNAL_ERROR,
+        )
+
+
+def _stop(message: str, code: int) -> None:
+    print(message, file=sys.stderr)
+    raise typer.Exit(code) from None
+
+
+def _words(error: Exception) -> str:
+    text = " ".join(str(error).split()).rstrip(".")
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def _line_of_user(error: Exception, effect_files: Sequence[Path]) -> str | None:
+    """The innermost line of a user's file that an error came through."""
+    files = {path.resolve(): path for path in effect_files}
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename).resolve()
+        if path in files:
+            return f"line {frame.lineno} of {files[path]}"
+    return None

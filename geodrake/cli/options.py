@@ -1,0 +1,114 @@
+"""Options that commands share, as dataclasses that typer reads like function parameters."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import typer
+
+from geodrake.cli.guard import guarded
+
+MODEL_HELP = "URDF, SDF, MJCF or Drake directives file, or a model saved with --save."
+LOG_HELP = "CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What compare, diagnose, add and explain are told."""
+
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help=MODEL_HELP)]
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=LOG_HELP)]
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
+    ] = None
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
+    ] = None
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
+    ] = None
+    floating: Annotated[
+        bool, typer.Option("--floating", help="Leave roots free that nothing holds to the world.")
+    ] = False
+    effects: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE.py", help="Try the effects of this file too; repeatable."),
+    ] = None
+    bandwidth: Annotated[
+        float | None,
+        typer.Option(metavar="HZ", help="Bandwidth of the filter; chosen from the data if absent."),
+    ] = None
+    blocks: Annotated[
+        int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
+    ] = None
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
+    ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Addition:
+    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Such as coulomb_friction.")]
+    where: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="Joint or body to add it at; repeatable. Everywhere if absent."
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AddOptions(Options, _Addition):
+    """What add is told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """What demo is told."""
+
+    report: Annotated[
+        Path, typer.Option(metavar="FILE.html", help="Where the page with the figures goes.")
+    ] = Path("geodrake_demo.html")
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
+    ] = None
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
+
+
+T = TypeVar("T", Options, AddOptions, DemoOptions)
+
+
+def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:
+    """Make a function of one options object a command whose parameters are its fields.
+
+    Errors of the command become messages and exit codes.
+    """
+    hints = get_type_hints(options, include_extras=True)
+
+    def decorate(run: Callable[[T], None]) -> Callable[..., None]:
+        @functools.wraps(run)
+        def command(**values: Any) -> None:
+            files = values.get("effects") or ()
+            with guarded(debug=values["debug"], effect_files=files):
+                run(options(**values))
+
+        command.__annotations__ = {f.name: hints[f.name] for f in fields(options)}
+        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [
+                inspect.Parameter(
+                    f.name,
+                    inspect.Parameter.KEYWORD_ONLY,
+                    default=inspect.Parameter.empty if f.default is MISSING else f.default,
+                    annotation=hints[f.name],
+                )
+                for f in fields(options)
+            ]
+        )
+        return command
+
+    return decorate

@@ -1,0 +1,38 @@
+"""Signs of life on stderr during long work; silent when no one is watching."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+Tell = Callable[[str], None]
+
+
+@contextmanager
+def progress(words: str) -> Iterator[Tell]:
+    """A moving bar with words and the time so far, gone when the work is done.
+
+    Args:
+        words: What is being done.
+
+    Yields:
+        A function that replaces the words.
+    """
+    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=16),
+        TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        redirect_stdout=False,
+        redirect_stderr=False,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        task = bar.add_task(words, total=None)
+        yield lambda text: bar.update(task, description=text)

@@ -1,0 +1,143 @@
+"""One run of a command: read, refuse what cannot end well, work, write, tell."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from rich.console import Console
+
+from geodrake.cli.options import Options
+from geodrake.cli.progress import Tell, progress
+from geodrake.cli.tables import make_console, show_saved
+from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.wording import Wording
+from geodrake.diagnosis.results import Explanation
+from geodrake.effects import load_effect_file
+from geodrake.effects.base import Effect
+from geodrake.errors import ArgumentError
+from geodrake.json_output import to_json
+from geodrake.model import RobotModel
+from geodrake.saved_model import load_model
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Input:
+    """What a command works on.
+
+    Attributes:
+        model: The model as it stands.
+        logs: The files of the logs.
+        extra: Effects of the user's own.
+        settings: How logs are prepared: bandwidth and blocks, as keyword arguments.
+        tell: Called with what is going on, in words.
+    """
+
+    model: RobotModel
+    logs: tuple[Path, ...]
+    extra: tuple[type[Effect], ...]
+    settings: Mapping[str, Any]
+    tell: Tell
+
+
+@dataclass(frozen=True)
+class Command(Generic[R]):
+    """The parts in which commands differ.
+
+    Attributes:
+        name: What the command is called.
+        working: What it does, for the progress bar.
+        work: Does it.
+        numbers: The result as a dictionary.
+        page: Name of the function of `geodrake.visualization` that makes the result HTML.
+        show: Prints the result.
+    """
+
+    name: str
+    working: str
+    work: Callable[[Input], R]
+    numbers: Callable[[R], Mapping[str, Any]]
+    page: str
+    show: Callable[[Console, R, Wording], None]
+
+
+def run(command: Command[R], options: Options) -> None:
+    """Run a command.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the targets, does not do.
+    """
+    targets = Targets(options.save, options.json, options.report)
+    read = [options.model, *options.logs, *(options.effects or ())]
+    targets.check(read)
+    _check_logs(options.logs)
+    # matplotlib is slow to import and only the page needs it
+    pages = importlib.import_module("geodrake.visualization") if options.report else None
+    settings = {"bandwidth": options.bandwidth, "blocks": options.blocks}
+    with progress(f"Reading {options.model.name}") as tell:
+        extra = _own_effects(options.effects or ())
+        model = load_model(options.model, floating=options.floating, extra=extra)
+        targets.check([*read, model.path])  # a saved model reads another one
+        tell(command.working)
+        result = command.work(Input(model, tuple(options.logs), extra, settings, tell))
+        fitted = result.model if isinstance(result, Explanation) else model
+        tell("Writing")
+        numbers = to_json(
+            {"version": version(), "command": command.name, **command.numbers(result)}
+        )
+        names = [path.name for path in options.logs]
+        targets.write(
+            fitted,
+            json=lambda: numbers,
+            report=lambda: getattr(pages, command.page)(
+                result,
+                title=f"{options.model.name}: {command.name}",
+                model_name=options.model.name,
+                log_names=names,
+            ),
+        )
+    if options.json == STDOUT:
+        print(numbers, end="")
+    console = make_console(stderr=options.json == STDOUT)
+    console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
+    command.show(console, result, Wording(fitted, extra))
+    show_saved(console, targets.files)
+
+
+def version() -> str:
+    """Version of the installed package."""
+    try:
+        return importlib.metadata.version("geodrake")
+    except importlib.metadata.PackageNotFoundError:
+        return "(not installed)"
+
+
+def _own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
+    """Effects of all files, each name once."""
+    found: dict[str, type[Effect]] = {}
+    for path in paths:
+        for effect in load_effect_file(path):
+            if effect.name in found:
+                raise ArgumentError(
+                    f"{path} defines the effect {effect.name!r}, as another --effects file does.",
+                    advice="Give one of them another name, or leave it out.",
+                )
+            found[effect.name] = effect
+    return tuple(found.values())
+
+
+def _check_logs(logs: Sequence[Path]) -> None:
+    seen: set[Path] = set()
+    for log in logs:
+        if log.resolve() in seen:
+            raise ArgumentError(
+                f"Log {log} is given twice, so it would be validated against itself.",
+                advice="Name each log once.",
+            )
+        seen.add(log.resolve())

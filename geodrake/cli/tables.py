@@ -1,0 +1,180 @@
+"""Results as tables and sentences in a terminal, or as plain text in a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from geodrake.cli.wording import (
+    Wording,
+    comparison_verdict,
+    diagnosis_verdict,
+    explanation_verdict,
+    number,
+    percent,
+)
+from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, JointError
+
+_PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
+_PLACES_WIDTH = 36
+_SAVED = {"save": "model", "json": "numbers", "report": "report"}
+
+
+def make_console(*, stderr: bool = False) -> Console:
+    """A console that prints names and numbers as they are, without reading markup into them."""
+    console = Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    if not console.is_terminal:
+        console.width = _PIPE_WIDTH
+    return console
+
+
+def show_comparison(console: Console, comparison: Comparison, wording: Wording) -> None:
+    """Errors per joint, and where they are concentrated."""
+    errors = comparison.errors
+    _head(console, f"Error of the model as it stands, {wording.effort_unit}")
+    table = _table(console, "joint")
+    _number_columns(table, "std", "RMS", "nrms", "noise", "removable")
+    for joint in errors.joints:
+        table.add_row(
+            joint.joint,
+            number(joint.std),
+            number(joint.rms),
+            f"{joint.nrms:.3f}",
+            number(joint.floor),
+            _removable(joint),
+        )
+    console.print(table)
+    _say(console, "Verdict", comparison_verdict(comparison))
+    _show_list(console, "Where it fails", [str(case) for case in comparison.failing])
+    _show_list(console, "Notes", comparison.notes)
+
+
+def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> None:
+    """Candidates from the best on, with the evidence."""
+    start, refitted = diagnosis.start, diagnosis.refitted
+    levels = f"nrms {start.nrms:.3f} as it stands, {refitted.nrms:.3f} with parameters refitted"
+    if diagnosis.candidates:
+        _head(console, f"Missing effects; {levels}")
+        table = _table(console, "#", "effect", "where")
+        _number_columns(table, "before", "after", "evidence", "chance")
+        for count, candidate in enumerate(diagnosis.candidates, 1):
+            table.add_row(
+                "=" if candidate.tied and count > 1 else str(count),
+                candidate.effect.replace(" + ", "\n+ "),
+                wording.where(candidate.where),
+                f"{candidate.error_before:.3f}",
+                f"{candidate.error_after:.3f}",
+                number(candidate.evidence),
+                _chance(candidate.false_alarm_probability),
+            )
+        console.print(table)
+    else:
+        _head(console, f"No effect found; {levels}")
+    _say(console, "Verdict", diagnosis_verdict(diagnosis, wording))
+    _show_list(console, "Notes", diagnosis.notes)
+
+
+def show_explanation(console: Console, explanation: Explanation, wording: Wording) -> None:
+    """The steps with the error falling, the verdict, and errors per joint."""
+    _show_steps(console, explanation, wording)
+    _say(console, "Verdict", explanation_verdict(explanation, wording))
+    start, refitted, end = explanation.start, explanation.refitted, explanation.end
+    _head(console, f"Error of each joint, RMS in {wording.effort_unit}")
+    table = _table(console, "joint")
+    _number_columns(table, "std", "start", "refitted", "end", "noise", "removable")
+    for before, middle, after in zip(start.joints, refitted.joints, end.joints, strict=True):
+        values = (after.std, before.rms, middle.rms, after.rms, after.floor)
+        table.add_row(after.joint, *map(number, values), _removable(after))
+    table.add_section()
+    table.add_row(
+        "nrms", "", *(f"{e.nrms:.3f}" for e in (start, refitted, end)), f"{end.floor_nrms:.3f}", ""
+    )
+    console.print(table)
+    _show_list(console, "Notes", explanation.notes)
+
+
+def show_saved(console: Console, files: Mapping[str, object]) -> None:
+    """Where files went."""
+    if files:
+        console.print()
+    for option, path in files.items():
+        console.print(f"Saved the {_SAVED[option]}: {path}", soft_wrap=True)
+
+
+def _show_steps(console: Console, explanation: Explanation, wording: Wording) -> None:
+    _head(console, "Steps; nrms on held-out data, everything refitted")
+    table = _table(console, "#", "effect", "where, how much")
+    _number_columns(table, "before", "after")
+    start, refitted = explanation.start.nrms, explanation.refitted.nrms
+    table.add_row("", "as it stands", "", "", f"{start:.3f}")
+    if explanation.steps:
+        table.add_row("", "refitted", "its own parameters", f"{start:.3f}", f"{refitted:.3f}")
+    for count, step in enumerate(explanation.steps, 1):
+        lines = [wording.where(step.where), *wording.parameters(step)]
+        if step.indistinguishable_from:
+            lines.append(f"or: {', '.join(step.indistinguishable_from)}")
+        table.add_row(
+            str(count),
+            step.effect,
+            "\n".join(lines),
+            f"{step.error_before:.3f}",
+            f"{step.error_after:.3f}",
+        )
+    console.print(table)
+
+
+def _table(console: Console, *columns: str) -> Table:
+    """A table with a rule under its head in a terminal, and without lines in a pipe."""
+    table = Table(
+        box=box.SIMPLE_HEAD if console.is_terminal else None,
+        show_edge=False,
+        pad_edge=False,
+        padding=(0, 1, 0, 0) if console.is_terminal else (0, 2, 0, 0),
+    )
+    for name in columns:
+        width = _PLACES_WIDTH if name.startswith("where") else None
+        table.add_column(name, overflow="fold", max_width=width, no_wrap=name == "effect")
+    return table
+
+
+def _number_columns(table: Table, *names: str) -> None:
+    for name in names:
+        table.add_column(name, justify="right", no_wrap=True)
+
+
+def _head(console: Console, words: str) -> None:
+    """A heading after an empty line."""
+    console.print()
+    console.print(Text(words, "bold"), soft_wrap=True)
+
+
+def _say(console: Console, head: str, sentence: str) -> None:
+    """A paragraph; in a pipe it stays one line."""
+    text = Text.assemble((f"{head}: ", "bold"), sentence)
+    console.print()
+    console.print(text, soft_wrap=not console.is_terminal)
+
+
+def _show_list(console: Console, words: str, entries: Sequence[str]) -> None:
+    if not entries:
+        return
+    _head(console, words)
+    for entry in entries:
+        if console.is_terminal:
+            grid = Table.grid(padding=(0, 1))
+            grid.add_row("-", Text(entry))
+            console.print(grid)
+        else:
+            console.print(f"- {entry}", soft_wrap=True)
+
+
+def _removable(joint: JointError) -> str:
+    return percent(joint.removable)
+
+
+def _chance(probability: float) -> str:
+    return "< 1e-9" if probability < 1e-9 else f"{probability:.2g}"

@@ -1,0 +1,103 @@
+"""The files a command writes: checked before the long work, written whole after it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from geodrake.errors import OutputError
+
+if TYPE_CHECKING:
+    from geodrake.model import RobotModel
+
+STDOUT = Path("-")
+_SUFFIXES = {"json": (".json",), "report": (".html", ".htm"), "save": (".yaml", ".yml")}
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Where to write what; None for what is not asked for.
+
+    Attributes:
+        save: The model, YAML.
+        json: The numbers, JSON; `-` is standard output.
+        report: The page with the figures, HTML.
+    """
+
+    save: Path | None = None
+    json: Path | None = None
+    report: Path | None = None
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Option -> file, those asked for."""
+        named = {"save": self.save, "json": self.json, "report": self.report}
+        return {name: path for name, path in named.items() if path and path != STDOUT}
+
+    def check(self, inputs: Iterable[Path]) -> None:
+        """Refuse targets that cannot be written or that would overwrite something else.
+
+        Args:
+            inputs: Files that the command reads.
+
+        Raises:
+            OutputError: A target has another kind's suffix, is an input or another target, is no
+                regular file, or its folder is missing or cannot be written to.
+        """
+        taken = {path.resolve(): "is an input of this command" for path in inputs}
+        for name, path in self.files.items():
+            _check_kind(name, path)
+            reason = taken.get(path.resolve())
+            if reason:
+                raise _refusal(name, path, reason, "Choose another name.")
+            taken[path.resolve()] = f"is already the target of --{name}"
+            try:
+                _check_writable(name, path)
+            except OSError as error:
+                reason = f"cannot be written: {error.strerror or error}"
+                raise _refusal(name, path, reason, "Choose another place.") from error
+
+    def write(
+        self, model: RobotModel, *, json: Callable[[], str], report: Callable[[], str]
+    ) -> None:
+        """Write what was asked for, each file whole or not at all; the texts are made first.
+
+        Raises:
+            OutputError: A file cannot be written after all.
+        """
+        from geodrake.saved_model import save_model, write_whole
+
+        makers = {"json": json, "report": report}
+        texts = {name: makers[name]() for name in self.files if name in makers}
+        for name, text in texts.items():
+            write_whole(self.files[name], text)
+        if self.save:
+            save_model(model, self.save)
+
+
+def _check_kind(name: str, path: Path) -> None:
+    suffixes = _SUFFIXES[name]
+    if path.suffix.lower() not in suffixes:
+        reason = f"does not end in {' or '.join(suffixes)}"
+        raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")
+
+
+def _check_writable(name: str, path: Path) -> None:
+    if not path.parent.is_dir():
+        raise _refusal(
+            name, path, f"is in {path.parent}, which is no folder", "Choose a folder that exists."
+        )
+    if path.exists() and not path.is_file():
+        raise _refusal(name, path, "is there and is no file", "Choose another name.")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise _refusal(name, path, "is there and is read-only", "Choose another name.")
+    with tempfile.TemporaryFile(dir=path.parent):
+        pass
+
+
+def _refusal(name: str, path: Path, reason: str, advice: str) -> OutputError:
+    return OutputError(f"Cannot write --{name} {path}: it {reason}.", advice=advice, path=path)

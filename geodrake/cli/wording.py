@@ -1,0 +1,205 @@
+"""Numbers with their units, and results in plain sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, Step
+from geodrake.effects import effect_class
+from geodrake.effects.base import Effect
+from geodrake.errors import ArgumentError
+from geodrake.model import RobotModel
+
+_UNITS = {
+    "mass": "kg",
+    "delay": "s",
+    "stribeck_velocity": "rad/s",
+    "center": "rad",
+    **{f"com_{axis}": "m" for axis in "xyz"},
+}
+"""Units of what steps report beside the linear parameters of effects."""
+
+_LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
+_FEW = 2  # places whose values are told one by one
+
+
+def number(value: float) -> str:
+    """Three significant digits without an exponent, unless very small or large."""
+    if not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6 or value == round(value):
+        return f"{value:.3g}"
+    digits = np.format_float_positional(
+        value, 3, unique=False, fractional=False, min_digits=3, trim="k"
+    )
+    return digits.rstrip(".")
+
+
+def percent(share: float) -> str:
+    """A share in percent, never rounded up to all of it."""
+    return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
+
+
+def with_deviation(value: float, deviation: float) -> str:
+    """`3.08 ± 0.04`: the value to the first digit of its standard deviation."""
+    if not np.isfinite(deviation) or deviation < 1e-4 * abs(value) or deviation <= 0:
+        return number(value)
+    decimals = int(np.clip(-np.floor(np.log10(deviation)), 0, 6))
+    return f"{value:.{decimals}f} ± {deviation:.{decimals}f}"
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    head, tail = ", ".join(names[:-1]), "".join(names[-1:])
+    return f"{head} {last} {tail}" if head else tail
+
+
+@dataclass(frozen=True)
+class Wording:
+    """How to speak about one model.
+
+    Attributes:
+        model: The model.
+        extra: Effects of the user's own.
+    """
+
+    model: RobotModel
+    extra: tuple[type[Effect], ...] = ()
+    prismatic: frozenset[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        plant = self.model.plant
+        joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+        sliding = {j.velocity_start() for j in joints if j.type_name() == "prismatic"}
+        names = frozenset(self.model.joints[i] for i in sliding)
+        object.__setattr__(self, "prismatic", names)
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of the joints' efforts."""
+        if not self.prismatic:
+            return "N·m"
+        return "N" if len(self.prismatic) == len(self.model.joints) else "N·m or N"
+
+    def where(self, places: Sequence[str]) -> str:
+        """Joints or bodies in words; `all 6 joints` if it is all of several."""
+        joints = self.model.joints
+        if not places or (len(joints) > _FEW and set(places) == set(joints)):
+            return f"all {len(joints)} joints"
+        return ", ".join(places)
+
+    def parameters(self, step: Step) -> tuple[str, ...]:
+        """The parameters of a step, a line each: values at few places, or their range."""
+        values = _by_name(step.parameters, step.where)
+        if "mass" in values and step.effect == "payload":
+            values = {"mass": values["mass"]}
+        return tuple(f"{name} {self._amount(step, name, found)}" for name, found in values.items())
+
+    def finding(self, step: Step) -> str:
+        """`payload on wrist_3_link, 3.08 ± 0.04 kg, nrms 0.434 -> 0.048`."""
+        words = f"{step.effect} on {self.where(step.where)}"
+        values = _by_name(step.parameters, step.where)
+        if "mass" in values or len(values) == 1:
+            name = "mass" if "mass" in values else next(iter(values))
+            words += f", {self._amount(step, name, values[name])}"
+        return f"{words}, nrms {step.error_before:.3f} -> {step.error_after:.3f}"
+
+    def _amount(self, step: Step, name: str, values: Mapping[str, float]) -> str:
+        """Values of one parameter with their unit."""
+        unit = self._unit(step.effect, name, tuple(values))
+        if name == "delay":
+            values, unit = {place: 1e3 * value for place, value in values.items()}, "ms"
+        if len(values) > _FEW:
+            low, high = number(min(values.values())), number(max(values.values()))
+            text = low if low == high else f"{low} … {high}"
+        else:
+            text = ", ".join(
+                with_deviation(value, step.deviations.get(place, {}).get(name, np.nan))
+                for place, value in values.items()
+            )
+        return text if unit in ("", "1") else f"{text} {unit}"
+
+    def _unit(self, effect: str, name: str, places: Sequence[str]) -> str:
+        try:
+            parameters = effect_class(effect, self.extra).parameters
+        except ArgumentError:  # wrong_inertia is found by loosening the prior; it is no class
+            parameters = ()
+        unit = {p.name: p.unit for p in parameters}.get(name, _UNITS.get(name, ""))
+        if places and self.prismatic.issuperset(places):
+            for angular, linear in _LINEAR:
+                unit = unit.replace(angular, linear)
+        return unit
+
+
+def explanation_verdict(explanation: Explanation, wording: Wording) -> str:
+    """What an explanation amounts to, in a few sentences."""
+    end, steps = explanation.end, explanation.steps
+    noise = _against_noise(end.nrms, end.floor_nrms)
+    if explanation.verdict == "adequate":
+        return f"Adequate: no effect is worth adding. nrms {end.nrms:.3f} is sensor noise: {noise}."
+    found = "no effect that geodrake knows takes the error down"
+    if len(steps) == 1:
+        found = wording.finding(steps[0])
+    elif steps:
+        found = (
+            f"{listed([step.effect for step in steps])} take the held-out error from nrms "
+            f"{steps[0].error_before:.3f} to {end.nrms:.3f}"
+        )
+    if explanation.verdict == "explained":
+        return f"Explained: {found}; what is left is sensor noise: {noise}."
+    rest = f"An error is left that nothing explains: nrms {end.nrms:.3f}, {noise}."
+    worst = f" {explanation.after.failing[0]}" if explanation.after.failing else ""
+    return f"{'Explained in part' if steps else 'Unexplained'}: {found}. {rest}{worst}"
+
+
+def diagnosis_verdict(diagnosis: Diagnosis, wording: Wording) -> str:
+    """What a diagnosis amounts to, in a few sentences."""
+    left = diagnosis.refitted
+    noise = _against_noise(left.nrms, left.floor_nrms)
+    if not diagnosis.candidates:
+        if diagnosis.verdict == "adequate":
+            return f"Adequate: nothing is missing. nrms {left.nrms:.3f} is sensor noise: {noise}."
+        return (
+            f"Unexplained: no effect that geodrake knows takes the error down. nrms "
+            f"{left.nrms:.3f}, {noise}."
+        )
+    best, *others = diagnosis.candidates
+    words = (
+        f"Missing: {best.effect} on {wording.where(best.where)}; adding it takes the held-out "
+        f"nrms from {best.error_before:.3f} to {best.error_after:.3f}."
+    )
+    tied = list(dict.fromkeys(c.effect for c in others if c.tied and c.effect != best.effect))
+    if tied:
+        words += f" The log cannot tell it from {listed(tied, 'or')}."
+    return words
+
+
+def comparison_verdict(comparison: Comparison) -> str:
+    """What a comparison amounts to, in a sentence."""
+    errors = comparison.errors
+    noise = _against_noise(errors.nrms, errors.floor_nrms)
+    share = max(0.0, 1.0 - (errors.floor_nrms / errors.nrms) ** 2) if errors.nrms else 0.0
+    return (
+        f"nrms {errors.nrms:.3f}, {noise}; {percent(share)} of the squared error could be removed "
+        "by a better model."
+    )
+
+
+def _against_noise(nrms: float, floor: float) -> str:
+    """How an error compares with the noise floor."""
+    if floor <= 0:
+        return "with no measurable sensor noise"
+    return f"{number(nrms / floor)} times the sensor noise of {floor:.3f}"
+
+
+def _by_name(
+    parameters: Mapping[str, Mapping[str, float]], order: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """Parameter name -> place -> value, places in the order of a step."""
+    rank = {place: i for i, place in enumerate(order)}
+    values: dict[str, dict[str, float]] = {}
+    for place in sorted(parameters, key=lambda place: rank.get(place, len(rank))):
+        for name, value in parameters[place].items():
+            values.setdefault(name, {})[place] = value
+    return values

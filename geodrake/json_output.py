@@ -1,0 +1,119 @@
+"""Results as JSON: plain dictionaries of numbers and names, with null where nothing is known.
+
+The keys of an explanation are a stable interface; more may be added, none are renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
+
+
+def comparison_dict(comparison: Comparison) -> dict[str, Any]:
+    """A comparison: errors of the whole and of each joint, and where they are concentrated.
+
+    Args:
+        comparison: The result of `geodrake.diagnosis.compare.compare`.
+
+    Returns:
+        `error` (nrms, floor_nrms, pooled_rms), `joints` by name (rms, std, nrms, floor in N·m or
+        N, removable), `failing` and `notes`.
+    """
+    errors = comparison.errors
+    return {
+        "error": {
+            "nrms": errors.nrms,
+            "floor_nrms": errors.floor_nrms,
+            "pooled_rms": errors.pooled_rms,
+        },
+        "joints": {
+            joint.joint: {
+                "rms": joint.rms,
+                "std": joint.std,
+                "nrms": joint.nrms,
+                "floor": joint.floor,
+                "removable": joint.removable,
+            }
+            for joint in errors.joints
+        },
+        "failing": [asdict(case) for case in comparison.failing],
+        "notes": list(comparison.notes),
+    }
+
+
+def diagnosis_dict(diagnosis: Diagnosis) -> dict[str, Any]:
+    """A diagnosis: verdict, candidates from the best on, and errors before any of them.
+
+    Args:
+        diagnosis: The result of `geodrake.diagnosis.diagnose.diagnose`.
+    """
+    return {
+        "verdict": diagnosis.verdict,
+        "candidates": [asdict(candidate) for candidate in diagnosis.candidates],
+        "error": _errors(start=diagnosis.start, refit=diagnosis.refitted),
+        "notes": list(diagnosis.notes),
+    }
+
+
+def explanation_dict(explanation: Explanation) -> dict[str, Any]:
+    """An explanation: verdict, steps, and errors at the start, after refitting and at the end.
+
+    Args:
+        explanation: The result of `geodrake.diagnosis.explain.explain` or `…add.add`.
+    """
+    tables = {"start": explanation.start, "refit": explanation.refitted, "end": explanation.end}
+    return {
+        "verdict": explanation.verdict,
+        "steps": [_step(step) for step in explanation.steps],
+        "error": _errors(**tables),
+        "failing": [asdict(case) for case in explanation.after.failing],
+        "notes": list(explanation.notes),
+    }
+
+
+def to_json(result: Mapping[str, Any]) -> str:
+    """Text of a result, numbers that are not finite as null."""
+    return json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _step(step: Step) -> dict[str, Any]:
+    return {
+        "effect": step.effect,
+        "where": step.where,
+        "error_before": step.error_before,
+        "error_after": step.error_after,
+        "parameters": step.parameters,
+        "deviations": step.deviations,
+        "indistinguishable_from": step.indistinguishable_from,
+        "false_alarm_probability": step.false_alarm_probability,
+        "rms_before": step.rms_before,
+        "rms_after": step.rms_after,
+    }
+
+
+def _errors(**tables: ErrorTable) -> dict[str, Any]:
+    """RMS by joint of several tables, then their nrms and pooled RMS; the floor is common."""
+    last = list(tables.values())[-1]
+    return {
+        **{name: table.by_joint() for name, table in tables.items()},
+        "floor": {joint.joint: joint.floor for joint in last.joints},
+        **{f"{name}_nrms": table.nrms for name, table in tables.items()},
+        "floor_nrms": last.floor_nrms,
+        "pooled_rms": {name: table.pooled_rms for name, table in tables.items()},
+    }
+
+
+def _plain(value: Any) -> Any:
+    """The value in dictionaries, lists, strings, Python numbers and None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):  # numpy arrays and scalars
+        return _plain(value.tolist())
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,233 @@
+"""The command on logs that it can use: tables, sentences, files, progress."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import geodrake
+from geodrake import visualization
+from geodrake.cli import wording
+from geodrake.cli.app import app
+from geodrake.effects import CoulombFriction
+from geodrake.log_files import write_log
+from geodrake.motion import JointLog, Motion
+from geodrake.saved_model import load_model
+
+MODEL = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
+DATA = Path(__file__).parents[2] / "shared" / "data"
+DEMO_LOG = Path(geodrake.__file__).parent / "demo" / "demo.csv"
+COULOMB = {"shoulder": 0.3, "elbow": 0.2}
+
+
+def pendulum_log(path, *, friction=True, seed=0, seconds=20.0):
+    """A log of the double pendulum with dry and viscous friction and sensor noise."""
+    rng = np.random.default_rng(seed)
+    model = load_model(MODEL)
+    time = np.arange(0.0, seconds, 0.01)
+    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
+    phases = rng.uniform(0, 2 * np.pi, rates.shape)
+    angle = rates * time[:, None, None] + phases
+    q, v, vd = (
+        np.sum(0.4 * factor, axis=-1)
+        for factor in (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    )
+    effort = model.effort(Motion(q, v, vd))
+    if friction:
+        effort += np.sign(v) * list(COULOMB.values()) + 0.1 * v
+    effort += 0.02 * rng.normal(size=effort.shape)
+    write_log(JointLog("log", model.joints, time, q, effort), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return pendulum_log(tmp_path_factory.mktemp("logs") / "log.csv")
+
+
+def geodrake_command(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_explain_tells_saves_and_writes_the_schema(log, tmp_path):
+    saved, numbers = tmp_path / "model.yaml", tmp_path / "out.json"
+    result = geodrake_command("explain", MODEL, log, "--save", saved, "--json", numbers)
+    assert result.exit_code == 0, result.output
+    for words in ("coulomb_friction", "Verdict: ", "Error of each joint", "bandwidth", str(saved)):
+        assert words in result.output
+    assert not re.search("[─━│\x1b]", result.output)
+
+    found = json.loads(numbers.read_text())
+    assert found["verdict"] in ("adequate", "explained", "unexplained")
+    assert found["command"] == "explain"
+    coulomb = next(step for step in found["steps"] if step["effect"] == "coulomb_friction")
+    assert set(coulomb["where"]) == set(COULOMB)
+    for joint, value in COULOMB.items():
+        assert coulomb["parameters"][joint]["coulomb"] == pytest.approx(value, rel=0.15)
+    assert coulomb["error_after"] < coulomb["error_before"]
+    assert isinstance(coulomb["indistinguishable_from"], list)
+    assert 0 <= coulomb["false_alarm_probability"] <= 1
+    error = found["error"]
+    for table in ("start", "end", "floor", "refit"):
+        assert set(error[table]) == set(COULOMB)
+    assert error["end_nrms"] < error["start_nrms"]
+    assert error["floor_nrms"] > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.yaml", "out.json"]
+
+    again = geodrake_command("compare", saved, log, "--json", "-")
+    assert again.exit_code == 0, again.output
+    compared = json.loads(again.stdout)  # the tables go to stderr
+    assert compared["error"]["nrms"] == pytest.approx(error["end_nrms"], rel=0.3)
+    assert set(compared["joints"]["elbow"]) == {"rms", "std", "nrms", "floor", "removable"}
+    assert "Verdict: nrms" in again.stderr
+
+
+def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
+    saved, numbers = tmp_path / "model.yml", tmp_path / "d.json"
+    result = geodrake_command("diagnose", MODEL, log, "--save", saved, "--json", numbers)
+    assert result.exit_code == 0, result.output
+    assert "Missing: " in result.output
+    found = json.loads(numbers.read_text())
+    assert "coulomb_friction" in found["candidates"][0]["effect"]
+    assert found["error"]["start_nrms"] > found["candidates"][0]["error_after"]
+    assert geodrake.load_model(saved).effects == ()
+
+
+def test_add_takes_a_place_and_a_saved_model(log, tmp_path):
+    saved = tmp_path / "model.yaml"
+    result = geodrake_command(
+        "add", "coulomb_friction", MODEL, log, "--where", "elbow", "--save", saved
+    )
+    assert result.exit_code == 0, result.output
+    effects = [fitted.effect for fitted in geodrake.load_model(saved).effects]
+    assert CoulombFriction("elbow") in effects
+    assert CoulombFriction("shoulder") not in effects
+    assert re.search(r"coulomb_friction on elbow, [\d.]+ ± [\d.]+ N·m, nrms", result.output)
+
+
+def test_no_step_is_told_of_a_model_that_is_right(tmp_path):
+    log = pendulum_log(tmp_path / "log.csv", friction=False)
+    result = geodrake_command("explain", MODEL, log)
+    assert result.exit_code == 0, result.output
+    assert "Adequate: " in result.output
+
+
+def test_own_effects_are_tried(log, tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(OWN_EFFECT)
+    arguments = ("add", "cosine_friction", MODEL, log, "--where", "elbow", "--effects", own)
+    result = geodrake_command(*arguments)
+    assert result.exit_code == 0, result.output
+    assert "cosine_friction on elbow" in result.output
+
+
+OWN_EFFECT = """
+from dataclasses import dataclass
+import numpy as np
+from geodrake.effects import JointEffect, Parameter
+
+@dataclass(frozen=True)
+class CosineFriction(JointEffect):
+    name = "cosine_friction"
+    parameters = (Parameter("strength", "N·m"),)
+
+    def columns(self, motion):
+        return [np.cos(motion.q) * motion.sign_v]
+"""
+
+
+def test_report_is_one_page(log, tmp_path):
+    if not hasattr(visualization, "render_comparison"):
+        pytest.skip("the page is not there yet")
+    page = tmp_path / "page.html"
+    assert geodrake_command("compare", MODEL, log, "--report", page).exit_code == 0
+    assert "<html" in page.read_text(encoding="utf-8")
+
+
+def test_module_runs_piped_in_ascii_without_progress(log):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "80"}
+    run = subprocess.run(
+        [sys.executable, "-m", "geodrake", "compare", MODEL, log],
+        capture_output=True,
+        text=True,
+        env=environment,
+        cwd=MODEL.parents[1],
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    assert "shoulder" in run.stdout
+
+
+def test_version_and_help():
+    assert re.match(r"geodrake ", geodrake_command("--version").output)
+    text = geodrake_command("--help").output
+    for command in ("compare", "diagnose", "add", "explain", "demo"):
+        assert command in text
+        assert geodrake_command(command, "--help").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (36.31, "36.3"),
+        (0.14, "0.140"),
+        (128.7, "129"),
+        (123456.7, "123000"),
+        (2.0, "2"),
+        (0, "0"),
+        (1.5e-7, "1.5e-07"),
+        (np.nan, "nan"),
+    ],
+)
+def test_numbers_have_three_digits(value, text):
+    assert wording.number(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (3.0839, 0.038, "3.08 ± 0.04"),
+        (12.5, 0.6, "12.5 ± 0.6"),
+        (345.6, 12.0, "346 ± 12"),
+        (3.0839, np.nan, "3.08"),
+        (3.0839, 1e-9, "3.08"),
+    ],
+)
+def test_values_end_where_their_deviation_begins(value, deviation, text):
+    assert wording.with_deviation(value, deviation) == text
+
+
+def test_shares_are_not_rounded_up_to_all():
+    assert [wording.percent(x) for x in (0.5, 0.9999, 1.0)] == ["50 %", "> 99 %", "100 %"]
+
+
+def test_units_follow_the_joint():
+    model = load_model(MODEL)
+    assert wording.Wording(model).effort_unit == "N·m"
+    assert wording.listed(["a", "b", "c"], "or") == "a, b or c"
+    assert wording.listed(["a"]) == "a"
+
+
+def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
+    if not DEMO_LOG.is_file() or not hasattr(visualization, "render_explanation"):
+        pytest.skip("the demo's log or the page is not there")
+    monkeypatch.chdir(tmp_path)
+    result = geodrake_command("demo")
+    assert result.exit_code == 0, result.output
+    assert "geodrake_demo.html" in result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the real measurements are not here")
+def test_real_pendulum_is_explained():
+    logs = sorted(DATA.glob("double_pendulum_c1_*.csv"))
+    result = geodrake_command("explain", MODEL, *logs)
+    assert result.exit_code == 0, result.output
+    assert "coulomb_friction" in result.output
