@@ -1,0 +1,67 @@
+"""Logs of a double pendulum on known motions, with hidden efforts in formulas written out here."""
+
+from pathlib import Path
+
+import numpy as np
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake.motion import JointLog
+
+PENDULUM = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
+JOINTS = ("shoulder", "elbow")
+NOISE = np.array([0.03, 0.015])  # deviation of the effort's noise, N·m
+
+
+def multisine(time, rng, *, base=0.1, harmonics=8, reach=1.2):
+    """Smooth random motion: positions, velocities and accelerations (N, 2) at some instants."""
+    rate = 2 * np.pi * base * np.arange(1, harmonics + 1)[:, None]
+    angle = rate[None] * time[:, None, None] + rng.uniform(0, 2 * np.pi, (harmonics, 2))
+    swing = reach * rng.uniform(0.3, 1.0, (harmonics, 2)) / np.sqrt(harmonics)
+    q = (swing * np.sin(angle)).sum(1)
+    v = (swing * rate * np.cos(angle)).sum(1)
+    return q, v, -(swing * rate**2 * np.sin(angle)).sum(1)
+
+
+def body_effort(q, v, vd):
+    """Inverse dynamics (N, 2) of Drake's own reading of the model file, welded to the world."""
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(PENDULUM))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    rows = []
+    for positions, velocities, accelerations in zip(q, v, vd, strict=True):
+        plant.SetPositions(context, positions)
+        plant.SetVelocities(context, velocities)
+        forces = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        rows.append(plant.CalcInverseDynamics(context, accelerations, forces))
+    return np.array(rows)
+
+
+def pendulum_log(seed, hidden=None, *, seconds=40.0, rate=200.0, noise=NOISE, **motion):
+    """A log of the pendulum.
+
+    Args:
+        seed: Of motion and noise.
+        hidden: Function (q, v, vd, load) -> efforts (N, 2) that the model file lacks.
+        seconds: Length.
+        rate: Sampling rate, Hz.
+        noise: (2,) deviation of the white noise of the efforts, N·m.
+        motion: Further arguments of `multisine`.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * rate)) / rate
+    q, v, vd = multisine(time, rng, **motion)
+    effort = load = body_effort(q, v, vd)
+    if hidden is not None:
+        effort = load + hidden(q, v, vd, load)
+    effort = effort + np.asarray(noise) * rng.normal(size=effort.shape)
+    return JointLog(f"log_{seed}", JOINTS, time, q + 1e-6 * rng.normal(size=q.shape), effort)
+
+
+def friction(coulomb, viscous=(0.0, 0.0)):
+    """Dry and viscous friction (N·m, N·m·s/rad) of both joints, as a hidden effort."""
+    return lambda q, v, vd, load: np.array(coulomb) * np.sign(v) + np.array(viscous) * v
