@@ -1,1 +1,38 @@
-"""."""
+"""What results look like: matplotlib figures, and reports as self-contained HTML pages."""
+
+from __future__ import annotations
+
+from geodrake.visualization.figures import (
+    candidate_figure,
+    joint_error_figure,
+    step_figure,
+    step_stages,
+)
+from geodrake.visualization.report import (
+    comparison_figures,
+    diagnosis_figures,
+    render_comparison,
+    render_diagnosis,
+    render_explanation,
+    report_figures,
+    save_figures,
+)
+from geodrake.visualization.series_figures import effort_figure, residual_figure
+from geodrake.visualization.units import Units
+
+__all__ = [
+    "Units",
+    "candidate_figure",
+    "comparison_figures",
+    "diagnosis_figures",
+    "effort_figure",
+    "joint_error_figure",
+    "render_comparison",
+    "render_diagnosis",
+    "render_explanation",
+    "report_figures",
+    "residual_figure",
+    "save_figures",
+    "step_figure",
+    "step_stages",
+]

@@ -1,0 +1,152 @@
+"""A page of a report: its parts as plain data, and the way to one self-contained HTML file."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
+
+from geodrake.visualization.style import png
+
+_TEMPLATE = "report.html.jinja"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An entry of a table.
+
+    Attributes:
+        text: What it says.
+        note: What stands under it in small letters.
+        bar: Share in [0, 1] to draw as a bar beside the text; None for no bar.
+    """
+
+    text: str
+    note: str = ""
+    bar: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of words and numbers.
+
+    Attributes:
+        head: Titles of the columns.
+        rows: The rows, as long as the head.
+        words: How many columns from the left hold words; the others hold numbers.
+        title: What stands above it.
+        total: Whether the last row sums the others up.
+    """
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    words: int = 1
+    title: str = ""
+    total: bool = False
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure on a page.
+
+    Attributes:
+        source: The image, as a data URI.
+        caption: What it shows; also read out by screen readers.
+    """
+
+    source: str
+    caption: str
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page under a heading.
+
+    Attributes:
+        title: The heading.
+        text: Paragraphs.
+        tables: Tables.
+        items: Entries of a list.
+        pictures: Figures.
+    """
+
+    title: str
+    text: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+    items: tuple[str, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A number worth seeing first.
+
+    Attributes:
+        label: What it is.
+        value: The number, in words.
+        note: What it means.
+    """
+
+    label: str
+    value: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report.
+
+    Attributes:
+        title: Title of the page.
+        subject: What was held against what.
+        verdict: "adequate", "explained", "unexplained" or "compared"; decides the colour.
+        headline: The answer, in a sentence.
+        lead: What the answer means, in paragraphs.
+        tiles: The numbers worth seeing first.
+        sections: What follows.
+        footer: Versions.
+    """
+
+    title: str
+    subject: str
+    verdict: str
+    headline: str
+    lead: tuple[str, ...]
+    tiles: tuple[Tile, ...]
+    sections: tuple[Section, ...]
+    footer: str
+
+
+def picture(figure: Figure, caption: str) -> Picture:
+    """A figure as an image that is part of the page."""
+    return Picture(f"data:image/png;base64,{base64.b64encode(png(figure)).decode()}", caption)
+
+
+def pictures(figures: Mapping[str, Figure], captions: Mapping[str, str]) -> tuple[Picture, ...]:
+    """The figures that have captions, in the order of the captions."""
+    return tuple(picture(figures[name], text) for name, text in captions.items() if name in figures)
+
+
+def cells(*texts: str | Cell) -> tuple[Cell, ...]:
+    """A row of a table."""
+    return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
+
+
+def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
+    """The sections that say something."""
+    return tuple(s for s in sections if s.text or s.tables or s.items or s.pictures)
+
+
+def render(page: Page) -> str:
+    """The page as one HTML file that loads nothing from elsewhere; all text is escaped."""
+    environment = Environment(
+        loader=PackageLoader("geodrake", "visualization"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(_TEMPLATE).render(page=page)
