@@ -219,3 +219,34 @@ def record(name, rows, rng, *, joints, share=0.04, late=0.0, every=8, encoder=1e
         ),
         noise,
     )
+
+
+def without_effects(name, seed, *, colour=0.0, off=0.0, duration=16.0, share=0.03):
+    """A log of a robot that has no hidden effect: inverse dynamics of a random motion, and noise.
+
+    Args:
+        name: Name of the robot.
+        seed: Of motion, robot and noise.
+        colour: Correlation of the effort's noise from one sample to the next (at 250 Hz).
+        off: Share by which the bodies differ from the model file.
+        duration: Length, s.
+        share: Deviation of the effort's noise, as a share of that of the effort.
+    """
+    rng, model = np.random.default_rng(seed), robot(name)
+    plant = perturbed(model, rng, off)
+    data, time = plant.createData(), np.arange(0.0, duration, 8 * STEP)
+    q, v, a = random_motion(model, rng)(time)
+    effort = np.array([pin.rnea(plant, data, *sample) for sample in zip(q, v, a, strict=True)])
+    noise = np.sqrt(1 - colour**2) * rng.normal(size=effort.shape)
+    for k in range(1, len(noise)):
+        noise[k] += colour * noise[k - 1]
+    deviation = share * effort.std(0)
+    log = JointLog(
+        f"{name} {seed}",
+        tuple(model.names[1:]),
+        time,
+        q + 1e-5 * rng.normal(size=q.shape),
+        effort + deviation * noise,
+        v + 2e-4 * rng.normal(size=q.shape),
+    )
+    return Recording(log, deviation)

@@ -1,0 +1,88 @@
+"""Every script in `diagrams/` runs, shortened, and writes its numbers and figures."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake.log_files import read_log
+
+ROOT = Path(__file__).parents[1]
+SCRIPTS = sorted((ROOT / "diagrams").glob("*.py"))
+
+
+def run(script, *arguments):
+    """Runs a script as a user does; what it printed."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
+    return subprocess.run(
+        [sys.executable, str(script), *map(str, arguments)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_script(script, tmp_path):
+    table, figures = tmp_path / "table.json", tmp_path / "figures"
+    done = run(script, "--quick", "--seed", 3, "--json", table, "--figures", figures)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(table.read_text(encoding="utf-8"))
+    assert list(figures.glob("*.png"))
+
+
+class TestHiddenEffectLog:
+    SCRIPT = ROOT / "diagrams" / "hidden_effect_log.py"
+
+    def test_demo_log_is_what_the_script_makes(self, tmp_path):
+        done = run(self.SCRIPT, "--demo", "--quick", "--log", tmp_path / "log.csv")
+        assert done.returncode == 0, done.stderr
+        made = read_log(tmp_path / "log.csv")
+        shipped = read_log(Path(str(files("geodrake.demo") / "demo.csv")))
+        assert made.joints == shipped.joints
+        first = slice(len(made))
+        np.testing.assert_allclose(made.time, shipped.time[first])
+        np.testing.assert_allclose(made.position, shipped.position[first], atol=1e-4)
+        np.testing.assert_allclose(made.velocity, shipped.velocity[first], atol=2e-3)
+        # Noise is a share of the effort's deviation, which differs between 4 and 24 s.
+        error = (made.effort - shipped.effort[first]).std(0)
+        assert (error < 0.05 * shipped.effort.std(0)).all()
+
+    def test_demo_model_is_the_arm(self):
+        demo = (files("geodrake.demo") / "demo.urdf").read_bytes()
+        arm = (ROOT / "models" / "arm6.urdf").read_bytes()
+        assert hashlib.sha256(demo).digest() == hashlib.sha256(arm).digest()
+
+    def test_several_effects(self, tmp_path):
+        done = run(
+            self.SCRIPT,
+            *("--quick", "--robot", "double_pendulum", "--log", tmp_path / "log.npz"),
+            *("--effect", "coulomb_friction", "--where", "shoulder", "--size", "0.16"),
+            *("--effect", "joint_spring", "--where", "elbow", "--size", "1.0,0.0"),
+        )
+        assert done.returncode == 0, done.stderr
+        assert len(read_log(tmp_path / "log.npz")) == 1000
+
+    @pytest.mark.parametrize(
+        ("effect", "where", "message"),
+        [("friction", "elbow", "no effect 'friction'"), ("viscous_friction", "knee", "'knee'")],
+    )
+    def test_bad_effects(self, tmp_path, effect, where, message):
+        log = tmp_path / "log.csv"
+        done = run(
+            self.SCRIPT,
+            *("--quick", "--robot", "double_pendulum", "--log", log),
+            *("--effect", effect, "--where", where, "--size", "1"),
+        )
+        assert done.returncode == 1
+        assert message in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not log.exists()
