@@ -1,5 +1,6 @@
 """The command on logs that it can use: tables, sentences, files, progress."""
 
+import io
 import json
 import os
 import re
@@ -9,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 import geodrake
 from geodrake import visualization
-from geodrake.cli import wording
+from geodrake.cli import tables, wording
 from geodrake.cli.app import app
+from geodrake.diagnosis import compare, diagnose, explain
 from geodrake.effects import CoulombFriction
 from geodrake.log_files import write_log
 from geodrake.motion import JointLog, Motion
@@ -171,6 +174,19 @@ def test_version_and_help():
     for command in ("compare", "diagnose", "add", "explain", "demo"):
         assert command in text
         assert geodrake_command(command, "--help").exit_code == 0
+
+
+def test_a_terminal_of_80_columns_is_wide_enough(log):
+    model = load_model(MODEL)
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=80, markup=False, highlight=False)
+    words = wording.Wording(model)
+    tables.show_explanation(console, explain(model, [log]), words)
+    tables.show_diagnosis(console, diagnose(model, [log]), words)
+    tables.show_comparison(console, compare(model, [log]), words)
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", screen.getvalue()).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("coulomb_friction" in line and "shoulder, elbow" in line for line in lines)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,6 @@ import typer
 from geodrake.cli.options import AddOptions, DemoOptions, Options, taking
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from geodrake.cli.session import Input
     from geodrake.diagnosis.results import Explanation
 
@@ -78,7 +76,10 @@ def diagnose(options: Options) -> None:
 @taking(AddOptions)
 def add(options: AddOptions) -> None:
     """Add an effect to the model, refit, and show what it changes."""
+    from geodrake.cli.session import Command, run
+    from geodrake.cli.tables import show_addition
     from geodrake.diagnosis.add import add as work
+    from geodrake.json_output import explanation_dict
 
     def added(given: Input) -> Explanation:
         return work(
@@ -90,7 +91,15 @@ def add(options: AddOptions) -> None:
             **given.settings,
         )
 
-    _run_explaining("add", f"Adding {options.effect}", added, options)
+    command = Command(
+        "add",
+        f"Adding {options.effect}",
+        added,
+        explanation_dict,
+        "render_explanation",
+        show_addition,
+    )
+    run(command, options)
 
 
 @app.command()
@@ -110,7 +119,10 @@ def demo(options: DemoOptions) -> None:
 
 
 def _explain(options: Options) -> None:
+    from geodrake.cli.session import Command, run
+    from geodrake.cli.tables import show_explanation
     from geodrake.diagnosis.explain import explain as work
+    from geodrake.json_output import explanation_dict
 
     def explained(given: Input) -> Explanation:
         return work(
@@ -121,18 +133,14 @@ def _explain(options: Options) -> None:
             **given.settings,
         )
 
-    _run_explaining("explain", "Explaining", explained, options)
-
-
-def _run_explaining(
-    name: str, working: str, work: Callable[[Input], Explanation], options: Options
-) -> None:
-    """Run a command whose result is an explanation."""
-    from geodrake.cli.session import Command, run
-    from geodrake.cli.tables import show_explanation
-    from geodrake.json_output import explanation_dict
-
-    command = Command(name, working, work, explanation_dict, "render_explanation", show_explanation)
+    command = Command(
+        "explain",
+        "Explaining",
+        explained,
+        explanation_dict,
+        "render_explanation",
+        show_explanation,
+    )
     run(command, options)
 
 

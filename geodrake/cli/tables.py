@@ -11,6 +11,7 @@ from rich.text import Text
 
 from geodrake.cli.wording import (
     Wording,
+    addition_verdict,
     comparison_verdict,
     diagnosis_verdict,
     explanation_verdict,
@@ -82,6 +83,18 @@ def show_explanation(console: Console, explanation: Explanation, wording: Wordin
     """The steps with the error falling, the verdict, and errors per joint."""
     _show_steps(console, explanation, wording)
     _say(console, "Verdict", explanation_verdict(explanation, wording))
+    _show_change(console, explanation, wording)
+
+
+def show_addition(console: Console, explanation: Explanation, wording: Wording) -> None:
+    """The same for an effect that was asked for, whatever the evidence for it."""
+    _show_steps(console, explanation, wording)
+    _say(console, "Result", addition_verdict(explanation, wording))
+    _show_change(console, explanation, wording)
+
+
+def _show_change(console: Console, explanation: Explanation, wording: Wording) -> None:
+    """Errors per joint from the start to the end, and the notes."""
     start, refitted, end = explanation.start, explanation.refitted, explanation.end
     _head(console, f"Error of each joint, RMS in {wording.effort_unit}")
     table = _table(console, "joint")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, Step
+from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
 from geodrake.effects import effect_class
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
@@ -135,9 +135,8 @@ class Wording:
 def explanation_verdict(explanation: Explanation, wording: Wording) -> str:
     """What an explanation amounts to, in a few sentences."""
     end, steps = explanation.end, explanation.steps
-    noise = _against_noise(end.nrms, end.floor_nrms)
     if explanation.verdict == "adequate":
-        return f"Adequate: no effect is worth adding. nrms {end.nrms:.3f} is sensor noise: {noise}."
+        return f"Adequate: no effect is worth adding; {_noise_alone(end)}."
     found = "no effect that geodrake knows takes the error down"
     if len(steps) == 1:
         found = wording.finding(steps[0])
@@ -147,22 +146,29 @@ def explanation_verdict(explanation: Explanation, wording: Wording) -> str:
             f"{steps[0].error_before:.3f} to {end.nrms:.3f}"
         )
     if explanation.verdict == "explained":
-        return f"Explained: {found}; what is left is sensor noise: {noise}."
-    rest = f"An error is left that nothing explains: nrms {end.nrms:.3f}, {noise}."
-    worst = f" {explanation.after.failing[0]}" if explanation.after.failing else ""
-    return f"{'Explained in part' if steps else 'Unexplained'}: {found}. {rest}{worst}"
+        return f"Explained: {found}; {_noise_alone(end)}."
+    rest = f"An error is left that nothing explains: {_against_noise(end)}."
+    head = "Explained in part" if steps else "Unexplained"
+    return f"{head}: {found}. {rest}{_worst(explanation)}"
+
+
+def addition_verdict(explanation: Explanation, wording: Wording) -> str:
+    """What adding an effect changed, and what is left."""
+    found = listed([wording.finding(step) for step in explanation.steps]) or "nothing"
+    if explanation.verdict != "unexplained":
+        return f"Added {found}; {_noise_alone(explanation.end)}."
+    return f"Added {found}. Left: {_against_noise(explanation.end)}.{_worst(explanation)}"
 
 
 def diagnosis_verdict(diagnosis: Diagnosis, wording: Wording) -> str:
     """What a diagnosis amounts to, in a few sentences."""
     left = diagnosis.refitted
-    noise = _against_noise(left.nrms, left.floor_nrms)
     if not diagnosis.candidates:
         if diagnosis.verdict == "adequate":
-            return f"Adequate: nothing is missing. nrms {left.nrms:.3f} is sensor noise: {noise}."
+            return f"Adequate: nothing is missing; {_noise_alone(left)}."
         return (
-            f"Unexplained: no effect that geodrake knows takes the error down. nrms "
-            f"{left.nrms:.3f}, {noise}."
+            "Unexplained: no effect that geodrake knows takes the error down: "
+            f"{_against_noise(left)}."
         )
     best, *others = diagnosis.candidates
     words = (
@@ -178,19 +184,30 @@ def diagnosis_verdict(diagnosis: Diagnosis, wording: Wording) -> str:
 def comparison_verdict(comparison: Comparison) -> str:
     """What a comparison amounts to, in a sentence."""
     errors = comparison.errors
-    noise = _against_noise(errors.nrms, errors.floor_nrms)
     share = max(0.0, 1.0 - (errors.floor_nrms / errors.nrms) ** 2) if errors.nrms else 0.0
     return (
-        f"nrms {errors.nrms:.3f}, {noise}; {percent(share)} of the squared error could be removed "
-        "by a better model."
+        f"{_against_noise(errors)}; a better model could remove {percent(share)} of the squared "
+        "error."
     )
 
 
-def _against_noise(nrms: float, floor: float) -> str:
+def _against_noise(errors: ErrorTable) -> str:
     """How an error compares with the noise floor."""
+    nrms, floor = errors.nrms, errors.floor_nrms
     if floor <= 0:
-        return "with no measurable sensor noise"
-    return f"{number(nrms / floor)} times the sensor noise of {floor:.3f}"
+        return f"nrms {nrms:.3f}, without measurable sensor noise"
+    return f"nrms {nrms:.3f}, {number(nrms / floor)} times the sensor noise of {floor:.3f}"
+
+
+def _noise_alone(errors: ErrorTable) -> str:
+    """That an error is no larger than the noise floor, or hardly."""
+    return f"what is left, nrms {errors.nrms:.3f}, is sensor noise ({errors.floor_nrms:.3f})"
+
+
+def _worst(explanation: Explanation) -> str:
+    """Where the final model errs most, as a sentence after a space."""
+    failing = explanation.after.failing
+    return f" {failing[0]}" if failing else ""
 
 
 def _by_name(
