@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from geodrake.cli.options import AddOptions, DemoOptions, Options, taking
+from geodrake.cli.version import version
 
 if TYPE_CHECKING:
     from geodrake.cli.session import Input
@@ -146,8 +147,6 @@ def _explain(options: Options) -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from geodrake.cli.session import version
-
         print(f"geodrake {version()}")
         raise typer.Exit
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from geodrake.cli.options import Options
 from geodrake.cli.progress import Tell, progress
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.version import version
 from geodrake.cli.wording import Wording
 from geodrake.diagnosis.results import Explanation
 from geodrake.effects import load_effect_file
@@ -108,14 +108,6 @@ def run(command: Command[R], options: Options) -> None:
     console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
     command.show(console, result, Wording(fitted, extra))
     show_saved(console, targets.files)
-
-
-def version() -> str:
-    """Version of the installed package."""
-    try:
-        return importlib.metadata.version("geodrake")
-    except importlib.metadata.PackageNotFoundError:
-        return "(not installed)"
 
 
 def _own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
