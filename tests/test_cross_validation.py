@@ -1,0 +1,273 @@
+"""Held-out errors from triangular factors, against ridge regression on the stacked rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
+from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
+
+from geodrake import load_model
+from geodrake.effects import (
+    AsymmetricFriction,
+    CoulombFriction,
+    CoupledFriction,
+    EffortOffset,
+    JointSpring,
+    Payload,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geodrake.folds import validation_blocks
+from geodrake.identification.cross_validation import CrossValidation, hold_out
+from geodrake.identification.model_fit import (
+    as_it_stands,
+    fit_problem,
+    held_out_physical,
+    model_unknowns,
+)
+from geodrake.identification.reduce import reduce_logs
+from geodrake.identification.unknowns import effect_prior
+from geodrake.inertia import is_physical
+from geodrake.model import FittedEffect
+from geodrake.preparation import prepare_logs
+
+WEIGHTS = np.array([30.0, 70.0])
+EFFECTS = (
+    *(effect(joint) for effect in (CoulombFriction, ViscousFriction) for joint in JOINTS),
+    AsymmetricFriction("elbow"),
+    CoupledFriction(JOINTS, 1),
+    EffortOffset("shoulder"),
+    JointSpring("elbow"),
+    StribeckFriction("shoulder", 0.2),
+    Payload("lower_link"),
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def dataset(model):
+    logs = [pendulum_log(seed, friction((0.2, 0.1), (0.1, 0.05))) for seed in (1, 2)]
+    trajectories = prepare_logs(logs, bandwidth=6.0)
+    folds = validation_blocks(trajectories, blocks=2)
+    return reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.01))
+
+
+def with_effects(dataset, unknowns, *effects):
+    for effect in effects:
+        mean, information = effect_prior(dataset, effect)
+        unknowns = unknowns.with_effect(effect, dataset.effect_columns(effect), information, mean)
+    return unknowns
+
+
+def stacked(dataset, columns, fold, joint, delay=0):
+    """Rows A (K, p) over given columns, zero where a joint has none, and b (K,)."""
+    data = dataset.data[joint]
+    rows = data.rows[fold]
+    A = np.zeros((sum(len(r.b) for r in rows), len(columns)))
+    position = {column: i for i, column in enumerate(data.columns)}
+    own = np.concatenate([r.A for r in rows])
+    for i, column in enumerate(columns):
+        if column in position:
+            A[:, i] = own[:, position[column]]
+    return A, np.concatenate([r.b[:, delay] for r in rows])
+
+
+def ridge_fit(dataset, unknowns, *, without, delay=0):
+    """Fit to all folds but one by bounded least squares on the rows themselves."""
+    rows, sides = [], []
+    for fold in range(len(dataset.folds)):
+        for joint in range(len(dataset.joints)):
+            if fold != without:
+                A, b = stacked(dataset, unknowns.columns, fold, joint, delay)
+                rows.append(np.sqrt(WEIGHTS[joint]) * A)
+                sides.append(np.sqrt(WEIGHTS[joint]) * b)
+    values, vectors = np.linalg.eigh(unknowns.information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    A, b = np.vstack([*rows, root]), np.concatenate([*sides, root @ unknowns.mean])
+    scale = 1.0 / np.linalg.norm(A, axis=0)
+    bounds = (unknowns.lower / scale, unknowns.upper / scale)
+    return scale * lsq_linear(A * scale, b, bounds, method="bvls", tol=1e-14).x
+
+
+def ridge_errors(dataset, unknowns, *, delay=0):
+    """Squared held-out errors (F, nv) of such fits."""
+    sse = np.empty((len(dataset.folds), len(dataset.joints)))
+    for fold in range(len(dataset.folds)):
+        x = ridge_fit(dataset, unknowns, without=fold, delay=delay)
+        for joint in range(len(dataset.joints)):
+            A, b = stacked(dataset, unknowns.columns, fold, joint, delay)
+            sse[fold, joint] = np.sum((b - A @ x) ** 2)
+    return sse
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("effects", [(), EFFECTS[:1], EFFECTS[:4], (EFFECTS[6], EFFECTS[7])])
+def test_held_out_errors_are_those_of_ridge_regression(dataset, model, effects, delay):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *effects)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
+    expected = ridge_errors(dataset, unknowns, delay=delay)
+    np.testing.assert_allclose(cv.held_out.sse, expected, rtol=1e-5)
+    x = ridge_fit(dataset, unknowns, without=None, delay=delay)
+    for joint in range(2):
+        A, _ = stacked(dataset, unknowns.columns, 0, joint)
+        np.testing.assert_allclose(A @ cv.fit_all(), A @ x, atol=1e-5)
+
+
+def test_information_of_a_fitted_model_is_kept(dataset, model):
+    """Correlated prior information about a nonzero mean."""
+    rng = np.random.default_rng(1)
+    fitted = tuple(FittedEffect(e, np.array([0.15])) for e in EFFECTS[:4])
+    p = model.phi.size + 4
+    root = rng.normal(size=(p, p)) * 10.0
+    known = replace(model, effects=fitted, information=root @ root.T)
+    unknowns = model_unknowns(dataset, known)
+    np.testing.assert_array_equal(unknowns.information, known.information)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    np.testing.assert_allclose(cv.held_out.sse, ridge_errors(dataset, unknowns), rtol=1e-5)
+
+
+def test_certain_prior_cannot_be_moved(dataset, model):
+    unknowns = model_unknowns(dataset, model, spread=1e-7)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    held = as_it_stands(dataset, model)
+    np.testing.assert_allclose(cv.held_out.sse, held.sse, rtol=1e-4)
+
+
+def test_bound_is_kept(dataset, model):
+    """Friction of the wrong sign is what such data would like: it stays at zero."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = replace(unknowns, mean=-unknowns.mean)
+    negated = replace(
+        dataset,
+        data=tuple(
+            replace(
+                data,
+                factors=data.factors * np.r_[np.ones(len(data.columns)), -np.ones(2)],
+                rows=tuple(
+                    tuple(replace(rows, b=-rows.b) for rows in blocks) for blocks in data.rows
+                ),
+            )
+            for data in dataset.data
+        ),
+    )
+    cv = CrossValidation(negated, unknowns, WEIGHTS)
+    spans = [unknowns.span(effect).start for effect in EFFECTS[:4]]
+    np.testing.assert_array_equal(cv.held_out.x[:, spans], 0.0)
+    np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
+
+
+@pytest.mark.parametrize("candidate", EFFECTS[4:], ids=lambda effect: effect.name)
+def test_candidate_is_as_good_as_a_refit(dataset, model, candidate):
+    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:2])
+    columns = dataset.effect_columns(candidate)
+    mean, information = effect_prior(dataset, candidate)
+    lower = np.array([parameter.lower for parameter in candidate.parameters])
+    if candidate.name == "payload":
+        lower[:] = -np.inf  # bounds are those of the physical fit
+    shortcut = CrossValidation(dataset, base, WEIGHTS).with_candidate(columns, information, lower)
+    both = base.with_effect(candidate, columns, information, mean)
+    both = replace(both, lower=np.concatenate([base.lower, lower]))
+    np.testing.assert_allclose(shortcut.sse, ridge_errors(dataset, both), rtol=1e-4)
+    assert (shortcut.x[:, len(base.columns) :] >= lower).all()
+
+
+def test_several_candidates_at_once(dataset, model):
+    base = model_unknowns(dataset, model)
+    pair = EFFECTS[:4]
+    columns = np.concatenate([dataset.effect_columns(e) for e in pair])
+    information = block_diag(*[effect_prior(dataset, e)[1] for e in pair])
+    shortcut = CrossValidation(dataset, base, WEIGHTS).with_candidate(
+        columns, information, np.zeros(4)
+    )
+    full = CrossValidation(dataset, with_effects(dataset, base, *pair), WEIGHTS)
+    np.testing.assert_allclose(shortcut.sse, full.held_out.sse, rtol=1e-6)
+
+
+def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):
+    """Friction that is taken already: what is left of its sign is negative in some fold or none."""
+    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    cv = CrossValidation(dataset, base, WEIGHTS)
+    columns = dataset.effect_columns(CoupledFriction(JOINTS, 1))
+    after = cv.with_candidate(columns, 1e-9 * np.eye(2), np.zeros(2))
+    at_zero = np.all(after.x[:, -2:] == 0.0, axis=1)
+    np.testing.assert_allclose(after.sse[at_zero], cv.held_out.sse[at_zero], rtol=1e-12)
+    assert (after.x[:, -2:] >= 0.0).all()
+
+
+def test_errors_of_given_parameters_are_those_of_the_rows(dataset):
+    rng = np.random.default_rng(2)
+    columns = np.concatenate([dataset.effect_columns(e) for e in EFFECTS])
+    x = rng.normal(size=(len(dataset.folds), len(columns)))
+    for delay in (0, 1):
+        found = hold_out(dataset, columns, x, delay=delay)
+        for fold in range(len(dataset.folds)):
+            for joint in range(2):
+                A, b = stacked(dataset, columns, fold, joint, delay)
+                expected = np.sum((b - A @ x[fold]) ** 2)
+                assert found.sse[fold, joint] == pytest.approx(expected, rel=1e-9)
+                assert found.samples[fold, joint] == len(b)
+    np.testing.assert_allclose(found.mse, found.sse.sum(0) / found.samples.sum(0))
+    np.testing.assert_allclose(found.rms**2, found.mse)
+
+
+def test_deviations_are_those_of_the_normal_matrix(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    matrix = unknowns.information.copy()
+    for fold in range(len(dataset.folds)):
+        for joint in range(2):
+            A, _ = stacked(dataset, unknowns.columns, fold, joint)
+            matrix += WEIGHTS[joint] * A.T @ A
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    expected = scale * np.sqrt(np.diag(np.linalg.inv(matrix * np.outer(scale, scale))))
+    found = CrossValidation(dataset, unknowns, WEIGHTS).deviations()
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_fit_finds_the_friction_that_was_there(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    np.testing.assert_allclose(cv.fit_all()[-4:], [0.2, 0.1, 0.1, 0.05], atol=0.01)
+
+
+def test_physical_fit_is_the_ridge_fit_where_that_is_physical(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model, spread=0.05), *EFFECTS[:4])
+    free = CrossValidation(dataset, unknowns, WEIGHTS).held_out
+    physical = held_out_physical(dataset, unknowns, WEIGHTS)
+    assert is_physical(free.x[:, :20].reshape(-1, 10)).all()
+    np.testing.assert_allclose(physical.sse, free.sse, rtol=1e-3)
+
+
+def test_problem_has_the_residuals_of_the_rows(dataset, model):
+    """‖R [x; −1]‖² of the program is the weighted sum of squares, for any parameters."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS)
+    rng = np.random.default_rng(3)
+    problem = fit_problem(dataset, unknowns, WEIGHTS, without=1, delay=1)
+    for _ in range(3):
+        x = rng.normal(size=len(unknowns.columns))
+        residual = problem.factor @ np.r_[x, -1.0]
+        expected = sum(
+            WEIGHTS[joint] * np.sum((b - A @ x) ** 2)
+            for fold in (0, 2, 3)
+            for joint in range(2)
+            for A, b in [stacked(dataset, unknowns.columns, fold, joint, 1)]
+        )
+        assert residual @ residual == pytest.approx(expected, rel=1e-9)
+
+
+def test_unknowns_without_an_effect_are_those_before_it(dataset, model):
+    base = model_unknowns(dataset, model)
+    every = with_effects(dataset, base, *EFFECTS)
+    for effect in EFFECTS:
+        fewer = every.without_effect(effect)
+        rest = with_effects(dataset, base, *(e for e in EFFECTS if e != effect))
+        assert fewer.effects == rest.effects
+        assert fewer.starts == rest.starts
+        assert fewer.inertia_blocks == rest.inertia_blocks
+        for name in ("columns", "mean", "information", "lower", "upper"):
+            np.testing.assert_array_equal(getattr(fewer, name), getattr(rest, name))

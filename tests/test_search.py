@@ -1,0 +1,290 @@
+"""The search: what is offered, tried, chosen, swapped and dropped."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
+
+from geodrake import load_model
+from geodrake.diagnosis.candidates import Package, kind_complexity, kinds
+from geodrake.diagnosis.case import open_case
+from geodrake.diagnosis.evidence import Criteria, effective_samples, log_likelihood_gain
+from geodrake.diagnosis.forward import search, tuned
+from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
+from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
+from geodrake.diagnosis.refine import prune, simplify
+from geodrake.diagnosis.search import choose, convincing, gain_of, rank, try_package
+from geodrake.effects import (
+    CoulombFriction,
+    CoupledFriction,
+    EffortOffset,
+    JointEffect,
+    JointSpring,
+    NonlinearViscousFriction,
+    Parameter,
+    Payload,
+    StribeckFriction,
+    ViscousFriction,
+    catalogue,
+)
+from geodrake.filtering import design_filter
+from geodrake.identification.model_fit import model_unknowns
+
+CRITERIA = Criteria()
+COULOMB = tuple(CoulombFriction(joint) for joint in JOINTS)
+VISCOUS = tuple(ViscousFriction(joint) for joint in JOINTS)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+def start_of(model, hidden, *, seed=1):
+    case = open_case(
+        model,
+        [pendulum_log(seed, hidden), pendulum_log(seed + 100, hidden)],
+        candidates=True,
+        bandwidth=6.0,
+    )
+    return first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+
+
+@pytest.fixture(scope="module")
+def with_friction(model):
+    """Dry friction at both joints, viscous friction at the shoulder."""
+    return start_of(model, friction((0.2, 0.1), (0.15, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def without(model):
+    return start_of(model, None)
+
+
+def offered(effects, present=()):
+    return {kind.names: kind for kind in kinds(effects, present)}
+
+
+def test_kinds_gather_places_and_shapes():
+    grid = [NonlinearViscousFriction("elbow", 0.5), NonlinearViscousFriction("elbow", 2.0)]
+    found = offered([*COULOMB, *grid], present=[CoulombFriction("elbow"), ViscousFriction("elbow")])
+    assert set(found[("coulomb_friction",)].options) == {("shoulder",)}
+    shapes = found[("nonlinear_viscous_friction",)].options[("elbow",)]
+    assert [package.effects for package in shapes] == [(grid[0],), (grid[1],)]
+
+
+def test_dry_and_viscous_friction_are_a_pair():
+    found = offered([*COULOMB, *VISCOUS])
+    pair = found[("coulomb_friction", "viscous_friction")]
+    assert pair.unite
+    assert set(pair.options) == {("shoulder",), ("elbow",)}
+    assert {len(p.effects) for p in pair.options[("elbow",)]} == {1, 2}
+    assert ("coulomb_friction", "viscous_friction") not in offered([*COULOMB, VISCOUS[0]], VISCOUS)
+
+
+def test_what_is_there_is_not_offered():
+    assert offered([*COULOMB], present=COULOMB) == {}
+
+
+def test_refinements_need_what_they_refine():
+    stribeck = StribeckFriction("elbow", 0.1)
+    assert offered([stribeck]) == {}
+    assert offered([stribeck], present=[*COULOMB]) == {}
+    assert ("stribeck_friction",) in offered([stribeck], present=[*COULOMB, *VISCOUS])
+
+
+def test_bodies_and_pairs_are_named_one_at_a_time():
+    found = offered([Payload("upper_link"), Payload("lower_link"), CoupledFriction(JOINTS)])
+    assert not found[("payload",)].unite
+    assert not found[("coupled_friction",)].unite
+
+
+def test_shapes_count_as_parameters():
+    assert Package((CoulombFriction("elbow"),), ("elbow",)).parameters == 1
+    assert Package((NonlinearViscousFriction("elbow", 0.5),), ("elbow",)).parameters == 2
+    assert Package((*COULOMB, *VISCOUS), ("elbow",)).parameters == 4
+    assert kind_complexity(["coulomb_friction", "stribeck_friction"]) == 2
+    assert kind_complexity(["viscous_friction"]) < kind_complexity(["effect of one's own"])
+
+
+def test_candidates_are_all_that_the_robot_can_have(model):
+    found = candidate_effects(model, np.array([2.0, 3.0]))
+    per_log = {effect.name for effect in catalogue() if effect.places == "log"}
+    assert {e.name for e in found} == {effect.name for effect in catalogue()} - per_log
+    assert len(set(found)) == len(found)
+    assert {e.where for e in found if e.name == "payload"} == {(body,) for body in model.bodies}
+    still = candidate_effects(model, np.array([2.0, 0.0]))
+    assert not [e for e in still if e.where == ("elbow",)]
+
+
+@pytest.mark.parametrize(("period", "bandwidth"), [(0.002, 10.0), (0.01, 2.0), (0.04, 12.0)])
+def test_delays_are_those_that_can_be_told_apart(period, bandwidth):
+    delays = candidate_delays(period, bandwidth)
+    assert delays[0] == 0.0
+    assert len(set(delays)) == len(delays)
+    assert max(np.abs(delays)) <= LONGEST_DELAY + 1e-12
+    assert np.diff(sorted(delays)).min() >= period - 1e-12
+
+
+def test_first_hypothesis_weighs_joints_by_their_errors(with_friction):
+    """Residual rows, effective samples and mean squared errors belong together."""
+    hypothesis = with_friction
+    blocks = residual_blocks(hypothesis.dataset, hypothesis.unknowns.columns, hypothesis.held_out.x)
+    for joint, residuals in enumerate(blocks):
+        squares = sum(float(block @ block) for block in residuals)
+        assert squares == pytest.approx(hypothesis.held_out.sse[:, joint].sum(), rel=1e-8)
+        assert hypothesis.effective[joint] == pytest.approx(effective_samples(residuals), rel=1e-8)
+    assert (hypothesis.effective < 0.7 * hypothesis.held_out.samples.sum(0)).all()
+
+
+def test_trial_of_what_is_missing(with_friction):
+    trial = try_package(with_friction, Package((COULOMB[0],), ("shoulder",)), 100)
+    refit = with_friction.with_effects([COULOMB[0]])
+    assert trial.convinces(CRITERIA)
+    assert trial.reduction > 0.3
+    assert trial.agreement == 1.0
+    # With the weights of the hypothesis instead of its own, a trial is nearly as good.
+    settled = gain_of(with_friction, refit)
+    assert trial.gain == pytest.approx(settled, rel=0.3)
+
+
+def test_gain_is_the_log_likelihood_ratio(with_friction):
+    after = with_friction.with_effects(COULOMB)
+    expected = after.effective * np.log(with_friction.held_out.mse / after.held_out.mse)
+    assert gain_of(with_friction, after) == pytest.approx(expected.sum())
+    assert gain_of(after, after) == 0.0
+    gains = log_likelihood_gain(np.ones(2), np.ones(2), np.array([50.0, 60.0]))
+    np.testing.assert_array_equal(gains, 0.0)
+
+
+def test_joints_are_named_where_they_convince(with_friction):
+    with_dry = with_friction.with_effects(COULOMB)
+    (viscous,) = [
+        kind
+        for kind in kinds(with_dry.dataset.effects, with_dry.unknowns.effects)
+        if kind.names == ("viscous_friction",)
+    ]
+    found = convincing(with_dry, viscous, 100, CRITERIA)
+    assert [trial.package.place for trial in found] == [("shoulder",)]
+
+
+def test_ranking_names_the_friction_first(with_friction):
+    ranked = rank(tuned(with_friction), CRITERIA)
+    chosen = choose(ranked)
+    assert set(chosen.names) & {"coulomb_friction", "viscous_friction"}
+    assert [r.score for r in ranked] == sorted((r.score for r in ranked), reverse=True)
+    assert ranked[0].tied
+    assert all(r.alarm <= CRITERIA.alarm for r in ranked)
+    assert chosen.hypothesis.nrms < 0.6 * with_friction.nrms
+
+
+def test_simplest_of_those_that_tie_is_chosen(with_friction):
+    ranked = rank(with_friction, CRITERIA)
+    first = replace(ranked[0], names=("wrong_inertia",), tied=True, gain=1e6)
+    simple = replace(ranked[0], names=("coulomb_friction",), tied=True)
+    better = replace(simple, gain=simple.gain + 1.0)
+    apart = replace(simple, names=("viscous_friction",), tied=False, gain=1e9)
+    assert choose([first, simple, better, apart]) is better
+
+
+def test_what_does_not_help_is_dropped(with_friction):
+    needless = (EffortOffset("elbow"), JointSpring("shoulder", exponent=3))
+    full = with_friction.with_effects([*COULOMB, VISCOUS[0], *needless])
+    kept = prune(full, [], CRITERIA)
+    assert set(kept.unknowns.effects) == {*COULOMB, VISCOUS[0]}
+    stays = prune(full, needless[:1], CRITERIA)
+    assert set(stays.unknowns.effects) == {*COULOMB, VISCOUS[0], needless[0]}
+
+
+def test_simple_effect_takes_the_place_of_a_complex_one(with_friction):
+    """The asymmetric friction that is found is symmetric: dry friction says as much."""
+    asymmetric = next(
+        e
+        for e in with_friction.dataset.effects
+        if e.name == "asymmetric_friction" and e.where == ("elbow",)
+    )
+    full = with_friction.with_effects([COULOMB[0], VISCOUS[0], asymmetric])
+    simple = simplify(full, [], CRITERIA)
+    assert set(simple.unknowns.effects) == {*COULOMB, VISCOUS[0]}
+    assert simplify(full, [asymmetric], CRITERIA).unknowns.effects == full.unknowns.effects
+
+
+def test_search_finds_what_is_missing(with_friction):
+    told = []
+    trail = search(
+        with_friction,
+        [],
+        CRITERIA,
+        tune=True,
+        progress=lambda words, nrms: told.append((words, nrms)),
+    )
+    assert set(trail.end.unknowns.effects) == {*COULOMB, VISCOUS[0]}
+    assert trail.start is with_friction
+    errors = [nrms for _, nrms in told]
+    assert errors == sorted(errors, reverse=True)
+    floor = NOISE * design_filter(1 / 200.0, trail.end.dataset.bandwidth).noise_gain
+    np.testing.assert_allclose(trail.end.held_out.rms, floor, rtol=0.15)
+
+
+def test_search_with_no_steps_left_stays(with_friction):
+    trail = search(with_friction, [], CRITERIA, max_steps=0)
+    assert trail.end.unknowns.effects == ()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_search_finds_nothing_where_nothing_is(model, seed):
+    trail = search(start_of(model, None, seed=seed), [], CRITERIA, tune=True)
+    assert trail.end.unknowns.effects == ()
+    assert trail.end.delay == 0
+    assert trail.end.looseness <= 1.0
+
+
+def test_prior_gets_tighter_where_the_model_is_right(without):
+    tight = tuned(without)
+    assert tight.looseness <= 1.0
+    assert tight.nrms <= without.nrms * 1.001
+    loose = without.loosened(10.0)
+    assert tuned(loose) is loose
+
+
+def test_looser_prior_only_concerns_the_bodies(with_friction):
+    hypothesis = with_friction.with_effects(COULOMB)
+    loose = hypothesis.loosened(10.0)
+    before, after = hypothesis.unknowns.information, loose.unknowns.information
+    np.testing.assert_allclose(after[:20, :20], before[:20, :20] / 100.0)
+    np.testing.assert_array_equal(after[20:, 20:], before[20:, 20:])
+    assert loose.looseness == 10.0
+
+
+def test_delay_is_found(model):
+    log = pendulum_log(7, friction((0.2, 0.1)))
+    late = replace(log, time=log.time[:-6], position=log.position[6:], effort=log.effort[:-6])
+    case = open_case(model, [late], candidates=True, bandwidth=6.0)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    trail = search(start, [], CRITERIA, tune=True)
+    found = case.dataset.delays[trail.end.delay]
+    step = abs(case.dataset.delays[1])
+    assert found == pytest.approx(0.03, abs=step)
+    assert set(trail.end.unknowns.effects) == set(COULOMB)
+
+
+def test_effect_of_ones_own_is_found(model):
+    @dataclass(frozen=True)
+    class Hose(JointEffect):
+        name = "hose"
+        parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
+
+        def columns(self, joint):
+            return [np.cos(3 * joint.q), np.sin(3 * joint.q)]
+
+    def hidden(q, v, vd, load):
+        return np.stack([np.zeros(len(q)), 0.3 * np.cos(3 * q[:, 1])], 1)
+
+    case = open_case(model, [pendulum_log(8, hidden)], candidates=True, extra=[Hose], bandwidth=6.0)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    trail = search(start, [], CRITERIA, tune=True)
+    assert trail.end.unknowns.effects == (Hose("elbow"),)
+    cosine, sine = trail.end.cv.fit_all()[-2:]
+    assert cosine == pytest.approx(0.3, abs=0.02)
+    assert sine == pytest.approx(0.0, abs=0.02)
