@@ -17,7 +17,7 @@ from geodrake.motion import JointLog
 MODELS = Path(__file__).parents[1] / "models"
 STEP = 5e-4
 BANDWIDTH = 120.0  # of the drives, rad/s
-BREAKAWAY_SPEED = 1e-2
+BREAKAWAY_SPEED = 5e-3
 
 
 @dataclass(frozen=True)
