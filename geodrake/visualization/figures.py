@@ -45,11 +45,12 @@ def joint_error_figure(
     floor = np.array([start.joints[i].floor for i in at]) / std
     figure = style.new_figure(3.7)
     ax = style.polish(figure.subplots(), grid="y")
-    width = 0.82 / len(columns)
+    width = min(0.3, 0.82 / len(columns))
     colors = _colors(len(columns))
     tops = np.maximum([rms / std for _, rms in columns], _LEAST)
     for i, (top, color) in enumerate(zip(tops, colors, strict=True)):
-        ax.bar(np.arange(len(at)) + (i + 0.5) * width - 0.41, top, 0.92 * width, color=color)
+        shift = (i - 0.5 * (len(columns) - 1)) * width
+        ax.bar(np.arange(len(at)) + shift, top, 0.92 * width, color=color)
     seen = np.concatenate([tops[np.isfinite(tops)], floor[floor > 0]])
     ax.set_ylim(0.5 * seen.min(), 1.6 * seen.max())
     style.log_scale(ax, "y")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
@@ -71,6 +72,7 @@ class Section:
         tables: Tables.
         items: Entries of a list.
         pictures: Figures.
+        abreast: Whether the tables are narrow and may stand side by side.
     """
 
     title: str
@@ -78,6 +80,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()
+    abreast: bool = False
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,7 @@ class Page:
         title: Title of the page.
         subject: What was held against what.
         verdict: "adequate", "explained", "unexplained" or "compared"; decides the colour.
+        mark: The verdict in words.
         headline: The answer, in a sentence.
         lead: What the answer means, in paragraphs.
         tiles: The numbers worth seeing first.
@@ -113,6 +117,7 @@ class Page:
     title: str
     subject: str
     verdict: str
+    mark: str
     headline: str
     lead: tuple[str, ...]
     tiles: tuple[Tile, ...]
@@ -140,12 +145,22 @@ def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
     return tuple(s for s in sections if s.text or s.tables or s.items or s.pictures)
 
 
+def _unbroken(value: Any) -> Any:
+    """Text whose numbers stay on one line with their per cent signs and deviations."""
+    if not isinstance(value, str):
+        return value
+    return value.replace(" %", "\N{NO-BREAK SPACE}%").replace(
+        " ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
+    )
+
+
 def render(page: Page) -> str:
     """The page as one HTML file that loads nothing from elsewhere; all text is escaped."""
     environment = Environment(
         loader=PackageLoader("geodrake", "visualization"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_unbroken,
         trim_blocks=True,
         lstrip_blocks=True,
     )

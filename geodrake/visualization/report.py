@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.metadata
 import os
@@ -59,21 +60,23 @@ def render_comparison(
     """
     units = units or Units()
     errors = comparison.errors
+    figures = comparison_figures(comparison, units=units)
     tiles = (
         Tile("error", number(errors.nrms), "nrms: error over std of the effort"),
         Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model"),
         Tile("removable", percent(words.removable_share(errors)), "of the squared error"),
     )
     parts = (
-        sections.joints_section(errors, None, units),
+        _with_pictures(sections.joints_section(errors, None, units), figures, "joint_errors"),
         sections.failing_section(comparison),
-        _figures_section(comparison_figures(comparison, units=units)),
+        _figures_section(figures, without=("joint_errors",)),
         sections.method_section(comparison, refitted=False),
         sections.notes_section(comparison.notes),
     )
     page = Page(
         title,
         _subject(model_name, log_names),
+        "compared",
         "compared",
         words.comparison_headline(comparison),
         words.comparison_lead(comparison),
@@ -106,9 +109,9 @@ def render_diagnosis(
     ranking = sections.candidates_section(diagnosis, units)
     parts = (
         _with_pictures(ranking, figures, "candidates"),
-        sections.joints_section(start, None, units),
+        _with_pictures(sections.joints_section(start, None, units), figures, "joint_errors"),
         sections.failing_section(comparison),
-        _figures_section(figures, without=("candidates",)),
+        _figures_section(figures, without=("candidates", "joint_errors")),
         sections.method_section(comparison, refitted=True),
         sections.notes_section(diagnosis.notes),
     )
@@ -116,6 +119,7 @@ def render_diagnosis(
         title,
         _subject(model_name, log_names),
         diagnosis.verdict,
+        "effect found" if diagnosis.candidates else diagnosis.verdict,
         words.diagnosis_headline(diagnosis),
         words.diagnosis_lead(diagnosis),
         tiles,
@@ -134,19 +138,12 @@ def render_explanation(
     """
     units = Units.of(explanation.model)
     start, end = explanation.start, explanation.end
-    gone = words.explained_share(start.nrms, end.nrms)
-    tiles = (
-        Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
-        Tile("now", number(end.nrms), "nrms on held-out data"),
-        Tile("sensor noise", number(end.floor_nrms), "the nrms of a perfect model"),
-        Tile("explained", percent(gone), "of the squared error"),
-        Tile("removable", percent(words.removable_share(end)), "of the squared error left"),
-    )
+    joints = sections.joints_section(start, end if explanation.steps else None, units)
     figures = report_figures(explanation)
     parts = (
         _with_pictures(sections.steps_section(explanation, units), figures, "steps"),
         sections.parameters_section(explanation, units),
-        _with_pictures(sections.joints_section(start, end, units), figures, "joint_errors"),
+        _with_pictures(joints, figures, "joint_errors"),
         sections.failing_section(explanation.after),
         _figures_section(figures, without=("steps", "joint_errors")),
         sections.method_section(explanation.after, refitted=True),
@@ -156,9 +153,10 @@ def render_explanation(
         title,
         _subject(model_name, log_names),
         explanation.verdict,
+        words.explanation_mark(explanation),
         words.explanation_headline(explanation),
         words.explanation_lead(explanation),
-        tiles,
+        _explanation_tiles(explanation),
         without_empty(parts),
         _footer(explanation.before),
     )
@@ -218,12 +216,27 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
             temporary.write_bytes(image)
             temporary.replace(path)
         except OSError as error:
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                temporary.unlink()
             raise OutputError(
                 f"Cannot write {path}: {error.strerror}.", advice="Choose another place.", path=path
             ) from error
         paths.append(path)
     return tuple(paths)
+
+
+def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
+    start, end = explanation.start, explanation.end
+    gone = words.explained_share(start.nrms, end.nrms)
+    now = Tile("now", number(end.nrms), "nrms on held-out data")
+    explained = Tile("explained", percent(gone), "of the squared error")
+    return (
+        Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
+        *([now] if explanation.steps else []),
+        Tile("sensor noise", number(end.floor_nrms), "the nrms of a perfect model"),
+        *([explained] if explanation.steps else []),
+        Tile("removable", percent(words.removable_share(end)), "of the squared error left"),
+    )
 
 
 def _figures_section(figures: Mapping[str, Figure], without: Sequence[str] = ()) -> Section:

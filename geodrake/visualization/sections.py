@@ -26,7 +26,7 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
     joints = [joint.joint for joint in explanation.start.joints]
     head = (
         "", "missing effect", "where", "cannot be told from", "nrms before", "after",
-        "of squared error", "false alarm",
+        "squared error gone", "false alarm",
     )  # fmt: skip
     rows = [
         cells(
@@ -54,11 +54,8 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
 def parameters_section(explanation: Explanation, units: Units) -> Section:
     """The parameters that were found, with their standard deviations and units."""
     tables = [_parameters(step, units) for step in explanation.steps if step.parameters]
-    return (
-        Section("Parameters found", ("Value ± standard deviation.",), tuple(tables))
-        if (tables)
-        else Section("Parameters found")
-    )
+    text = ("Value ± standard deviation, where the fit knows one.",) if tables else ()
+    return Section("Parameters found", text, tuple(tables), abreast=True)
 
 
 def joints_section(start: ErrorTable, end: ErrorTable | None, units: Units) -> Section:
@@ -156,9 +153,9 @@ def method_section(comparison: Comparison, *, refitted: bool) -> Section:
     ]
     if refitted:
         text.append(
-            f"Every error of a refitted model is of data held out from the fit: the logs were cut "
-            f"into {len(folds)} long folds with gaps between them, and each was predicted with "
-            "parameters fitted to the others. The model as it stands was not refitted."
+            f"Every error of a refitted model is of data held out from the fit: each of the "
+            f"{len(folds)} folds, long blocks with gaps between them or whole logs, was predicted "
+            "with parameters fitted to the others. The model as it stands was not refitted."
         )
     else:
         text.append(
@@ -184,7 +181,7 @@ def _parameters(step: Step, units: Units) -> Table:
         scale = _MILLISECONDS if found[0] == "s" else 1.0
         found = ["ms" if unit == "s" else unit for unit in found]
         shared = len(set(found)) == 1
-        title = name.replace("_", " ")
+        title = effect_label(name)
         head.append(f"{title}, {found[0]}" if shared and found[0] else title)
         column = [_value(step, place, name, scale) for place in places]
         if not shared:
@@ -197,7 +194,10 @@ def _parameters(step: Step, units: Units) -> Table:
 def _value(step: Step, place: str, name: str, scale: float) -> str:
     value = step.parameters[place].get(name, math.nan)
     deviation = step.deviations.get(place, {}).get(name, math.nan)
-    return with_deviation(scale * value, scale * deviation)
+    if math.isfinite(deviation):
+        return with_deviation(scale * value, scale * deviation)
+    text = number(scale * value, 4)  # a shape parameter, such as an exponent
+    return text.rstrip("0").rstrip(".") if "." in text and "·" not in text else text
 
 
 def _sentence_case(text: str) -> str:

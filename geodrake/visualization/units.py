@@ -21,7 +21,7 @@ _OTHER_SIGNATURES = {
     "wrong_inertia": "the inertia of links differs from the model's",
     "payload": "a body held by the robot that its model does not have",
 }
-_PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+_PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 _LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
 
 
@@ -72,7 +72,7 @@ class Units:
 
 
 def effect_label(name: str) -> str:
-    """`coulomb_friction` as "Coulomb friction"; names joined by " + " stay joined."""
+    """The name of an effect or a parameter in words, such as "Coulomb friction"."""
     words = name.replace("load_dependent", "load-dependent").replace("_", " ").split(" ")
     return " ".join(_PROPER_NAMES.get(word, word) for word in words)
 

@@ -9,6 +9,7 @@ from geodrake.visualization.numbers import number, percent
 from geodrake.visualization.units import effect_label, listed, places_label
 
 _MOST_NAMED = 4
+_MOST_PLACES = 3
 _LIKELY_FALSE_ALARM = 0.05
 
 
@@ -22,12 +23,23 @@ def removable_share(errors: ErrorTable) -> float:
     return max(0.0, explained_share(errors.nrms, errors.floor_nrms))
 
 
+def in_words(share: float) -> str:
+    """A share as it stands in a sentence."""
+    return percent(share).replace(">", "more than").replace("<", "less than")
+
+
+def explanation_mark(explanation: Explanation) -> str:
+    """The verdict of an explanation in a word or three."""
+    partly = explanation.verdict == "unexplained" and explanation.steps
+    return "explained in part" if partly else explanation.verdict
+
+
 def explanation_headline(explanation: Explanation) -> str:
     """The answer of an explanation in a sentence."""
     if explanation.verdict == "adequate":
         return "The model is adequate: nothing worth adding is missing."
     if not explanation.steps:
-        return "Something is missing that no known effect explains."
+        return "An error is left that no known effect explains."
     joints = [joint.joint for joint in explanation.start.joints]
     real = [step for step in explanation.steps if convincing(step)]
     doubtful = [step for step in explanation.steps if not convincing(step)]
@@ -45,8 +57,8 @@ def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
         gone = explained_share(start.nrms, end.nrms)
         what = "this effect" if len(explanation.steps) == 1 else "these effects"
         first += (
-            f" With {what} and everything refitted, it errs by {percent(end.nrms)} on data held "
-            f"out from the fit: {percent(gone)} of the squared error is gone."
+            f" With {what} and everything refitted, it errs by {in_words(end.nrms)} on data held "
+            f"out from the fit: {in_words(gone)} of the squared error is gone."
         )
     return first, _rest(explanation)
 
@@ -60,7 +72,7 @@ def diagnosis_headline(diagnosis: Diagnosis) -> str:
         return f"Missing: {effect_label(best.effect)} ({where})."
     if diagnosis.verdict == "adequate":
         return "The model is adequate: nothing worth adding is missing."
-    return "Something is missing that no known effect explains."
+    return "An error is left that no known effect explains."
 
 
 def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -72,7 +84,7 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
     gone = explained_share(best.error_before, best.error_after)
     first += (
         f" Adding {effect_label(best.effect)} and refitting takes the error on held-out data to "
-        f"{percent(best.error_after)}: {percent(gone)} of the squared error goes."
+        f"{in_words(best.error_after)}: {in_words(gone)} of the squared error goes."
     )
     tied = dict.fromkeys(effect_label(c.effect) for c in others if c.tied)
     tied.pop(effect_label(best.effect), None)
@@ -88,18 +100,18 @@ def comparison_headline(comparison: Comparison) -> str:
     """The answer of a comparison in a sentence."""
     errors = comparison.errors
     return (
-        f"The model errs by {percent(errors.nrms)} of the efforts' standard deviation; sensor "
-        f"noise alone would make {percent(errors.floor_nrms)}."
+        f"The model errs by {in_words(errors.nrms)} of the efforts' standard deviation; sensor "
+        f"noise alone would make {in_words(errors.floor_nrms)}."
     )
 
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
     """What a comparison means, in paragraphs."""
     worst = max(comparison.errors.joints, key=lambda joint: joint.nrms)
+    share = in_words(removable_share(comparison.errors))
     first = (
-        f"A better model could remove {percent(removable_share(comparison.errors))} of the squared "
-        f"error. It is largest at {worst.joint}: {percent(worst.nrms)} of the standard deviation "
-        "of the effort there."
+        f"A better model could remove up to {share} of the squared error. It is largest at "
+        f"{worst.joint}: {in_words(worst.nrms)} of the standard deviation of the effort there."
     )
     return (first, *(str(case) for case in comparison.failing[:1]))
 
@@ -119,7 +131,7 @@ def step_sentence(step: Step) -> str:
 
 def _as_it_stands(start: ErrorTable) -> str:
     return (
-        f"As it stands, the model errs by {percent(start.nrms)} of the standard deviation of the "
+        f"As it stands, the model errs by {in_words(start.nrms)} of the standard deviation of the "
         f"measured efforts (nrms {number(start.nrms)})."
     )
 
@@ -139,8 +151,8 @@ def _noise(errors: ErrorTable) -> str:
     if errors.floor_nrms <= 0:
         return "The logs show no sensor noise to compare the error with."
     return (
-        f"Sensor noise alone would make {percent(errors.floor_nrms)}, so that any model at all "
-        f"could still remove {percent(removable_share(errors))} of the squared error that is left."
+        f"Sensor noise alone would make {in_words(errors.floor_nrms)}, so a better model could "
+        f"still remove up to {in_words(removable_share(errors))} of the squared error that is left."
     )
 
 
@@ -153,8 +165,12 @@ def _together(steps: Sequence[Step]) -> list[list[Step]]:
 
 
 def _list(steps: Sequence[Step], joints: Sequence[str]) -> str:
+    """Effects and their places, or the effects alone where that would be long."""
+    groups = _together(steps)
+    if len(groups) > _MOST_PLACES:
+        return listed([effect_label(step.effect) for step in steps])
     return "; ".join(
         f"{listed([effect_label(step.effect) for step in group])} "
         f"({places_label(group[0].where, joints, most=_MOST_NAMED)})"
-        for group in _together(steps)
+        for group in groups
     )
