@@ -63,6 +63,7 @@ def prepare_logs(
     *,
     bandwidth: float | None = None,
     motion_bandwidth: float | None = None,
+    how: str = "as asked for",
 ) -> tuple[Trajectory, ...]:
     """Turn raw logs into smooth uniform segments and the filter for efforts and regressors.
 
@@ -78,6 +79,7 @@ def prepare_logs(
         logs: The logs, all of the same joints.
         bandwidth: Common bandwidth of efforts and regressors, Hz; by default chosen from the data.
         motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other.
+        how: Where a given bandwidth comes from, for the notes.
 
     Raises:
         ArgumentError: If there is no log, joints differ, or the bandwidth does not fit.
@@ -89,8 +91,8 @@ def prepare_logs(
             advice="Match every log to the model's joints first.",
         )
     uniform = [_make_uniform(log) for log in logs]
-    how = "as asked for" if bandwidth is not None else "chosen from the data"
     if bandwidth is None:
+        how = "chosen from the data"
         moving = np.any([each.moving for each in uniform], axis=0)
         bandwidth = choose_bandwidth(
             [(piece.position[:, moving], each.period) for each in uniform for piece in each.pieces]
@@ -161,9 +163,7 @@ def _find_moving(
     return noise, moving
 
 
-def _prepare(
-    uniform: _Uniform, bandwidth: float, motion_bandwidth: float, how: str
-) -> Trajectory:
+def _prepare(uniform: _Uniform, bandwidth: float, motion_bandwidth: float, how: str) -> Trajectory:
     log, period = uniform.log, uniform.period
     low_pass = design_filter(period, bandwidth)
     smoother = design_filter(period, min(motion_bandwidth, HIGHEST_BANDWIDTH / period))

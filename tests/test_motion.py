@@ -218,7 +218,13 @@ def _trajectories(*lengths):
         return Segment(start + 0.01 * np.arange(n), *np.zeros((4, n, 2)), 0.01)
 
     return [
-        Trajectory(f"log{k}", JOINTS, tuple(map(segment, range(0, 900, 300), outputs)), low_pass, np.zeros(len(JOINTS)))
+        Trajectory(
+            f"log{k}",
+            JOINTS,
+            tuple(map(segment, range(0, 900, 300), outputs)),
+            low_pass,
+            np.zeros(len(JOINTS)),
+        )
         for k, outputs in enumerate(lengths)
     ]
 

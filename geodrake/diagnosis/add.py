@@ -20,6 +20,9 @@ from geodrake.identification.model_fit import model_unknowns
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 
+WHOLE = ("wrong_inertia", "effort_delay")
+"""Effects of the whole robot, which are no entries of the catalogue with columns."""
+
 
 def add(
     effect: str,
@@ -49,14 +52,22 @@ def add(
         ArgumentError: There is no such effect or place, or the model has the effect there already.
         LogError: A log cannot be used.
     """
-    if effect not in ("wrong_inertia", "effort_delay"):
+    if effect not in WHOLE:
         effect_class(effect, extra)
+    elif where:
+        raise ArgumentError(f"{effect} is one of the whole robot and takes no place.")
+    known = (*model.joints, *model.bodies)
+    for name in where or ():
+        if name not in known:
+            raise ArgumentError(
+                f"There is no joint or body {name!r}.", advice=f"There are: {', '.join(known)}."
+            )
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     if model.information is None:
         start = tuned(start)
     end = _with(effect, start, case, where)
-    after_case, fit = final_fit(case, end)
+    after_case, fit = final_fit(case, end, companions=False)
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
         verdict_of(after.errors, found=True),
@@ -82,7 +93,7 @@ def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | Non
     for candidate in case.dataset.effects:
         if candidate.name == effect and candidate not in start.unknowns.effects:
             options.setdefault(candidate.where, []).append(candidate)
-    places = _places(effect, options, case, where)
+    places = _places(effect, options, where)
     best = [
         max((start.with_effects([c]) for c in options[place]), key=lambda h: gain_of(start, h))
         for place in places
@@ -96,19 +107,12 @@ def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | Non
 def _places(
     effect: str,
     options: dict[tuple[str, ...], list[Effect]],
-    case: Case,
     where: Sequence[str] | None,
 ) -> list[tuple[str, ...]]:
     if where is None:
         if options:
             return list(options)
         raise ArgumentError(f"The model has {effect} wherever it can be already.")
-    known = (*case.model.joints, *case.model.bodies)
-    for name in where:
-        if name not in known:
-            raise ArgumentError(
-                f"There is no joint or body {name!r}.", advice=f"There are: {', '.join(known)}."
-            )
     if tuple(where) in options:
         return [tuple(where)]
     missing = [name for name in where if (name,) not in options]

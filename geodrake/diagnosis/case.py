@@ -77,7 +77,7 @@ def open_case(
     """
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     read = [log if isinstance(log, JointLog) else read_log(log) for log in logs]
-    matched = [match_joints(log, model.joints) for log in read]
+    matched = [match_joints(log, model.joints) for log in _with_names_of_their_own(read)]
     limits = effort_limits(model.plant)
     hints = [hint for log in matched for hint in _hints(log, limits)]
     if bandwidth is None:
@@ -151,6 +151,14 @@ def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Ser
                 for rows in blocks
             ]
     return tuple(found)
+
+
+def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
+    names = [log.name for log in logs]
+    return [
+        replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
+        for k, log in enumerate(logs)
+    ]
 
 
 def _hints(log: JointLog, limits: object) -> list[str]:

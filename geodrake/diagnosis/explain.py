@@ -84,7 +84,7 @@ def explain(
         fit.model,
         before,
         after if steps else before,
-        case.notes,
+        (*case.notes, *_companion_notes(trail.end.unknowns, fit)),
     )
 
 
@@ -110,14 +110,20 @@ def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
     return replace(case, model=model, dataset=dataset), Trail(start, end, trail.rivals)
 
 
-def final_fit(case: Case, end: Hypothesis) -> tuple[Case, ModelFit]:
-    """The physically consistent fit of what a search found, loads and delay brought up to date."""
+def final_fit(case: Case, end: Hypothesis, *, companions: bool = True) -> tuple[Case, ModelFit]:
+    """The physically consistent fit of what a search found, loads and delay brought up to date.
+
+    Args:
+        case: The case.
+        end: What was found.
+        companions: Whether viscous friction is fitted beside dry friction; see `with_companions`.
+    """
     delay = fine_delay(end)[0] if end.delay else 0.0
     delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
     if delay:
         delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
     x, found = end.cv.fit_all(), end.unknowns
-    unknowns = with_companions(found, case.dataset)
+    unknowns = with_companions(found, case.dataset) if companions else found
     fitted = [FittedEffect(effect, x[found.span(effect)]) for effect in found.effects]
     fitted += [FittedEffect(e, np.zeros(1)) for e in unknowns.effects[len(found.effects) :]]
     phi = x[: case.model.phi.size].reshape(case.model.phi.shape)
@@ -151,6 +157,15 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
                 companion, dataset.effect_columns(companion), information, mean
             )
     return unknowns
+
+
+def _companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
+    added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
+    return [
+        f"viscous friction of {f.effect.where[0]} was fitted along, though not worth a step: "
+        f"{f.parameters[0]:.3g} N·m·s/rad"
+        for f in added
+    ]
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:

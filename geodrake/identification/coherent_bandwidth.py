@@ -46,7 +46,9 @@ def prepare_for_model(
     chosen = trajectories[0].filter.bandwidth
     coherent = coherent_bandwidth(model, trajectories)
     if coherent is not None:
-        lowered = prepare_logs(logs, bandwidth=coherent, motion_bandwidth=coherent)
+        lowered = prepare_logs(
+            logs, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
+        )
         return lowered, (
             f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts that "
             "were not measured, as vibration, play or position noise do"
@@ -62,7 +64,7 @@ def prepare_for_model(
     raised = min(chosen * _ENOUGH / outputs, limit)
     if raised < 1.2 * chosen:
         return trajectories, None
-    return prepare_logs(logs, bandwidth=raised), (
+    return prepare_logs(logs, bandwidth=raised, how="chosen from the data"), (
         f"bandwidth raised from {chosen:.3g} to {raised:.3g} Hz, as the log is short"
     )
 

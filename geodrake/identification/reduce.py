@@ -22,6 +22,7 @@ from geodrake.identification.dataset import (
     is_payload,
 )
 from geodrake.identification.noise import noise_floor
+from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import RobotModel
 from geodrake.motion import Motion, Segment, Trajectory
 from geodrake.reduction import triangular_factor
@@ -43,6 +44,12 @@ AT_REST = 8.0
 
 STILL_SPEED = 0.01
 """Share of its peak speed below which a joint counts as at rest."""
+
+LARGEST = 20_000_000
+"""Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
+
+SPLINE_REACH = 40
+"""Samples beyond which an interpolating spline does not feel a change."""
 
 MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
@@ -206,11 +213,10 @@ def _chunks(
 ) -> Iterator[tuple[int, list[JointRows]]]:
     """First output and filtered rows of every joint, for stretches of a segment."""
     low_pass, model = trajectory.filter, layout.model
-    shifted = np.stack(
-        [EffortDelay(-seconds).delayed(segment.effort, segment.period) for seconds in advance], -1
-    )
+    width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
     first = 0
-    for samples, outputs in low_pass.chunks(len(segment), CHUNK):
+    for samples, outputs in low_pass.chunks(len(segment), min(CHUNK, LARGEST // width)):
+        effort = _advanced(segment, samples, advance)
         q = model.positions(segment.position[samples])
         v, vd = segment.velocity[samples], segment.acceleration[samples]
         instants = low_pass.output_indices(len(v))
@@ -221,13 +227,22 @@ def _chunks(
                 segment.time[samples][instants],
                 states[:, :, j],
                 low_pass.apply(columns),
-                low_pass.apply(shifted[samples, j]),
+                low_pass.apply(effort[:, j]),
                 ~still[:, j],
             )
             for j, columns in enumerate(layout.evaluate(Motion(q, v, vd)))
         ]
         yield first, rows
         first += outputs
+
+
+def _advanced(segment: Segment, samples: slice, advance: Sequence[float]) -> Array:
+    """(N, nv, d) efforts of some samples as they were logged `advance` seconds later."""
+    margin = SPLINE_REACH + round(max(map(abs, advance)) / segment.period)
+    low, high = max(0, samples.start - margin), min(len(segment), samples.stop + margin)
+    part, kept = segment.effort[low:high], slice(samples.start - low, samples.stop - low)
+    shifted = [EffortDelay(-seconds).delayed(part, segment.period)[kept] for seconds in advance]
+    return np.stack(shifted, -1)
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:
