@@ -320,7 +320,7 @@ def test_many_joints_are_limited_to_the_worst():
     many = comparison(joints, 1.0)
     figure = effort_figure(many, most=4)
     assert len(figure.axes) == 8
-    assert "of 30" in figure.get_supxlabel()
+    assert "The 4 joints of largest nrms, of 30." in figure.get_supxlabel()
     worst = sorted(many.errors.joints, key=lambda joint: -joint.nrms)[:4]
     titles = {ax.get_title(loc="left") for ax in figure.axes} - {""}
     assert titles == {joint.joint for joint in worst}

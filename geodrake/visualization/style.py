@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 
 from geodrake.diagnosis.results import ErrorTable
-from geodrake.visualization.numbers import number, shortened
+from geodrake.visualization.numbers import shortened
 
 INK = "#1f2a37"
 QUIET = "#6b7683"
@@ -109,7 +109,7 @@ def of_worst(shown: int, joints: int) -> str:
     """What to say where not all joints are shown."""
     if shown >= joints:
         return ""
-    return f"The {number(shown, 2)} joints of largest nrms, of {joints}."
+    return f"The {shown} joints of largest nrms, of {joints}."
 
 
 def png(figure: Figure) -> bytes:

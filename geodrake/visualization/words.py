@@ -9,6 +9,7 @@ from geodrake.visualization.numbers import number, percent
 from geodrake.visualization.units import effect_label, listed, places_label
 
 _MOST_NAMED = 4
+_NEARLY_ALL = 0.9995
 _MOST_PLACES = 3
 _LIKELY_FALSE_ALARM = 0.05
 
@@ -108,9 +109,9 @@ def comparison_headline(comparison: Comparison) -> str:
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
     """What a comparison means, in paragraphs."""
     worst = max(comparison.errors.joints, key=lambda joint: joint.nrms)
-    share = in_words(removable_share(comparison.errors))
+    share = _at_most(removable_share(comparison.errors))
     first = (
-        f"A better model could remove up to {share} of the squared error. It is largest at "
+        f"A better model could remove {share} of the squared error. It is largest at "
         f"{worst.joint}: {in_words(worst.nrms)} of the standard deviation of the effort there."
     )
     return (first, *(str(case) for case in comparison.failing[:1]))
@@ -127,6 +128,10 @@ def step_sentence(step: Step) -> str:
     """What a step removes of the squared error: "94 %", or that it removes nothing."""
     share = explained_share(step.error_before, step.error_after)
     return percent(share) if share > 0 else f"none ({percent(share)})"
+
+
+def _at_most(share: float) -> str:
+    return "nearly all" if share >= _NEARLY_ALL else f"up to {in_words(share)}"
 
 
 def _as_it_stands(start: ErrorTable) -> str:
@@ -152,7 +157,7 @@ def _noise(errors: ErrorTable) -> str:
         return "The logs show no sensor noise to compare the error with."
     return (
         f"Sensor noise alone would make {in_words(errors.floor_nrms)}, so a better model could "
-        f"still remove up to {in_words(removable_share(errors))} of the squared error that is left."
+        f"still remove {_at_most(removable_share(errors))} of the squared error that is left."
     )
 
 
