@@ -17,6 +17,9 @@ from geodrake.identification.unknowns import Unknowns, effect_prior
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_SETTLED = 0.3
+"""Relative change of the weights below which they count as settled."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
@@ -116,7 +119,7 @@ def effective_per_joint(
     )
 
 
-def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
+def settle(hypothesis: Hypothesis, *, iterations: int = 8) -> Hypothesis:
     """Refit with weights that follow from the held-out residuals themselves.
 
     The weight of a joint is the inverse of its squared error (half its own, half what the same
@@ -132,7 +135,9 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         mse = np.maximum(cv.held_out.mse, 1e-12 * dataset.effort_std**2)
         relative = np.mean(mse / dataset.effort_std**2)
         expected = np.sqrt(mse * relative * dataset.effort_std**2)
-        weights = effective / cv.held_out.samples.sum(0) / expected
+        before, weights = weights, effective / cv.held_out.samples.sum(0) / expected
+        if np.all(np.abs(np.log(weights / before)) < _SETTLED):
+            break
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
 
 
@@ -141,4 +146,4 @@ def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: int = 0) ->
     weights = 0.05 / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = np.ones(len(dataset.joints))
-    return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective), iterations=3)
+    return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective))
