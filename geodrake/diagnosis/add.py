@@ -7,7 +7,8 @@ from pathlib import Path
 
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.explain import final_fit, verdict_of
+from geodrake.diagnosis.explain import verdict_of
+from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.forward import Trail, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.results import Explanation
@@ -67,7 +68,7 @@ def add(
     if model.information is None:
         start = tuned(start)
     end = _with(effect, start, case, where)
-    after_case, fit = final_fit(case, end, companions=False)
+    after_case, fit, _ = final_fit(case, end)
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
         verdict_of(after.errors, found=True),

@@ -9,20 +9,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.case import Case, error_table, open_case, reopen
+from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.final_fit import companion_notes, final_fit
 from geodrake.diagnosis.forward import Progress, Trail, search
-from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis, settle
+from geodrake.diagnosis.hypothesis import first_hypothesis, settle
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
-from geodrake.diagnosis.steps import steps_of
-from geodrake.effects import CoulombFriction, EffortDelay, ViscousFriction
+from geodrake.diagnosis.steps import refit_step, steps_of
+from geodrake.effects import EffortDelay
 from geodrake.effects.base import Effect
-from geodrake.identification.dataset import Dataset
-from geodrake.identification.model_fit import ModelFit, effects_of, fit_model, model_unknowns
+from geodrake.identification.model_fit import effects_of, model_unknowns
 from geodrake.identification.reduce import reduce_logs
-from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.model import FittedEffect, RobotModel
 from geodrake.motion import JointLog
 
@@ -71,20 +70,21 @@ def explain(
         case, trail = with_exact_delay(case, trail)
         more = search(trail.end, effects_of(model), criteria, tune=tune, progress=progress)
         trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
-    after_case, fit = final_fit(case, trail.end)
-    steps = steps_of(case, trail, fit)
+    after_case, fit, end = final_fit(case, trail.end, criteria=criteria)
+    trail = replace(trail, end=end)
+    steps = steps_of(case, trail, fit) or refit_step(case, start, fit, criteria)
     after = comparison(after_case, fit.unknowns, fit.held_out)
-    end = after.errors if steps else before.errors
+    errors = after.errors if steps else before.errors
     return Explanation(
-        verdict_of(end, bool(steps)),
+        verdict_of(errors, bool(steps)),
         steps,
         before.errors,
         error_table(case.dataset, start.held_out),
-        end,
+        errors,
         fit.model,
         before,
         after if steps else before,
-        (*case.notes, *_companion_notes(trail.end.unknowns, fit)),
+        (*case.notes, *companion_notes(trail.end.unknowns, fit)),
     )
 
 
@@ -108,64 +108,6 @@ def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
     start = settle(replace(trail.start, dataset=dataset, delay=1))
     end = settle(replace(trail.end, dataset=dataset, delay=0))
     return replace(case, model=model, dataset=dataset), Trail(start, end, trail.rivals)
-
-
-def final_fit(case: Case, end: Hypothesis, *, companions: bool = True) -> tuple[Case, ModelFit]:
-    """The physically consistent fit of what a search found, loads and delay brought up to date.
-
-    Args:
-        case: The case.
-        end: What was found.
-        companions: Whether viscous friction is fitted beside dry friction; see `with_companions`.
-    """
-    delay = fine_delay(end)[0] if end.delay else 0.0
-    delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
-    if delay:
-        delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
-    x, found = end.cv.fit_all(), end.unknowns
-    unknowns = with_companions(found, case.dataset) if companions else found
-    fitted = [FittedEffect(effect, x[found.span(effect)]) for effect in found.effects]
-    fitted += [FittedEffect(e, np.zeros(1)) for e in unknowns.effects[len(found.effects) :]]
-    phi = x[: case.model.phi.size].reshape(case.model.phi.shape)
-    provisional = replace(case.model, phi=phi, effects=(*fitted, *delays))
-    reopened = reopen(case, provisional)
-    columns = np.concatenate(
-        [np.arange(10 * len(case.model.bodies))]
-        + [reopened.dataset.effect_columns(effect) for effect in unknowns.effects]
-    )
-    unknowns = replace(unknowns, columns=columns)
-    settled = settle(replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0))
-    seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
-    base = replace(case.model, fitted_to=seen)
-    fit = fit_model(base, reopened.dataset, unknowns, settled.weights, delays=delays)
-    return reopened, fit
-
-
-def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
-    """Viscous friction beside dry friction, so that neither stands in for the other in a fit.
-
-    Where dry friction was found and viscous friction was not worth a step, the viscous one is
-    fitted along all the same: left out, it would bias the dry one by all that it may be.
-    """
-    for effect in unknowns.effects:
-        companion = (
-            ViscousFriction(effect.where[0]) if isinstance(effect, CoulombFriction) else None
-        )
-        if companion in dataset.effects and companion not in unknowns.effects:
-            mean, information = effect_prior(dataset, companion)
-            unknowns = unknowns.with_effect(
-                companion, dataset.effect_columns(companion), information, mean
-            )
-    return unknowns
-
-
-def _companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
-    added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
-    return [
-        f"viscous friction of {f.effect.where[0]} was fitted along, though not worth a step: "
-        f"{f.parameters[0]:.3g} N·m·s/rad"
-        for f in added
-    ]
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.delay import fine_delay
-from geodrake.diagnosis.evidence import false_alarm_probability
+from geodrake.diagnosis.evidence import Criteria, false_alarm_probability, log_likelihood_gain
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.search import gain_of
 from geodrake.effects.base import Effect
 from geodrake.effects.effort_delay import EffortDelay
-from geodrake.identification.model_fit import ModelFit
+from geodrake.identification.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric, to_mass_com_inertia
 from geodrake.model import FittedEffect
 
@@ -86,6 +86,43 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     return tuple(steps)
 
 
+def refit_step(
+    case: Case, start: Hypothesis, fit: ModelFit, criteria: Criteria
+) -> tuple[Step, ...]:
+    """A step `wrong_inertia` if refitting the inertias alone takes convincingly much error away.
+
+    Args:
+        case: The case.
+        start: The model refitted within its prior.
+        fit: The final fit, with no effect added.
+        criteria: When a step counts.
+    """
+    before = as_it_stands(case.dataset, case.model)
+    gain = float(log_likelihood_gain(before.mse, start.held_out.mse, start.effective).sum())
+    alarm = false_alarm_probability(gain, 2 * len(case.model.bodies), 1)
+    loss = (before.sse / case.dataset.effort_std**2).sum(1)
+    reduction, agreement = 1.0 - start.loss().sum() / loss.sum(), np.mean(start.loss() < loss)
+    convinces = reduction >= criteria.reduction and agreement >= criteria.agreement
+    if alarm > criteria.alarm or not convinces:
+        return ()
+    was, now = error_table(case.dataset, before), error_table(case.dataset, fit.held_out)
+    moved = _moved_bodies(case, fit)
+    return (
+        Step(
+            "wrong_inertia",
+            tuple(moved),
+            was.nrms,
+            now.nrms,
+            _inertias(moved, fit),
+            {},
+            (),
+            alarm,
+            was.by_joint(),
+            now.by_joint(),
+        ),
+    )
+
+
 def _groups(trail: Trail) -> list[_Group]:
     present = trail.start.unknowns.effects
     names: dict[str, list[Effect]] = {}
@@ -127,10 +164,7 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
     values: Values = {}
     deviations: Values = {}
     if group.looseness is not None:
-        for body, distance in _moved_bodies(case, fit).items():
-            phi = fit.model.phi[case.model.bodies.index(body)]
-            values[body] = {"mass": float(phi[0]), "distance_from_prior": distance}
-        return values, deviations
+        return _inertias(_moved_bodies(case, fit), fit), deviations
     if group.delay is not None:
         delay = next(f.effect for f in fit.model.effects if isinstance(f.effect, EffortDelay))
         _, deviation = fine_delay(trail.end)
@@ -142,6 +176,14 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
             values.setdefault(place, {}).update(found)
             deviations.setdefault(place, {}).update(spread)
     return values, deviations
+
+
+def _inertias(moved: Mapping[str, float], fit: ModelFit) -> Values:
+    masses = dict(zip(fit.model.bodies, fit.model.phi[:, 0].tolist(), strict=True))
+    return {
+        body: {"mass": masses[body], "distance_from_prior": distance}
+        for body, distance in moved.items()
+    }
 
 
 def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:

@@ -31,6 +31,16 @@ _EXACT: dict[str, dict[str, float | int]] = {
     },
     "scs": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 100_000},
 }
+_GOOD: dict[str, dict[str, float | int]] = {
+    "clarabel": {
+        "tol_gap_abs": 1e-9,
+        "tol_gap_rel": 1e-9,
+        "tol_feas": 1e-9,
+        "reduced_tol_gap_abs": 1e-6,
+        "reduced_tol_gap_rel": 1e-6,
+        "reduced_tol_feas": 1e-6,
+    },
+}
 _ROUGH: dict[str, dict[str, float | int]] = {
     "clarabel": {
         "tol_gap_abs": 1e-7,
@@ -80,17 +90,21 @@ def run_solver(
     usable = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
     if solver not in usable:
         raise ArgumentError(f"No solver '{solver}' here; there are {', '.join(usable)}.")
-    options = SolverOptions()
-    for name, value in (_ROUGH if rough else _EXACT).get(solver, {}).items():
-        options.SetOption(SOLVERS[solver].id(), name, value)
-    result = SOLVERS[solver]().Solve(program, None, options)
-    if not result.is_success():
+    # The last digits may be out of reach of rounding; a little less is good enough then.
+    for tolerances in (_ROUGH,) if rough else (_EXACT, _GOOD):
+        options = SolverOptions()
+        for name, value in tolerances.get(solver, {}).items():
+            options.SetOption(SOLVERS[solver].id(), name, value)
+        result = SOLVERS[solver]().Solve(program, None, options)
         status = result.get_solution_result()
-        cause, advice = _CAUSES.get(status, _OTHER_CAUSE)
-        raise IdentificationError(
-            f"{solver} found no parameters ({status.name}). {cause}",
-            advice=advice,
-            solver=solver,
-            status=status.name,
-        )
-    return result
+        if result.is_success():
+            return result
+        if status != SolutionResult.kSolverSpecificError:
+            break
+    cause, advice = _CAUSES.get(status, _OTHER_CAUSE)
+    raise IdentificationError(
+        f"{solver} found no parameters ({status.name}). {cause}",
+        advice=advice,
+        solver=solver,
+        status=status.name,
+    )
