@@ -5,6 +5,7 @@ import dataclasses as dc
 import hashlib
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -126,7 +127,8 @@ def write_whole(path: Path, text: str) -> None:
             f"Cannot write {path}: {error.strerror}.", advice="Choose another place.", path=path
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def _saved_effect(fitted: FittedEffect) -> SavedEffect:

@@ -26,6 +26,8 @@ from geodrake.saved_model import load_model
 
 R = TypeVar("R")
 
+_FITTING = ("add", "explain")  # their results hold a model, which knows its units
+
 
 @dataclass(frozen=True)
 class Input:
@@ -92,6 +94,7 @@ def run(command: Command[R], options: Options) -> None:
             {"version": version(), "command": command.name, **command.numbers(result)}
         )
         names = [path.name for path in options.logs]
+        units = {} if command.name in _FITTING or pages is None else {"units": pages.Units.of(model)}
         targets.write(
             fitted,
             json=lambda: numbers,
@@ -100,6 +103,7 @@ def run(command: Command[R], options: Options) -> None:
                 title=f"{options.model.name}: {command.name}",
                 model_name=options.model.name,
                 log_names=names,
+                **units,
             ),
         )
     if options.json == STDOUT:

@@ -195,11 +195,14 @@ def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
     )
     if fitted.effect.name == "payload":
         mass, com, _ = to_mass_com_inertia(fitted.parameters)
+        # To first order of the deviations, those of mass and moment taken as independent.
+        com_spread = np.hypot(spread[1:4], com * spread[0]) / mass
         values = {
             "mass": float(mass),
             **{f"com_{a}": float(c) for a, c in zip("xyz", com, strict=True)},
         }
-        return values, {"mass": float(spread[0])}
+        deviations = {f"com_{a}": float(d) for a, d in zip("xyz", com_spread, strict=True)}
+        return values, {"mass": float(spread[0]), **deviations}
     names = [p.name for p in fitted.effect.parameters]
     values = dict(zip(names, map(float, fitted.parameters), strict=True))
     shapes = {k: float(v) for k, v in fitted.effect.shape.items()}
