@@ -94,7 +94,9 @@ def run(command: Command[R], options: Options) -> None:
             {"version": version(), "command": command.name, **command.numbers(result)}
         )
         names = [path.name for path in options.logs]
-        units = {} if command.name in _FITTING or pages is None else {"units": pages.Units.of(model)}
+        units = {}
+        if pages is not None and command.name not in _FITTING:
+            units["units"] = pages.Units.of(model)
         targets.write(
             fitted,
             json=lambda: numbers,

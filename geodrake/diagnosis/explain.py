@@ -67,9 +67,11 @@ def explain(
         start, effects_of(model), criteria, tune=tune, pause_at_delay=True, progress=progress
     )
     if trail.end.delay != trail.start.delay:
-        case, trail = with_exact_delay(case, trail)
+        step = abs(case.dataset.delays[1])
+        case, trail = with_exact_delay(case, trail, origin=model.delay, step=step)
         more = search(trail.end, effects_of(model), criteria, tune=tune, progress=progress)
         trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
+        case, trail = with_exact_delay(case, trail, origin=model.delay, step=0.5 * step)
     after_case, fit, end = final_fit(case, trail.end, criteria=criteria)
     trail = replace(trail, end=end)
     steps = steps_of(case, trail, fit) or refit_step(case, start, fit, criteria)
@@ -88,14 +90,19 @@ def explain(
     )
 
 
-def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
+def with_exact_delay(case: Case, trail: Trail, *, origin: float, step: float) -> tuple[Case, Trail]:
     """The case with its efforts advanced by the delay that was found, and the trail carried over.
 
     A delay that is off by a part of the grid's step would look like further effects.
+
+    Args:
+        case: The case, its dataset with delays around that of the trail's end.
+        trail: A search that found a delay.
+        origin: Delay of the model before the search, s: where the trail starts.
+        step: Step of the grid of delays, s; the next grid has half of it.
     """
-    delay = fine_delay(trail.end)[0]
-    step = abs(case.dataset.delays[1])
-    lag = FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))
+    delay = case.model.delay + fine_delay(trail.end)[0]
+    lag = FittedEffect(EffortDelay(delay), np.empty(0), np.empty(0))
     kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
     model = replace(case.model, effects=(*kept, lag))
     dataset = reduce_logs(
@@ -103,7 +110,7 @@ def with_exact_delay(case: Case, trail: Trail) -> tuple[Case, Trail]:
         case.trajectories,
         case.folds,
         effects=case.dataset.effects,
-        delays=(0.0, -delay, 0.5 * step, -0.5 * step),
+        delays=(0.0, origin - delay, 0.5 * step, -0.5 * step),
     )
     start = settle(replace(trail.start, dataset=dataset, delay=1))
     end = settle(replace(trail.end, dataset=dataset, delay=0))
