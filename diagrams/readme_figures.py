@@ -1,6 +1,6 @@
 """The figures of the README: the demo's efforts before and after, and the error falling.
 
-    python diagrams/readme_figures.py --figures diagrams/figures
+Run it as `python diagrams/readme_figures.py --figures diagrams/figures`.
 """
 
 from __future__ import annotations

@@ -107,10 +107,12 @@ def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[Row]
     start = explanation.start
     rows = [Row(study.name, "as it stands", (), start.nrms, start.pooled_rms, {}, {}, *rest)]
     for step in explanation.steps:
-        values = ({k: dict(v) for k, v in part.items()} for part in (step.parameters, step.deviations))
-        rows.append(
-            Row(study.name, step.effect, step.where, step.error_after, pooled(step), *values, *rest)
-        )
+        errors = (step.error_after, pooled(step))
+        values = [
+            {place: dict(found) for place, found in part.items()}
+            for part in (step.parameters, step.deviations)
+        ]
+        rows.append(Row(study.name, step.effect, step.where, *errors, *values, *rest))
     return rows
 
 

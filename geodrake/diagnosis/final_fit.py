@@ -18,6 +18,9 @@ from geodrake.identification.model_fit import ModelFit, effects_of, fit_model
 from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.model import FittedEffect
 
+_MOST_ITERATIONS = 10
+"""Refits until weights stay: a prior from another fit gives way step by step."""
+
 
 def final_fit(
     case: Case, end: Hypothesis, *, criteria: Criteria | None = None
@@ -42,14 +45,14 @@ def final_fit(
     columns = [np.arange(case.model.phi.size)]
     columns += [reopened.dataset.effect_columns(effect) for effect in end.unknowns.effects]
     unknowns = replace(end.unknowns, columns=np.concatenate(columns))
-    settled = settle(replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0))
+    settled = replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0)
+    settled = settle(settled, iterations=_MOST_ITERATIONS)
     if criteria is not None:
         settled = prune(settled, effects_of(case.model), criteria)
         kept = settled.unknowns.effects
         end = end.without([e for e in end.unknowns.effects if e not in kept])
-        settled = settle(
-            replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))
-        )
+        settled = replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))
+        settled = settle(settled, iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(case.model, fitted_to=seen)
     fit = fit_model(base, reopened.dataset, settled.unknowns, settled.weights, delays=delays)
