@@ -28,6 +28,9 @@ from geodrake.regressor import inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
 
+LARGEST_REGRESSOR = 20_000_000
+"""Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
+
 
 @dataclass(frozen=True, eq=False)
 class FittedEffect:
@@ -143,11 +146,15 @@ class RobotModel:
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
         """Effort that a motion needs, (N, nv), N·m or N; delays are not applied."""
-        robot_motion = self.motion(motion, sign_width=sign_width)
-        effort = robot_motion.load.copy()
-        for fitted in self.effects:
-            if fitted.effect.name != "payload":
-                effort += fitted.effect.effort(robot_motion, fitted.parameters)
+        size = max(1, LARGEST_REGRESSOR // (len(self.joints) * self.phi.size))
+        effort = np.empty(motion.v.shape)
+        for start in range(0, len(motion), size):
+            part = slice(start, start + size)
+            seen = self.motion(motion[part], sign_width=sign_width)
+            effort[part] = seen.load
+            for fitted in self.effects:
+                if fitted.effect.name != "payload":
+                    effort[part] += fitted.effect.effort(seen, fitted.parameters)
         return effort
 
     def positions(self, by_joint: Array) -> Array:

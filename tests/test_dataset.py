@@ -241,6 +241,20 @@ def test_noise_floor_of_white_noise(seed, bandwidth):
     np.testing.assert_allclose(noise_floor(trajectories), expected, rtol=0.1)
 
 
+def test_noise_floor_behind_dry_friction(model):
+    """Jumps of dry friction reach beyond the bandwidth: a fitted model takes them away."""
+    trajectories = prepare_logs(
+        [pendulum_log(11, lambda q, v, vd, load: 0.5 * np.sign(v))], bandwidth=8.0
+    )
+    fitted = tuple(FittedEffect(CoulombFriction(j), np.array([0.5])) for j in model.joints)
+    expected = NOISE * trajectories[0].filter.noise_gain
+    without = noise_floor(trajectories)
+    found = noise_floor(trajectories, replace(model, effects=fitted), sign_width=1e-3)
+    assert np.all(found > 0.9 * expected)
+    # The instants of reversal are known to a sample only, so a third of the excess stays.
+    assert np.all(found - expected < 0.35 * (without - expected))
+
+
 def test_noise_floor_is_that_of_the_filtered_noise():
     """The RMS of noise that went through the filter, not that of the raw samples."""
     quiet, noisy = (

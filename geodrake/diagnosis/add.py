@@ -53,6 +53,7 @@ def add(
         ArgumentError: There is no such effect or place, or the model has the effect there already.
         LogError: A log cannot be used.
     """
+    where = tuple(where or ()) or None
     if effect not in WHOLE:
         effect_class(effect, extra)
     elif where:

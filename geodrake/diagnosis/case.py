@@ -114,8 +114,10 @@ def open_case(
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
-    """The case with another model, whose effects alone get columns."""
-    dataset = reduce_logs(model, case.trajectories, case.folds, effects=effects_of(model))
+    """The case with a model fitted to it, whose effects alone get columns."""
+    dataset = reduce_logs(
+        model, case.trajectories, case.folds, effects=effects_of(model), fitted=True
+    )
     return replace(case, model=model, dataset=dataset)
 
 

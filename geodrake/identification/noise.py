@@ -6,26 +6,38 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import welch
 from scipy.stats import gamma
 
-from geodrake.motion import Trajectory
+from geodrake.effects.effort_delay import EffortDelay
+from geodrake.model import RobotModel
+from geodrake.motion import Motion, Segment, Trajectory
 
 Array = NDArray[np.float64]
 
 _LEAST_BINS = 12
+_SAMPLES = 200_000  # of a segment whose residuals are looked at
 
 
-def noise_floor(trajectories: Sequence[Trajectory]) -> Array:
+def noise_floor(
+    trajectories: Sequence[Trajectory],
+    model: RobotModel | None = None,
+    *,
+    sign_width: ArrayLike = 0.0,
+) -> Array:
     """RMS of the efforts' sensor noise after filtering, if the noise is white.
 
     Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
     add. The quietest band there, continued into the passband, is the floor: coloured noise below
-    it cannot be told from an effect, and is not counted.
+    it cannot be told from an effect, and is not counted. Jumps of dry friction reach beyond the
+    bandwidth too; a model fitted to the logs takes them away.
 
     Args:
         trajectories: The prepared logs.
+        model: A model fitted to the logs; the floor is then that of its residuals where it is
+            lower than that of the efforts.
+        sign_width: (nv,) speed below which the direction of motion is not known, for the model.
 
     Returns:
         (n,) floor of each joint, N·m or N.
@@ -34,10 +46,26 @@ def noise_floor(trajectories: Sequence[Trajectory]) -> Array:
     for trajectory in trajectories:
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
-            density = _quiet_density(segment.effort, 1.0 / segment.period, bandwidth)
-            power += len(segment) * density * gain**2 / (2.0 * segment.period)
+            rate = 1.0 / segment.period
+            density = _quiet_density(segment.effort, rate, bandwidth)
+            if model is not None:
+                residual = _residual(segment, model, sign_width)
+                density = np.minimum(density, _quiet_density(residual, rate, bandwidth))
+            power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)
     return np.sqrt(power / weight)
+
+
+def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike) -> Array:
+    """(K, n) measured − predicted effort at the full rate, of the start of a segment."""
+    part = slice(0, _SAMPLES)
+    motion = Motion(
+        model.positions(segment.position[part]),
+        segment.velocity[part],
+        segment.acceleration[part],
+    )
+    needed = model.effort(motion, sign_width=sign_width)
+    return segment.effort[part] - EffortDelay(model.delay).delayed(needed, segment.period)
 
 
 def _quiet_density(effort: Array, rate: float, bandwidth: float) -> Array:

@@ -23,7 +23,7 @@ from geodrake.identification.dataset import (
 )
 from geodrake.identification.noise import noise_floor
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.model import RobotModel
+from geodrake.model import LARGEST_REGRESSOR, RobotModel
 from geodrake.motion import Motion, Segment, Trajectory
 from geodrake.reduction import triangular_factor
 from geodrake.regressor import inverse_dynamics_regressor
@@ -45,9 +45,6 @@ AT_REST = 8.0
 STILL_SPEED = 0.01
 """Share of its peak speed below which a joint counts as at rest."""
 
-LARGEST = 20_000_000
-"""Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
-
 SPLINE_REACH = 40
 """Samples beyond which an interpolating spline does not feel a change."""
 
@@ -66,6 +63,7 @@ def reduce_logs(
     *,
     effects: Sequence[Effect],
     delays: Sequence[float] = (0.0,),
+    fitted: bool = False,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
@@ -75,6 +73,8 @@ def reduce_logs(
         folds: Validation folds of the trajectories.
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s; the first must be 0.
+        fitted: Whether the model was fitted to these logs, so that its residuals show the noise
+            better than the efforts do.
 
     Raises:
         LogError: The effort of a joint never changes.
@@ -112,7 +112,7 @@ def reduce_logs(
             for columns, joint in zip(layout.columns, boxes, strict=True)
         ),
         _effort_deviation(model.joints, boxes),
-        noise_floor(trajectories),
+        noise_floor(trajectories, model if fitted else None, sign_width=layout.sign_width),
         trajectories[0].filter.bandwidth,
         np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
     )
@@ -215,7 +215,7 @@ def _chunks(
     low_pass, model = trajectory.filter, layout.model
     width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
     first = 0
-    for samples, outputs in low_pass.chunks(len(segment), min(CHUNK, LARGEST // width)):
+    for samples, outputs in low_pass.chunks(len(segment), min(CHUNK, LARGEST_REGRESSOR // width)):
         effort = _advanced(segment, samples, advance)
         q = model.positions(segment.position[samples])
         v, vd = segment.velocity[samples], segment.acceleration[samples]
