@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
 
 from geodrake.effects import (
     CoulombFriction,
@@ -52,7 +53,8 @@ class RobotModel:
     """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
 
     Attributes:
-        plant: Finalized MultibodyPlant of the rigid bodies alone.
+        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file;
+            `create_context` has the model's.
         path: The model file that the plant came from.
         floating: Whether free roots float instead of being welded to the world.
         phi: (nb, 10) inertial parameters, those of fitted payloads left out.
@@ -92,14 +94,15 @@ class RobotModel:
 
     @cached_property
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of single-degree joints that follow each other along the tree."""
+        """Pairs of single-degree joints of one type that follow each other along the tree."""
         single = set(self._single_joints[0])
         pairs = []
         for mobilizer in self.tree.mobilizers:
             if mobilizer.parent >= 0:
                 parent = self.tree.mobilizers[mobilizer.parent]
                 pair = (parent.velocities.start, mobilizer.velocities.start)
-                if single.issuperset(pair):
+                alike = len({self._joint_type(start) for start in pair}) == 1
+                if single.issuperset(pair) and alike:
                     pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
         return tuple(pairs)
 
@@ -175,6 +178,11 @@ class RobotModel:
         q[:, at_position] = by_joint[:, at_velocity]
         return q
 
+    def _joint_type(self, velocity: int) -> str:
+        """Drake's name for the type of the joint that a velocity belongs to."""
+        joints = (self.plant.get_joint(index) for index in self.plant.GetJointIndices())
+        return next(j.type_name() for j in joints if j.velocity_start() == velocity)
+
     @cached_property
     def single_joints(self) -> tuple[str, ...]:
         """Names of the joints of one degree of freedom."""
@@ -186,6 +194,15 @@ class RobotModel:
         joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
         single = [j for j in joints if j.num_velocities() == 1 and j.num_positions() == 1]
         return [j.velocity_start() for j in single], [j.position_start() for j in single]
+
+    def create_context(self) -> Context:
+        """A default Context of the plant with the model's inertial parameters, payloads included.
+
+        The plant itself keeps the inertias of its file; effects are for `geodrake.systems`.
+        """
+        context = self.plant.CreateDefaultContext()
+        set_inertial_parameters(self.plant, context, self.total_phi)
+        return context
 
     def with_fit(
         self,
@@ -234,10 +251,3 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
 def load_description(path: str | Path, *, floating: bool = False) -> RobotModel:
     """The model of a URDF, SDF, MJCF or Drake directives file; see `geodrake.plant.load_plant`."""
     return from_loaded_plant(load_plant(path, floating=floating), floating=floating)
-
-
-def fitted_plant_context(model: RobotModel) -> object:
-    """A default Context of the model's plant with the model's inertial parameters in it."""
-    context = model.plant.CreateDefaultContext()
-    set_inertial_parameters(model.plant, context, model.total_phi)
-    return context

@@ -170,7 +170,9 @@ def test_candidate_is_as_good_as_a_refit(dataset, model, candidate):
     lower = np.array([parameter.lower for parameter in candidate.parameters])
     if candidate.name == "payload":
         lower[:] = -np.inf  # bounds are those of the physical fit
-    shortcut = CrossValidation(dataset, base, WEIGHTS).with_candidate(columns, information, lower)
+    shortcut = CrossValidation(dataset, base, WEIGHTS).with_candidate(
+        columns, information, lower, np.full(len(columns), np.inf)
+    )
     both = base.with_effect(candidate, columns, information, mean)
     both = replace(both, lower=np.concatenate([base.lower, lower]))
     np.testing.assert_allclose(shortcut.sse, ridge_errors(dataset, both), rtol=1e-4)
@@ -183,7 +185,7 @@ def test_several_candidates_at_once(dataset, model):
     columns = np.concatenate([dataset.effect_columns(e) for e in pair])
     information = block_diag(*[effect_prior(dataset, e)[1] for e in pair])
     shortcut = CrossValidation(dataset, base, WEIGHTS).with_candidate(
-        columns, information, np.zeros(4)
+        columns, information, np.zeros(4), np.full(4, np.inf)
     )
     full = CrossValidation(dataset, with_effects(dataset, base, *pair), WEIGHTS)
     np.testing.assert_allclose(shortcut.sse, full.held_out.sse, rtol=1e-6)
@@ -194,10 +196,29 @@ def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):
     base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
     cv = CrossValidation(dataset, base, WEIGHTS)
     columns = dataset.effect_columns(CoupledFriction(JOINTS, 1))
-    after = cv.with_candidate(columns, 1e-9 * np.eye(2), np.zeros(2))
+    after = cv.with_candidate(columns, 1e-9 * np.eye(2), np.zeros(2), np.full(2, np.inf))
     at_zero = np.all(after.x[:, -2:] == 0.0, axis=1)
     np.testing.assert_allclose(after.sse[at_zero], cv.held_out.sse[at_zero], rtol=1e-12)
     assert (after.x[:, -2:] >= 0.0).all()
+
+
+def test_candidate_keeps_within_its_bounds(dataset, model):
+    base = model_unknowns(dataset, model)
+    friction = EFFECTS[0]
+    columns = dataset.effect_columns(friction)
+    cv = CrossValidation(dataset, base, WEIGHTS)
+    free = cv.with_candidate(columns, 1e-9 * np.eye(1), np.array([-np.inf]), np.array([np.inf]))
+    found = free.x[:, -1]
+    for lower, upper in ((2.0 * found.max(), np.inf), (-np.inf, 0.5 * found.min())):
+        box = (np.array([lower]), np.array([upper]))
+        bounded = cv.with_candidate(columns, 1e-9 * np.eye(1), *box)
+        both = base.with_effect(friction, columns, 1e-9 * np.eye(1))
+        both = replace(
+            both,
+            lower=np.concatenate([base.lower, box[0]]),
+            upper=np.concatenate([base.upper, box[1]]),
+        )
+        np.testing.assert_allclose(bounded.sse, ridge_errors(dataset, both), rtol=1e-4)
 
 
 def test_errors_of_given_parameters_are_those_of_the_rows(dataset):

@@ -347,6 +347,77 @@ class TestUsersEffect:
         with pytest.raises(ArgumentError, match="1 parameters and 2 columns"):
             Wrong("elbow").regressor(random_motion())
 
+    @staticmethod
+    def of_columns(*columns):
+        class Mine(effects.JointEffect):
+            name = "mine"
+            parameters = tuple(effects.Parameter("a", "N·m") for _ in columns)
+
+            def columns(self, joint: JointMotion):
+                return [column(joint) for column in columns]
+
+        return Mine("elbow")
+
+    def test_a_number_is_a_column(self):
+        motion = random_motion()
+        effect = self.of_columns(lambda _: 1.0, lambda joint: joint.q)
+        expected = np.stack([np.ones(20), motion.q[:, 1]], -1)
+        np.testing.assert_array_equal(effect.rows(motion)["elbow"], expected)
+
+    @pytest.mark.parametrize(
+        ("column", "message"),
+        [
+            (lambda joint: joint.q[:-1], r"mine of elbow gives a column of shape \(19,\) for 20"),
+            (lambda _: "much", "mine of elbow gives a column"),
+            (lambda joint: np.where(joint.q > joint.q.min(), 1.0, np.nan), "nan in 1 of 20"),
+            (lambda _: np.inf, "mine of elbow gives inf in 20 of 20"),
+        ],
+    )
+    def test_unusable_columns(self, column, message):
+        with pytest.raises(ArgumentError, match=message):
+            self.of_columns(column).regressor(random_motion())
+
+    @pytest.mark.parametrize(
+        ("field", "places", "place"),
+        [("body", "body", "hand"), ("joints", "joint_pair", ("elbow", "wrist"))],
+    )
+    def test_candidates_without_a_base_of_its_kind(self, tmp_path, field, places, place):
+        path = tmp_path / "bare.py"
+        path.write_text(
+            "from dataclasses import dataclass\n"
+            "from geodrake.effects import Effect, Parameter\n"
+            "@dataclass(frozen=True)\n"
+            "class Bare(Effect):\n"
+            f"    {field}: object\n"
+            f"    name, places = 'bare', {places!r}\n"
+            "    parameters = (Parameter('a', 'N'),)\n"
+            "    where = ()\n"
+            "    def rows(self, motion):\n"
+            "        return {}\n"
+        )
+        (cls,) = effects.load_effect_file(path)
+        assert tuple(cls.candidates(place)) == (cls(place),)
+        path.write_text(path.read_text().replace(f"    {field}:", "    spot:"))
+        with pytest.raises(ModelError, match=r"\['spot'\].*BodyEffect"):
+            effects.load_effect_file(path)
+
+    def test_body_effect(self):
+        @dataclasses.dataclass(frozen=True)
+        class Drag(effects.BodyEffect):
+            area: float
+
+            name = "drag"
+            parameters = (effects.Parameter("d", "N·s²/m²", lower=0.0),)
+
+            def rows(self, motion: RobotMotion):
+                return {"elbow": motion.body_columns(self.body)[:, 1, :1]}
+
+        drag = Drag("hand", 2.0)
+        assert (drag.where, drag.places, drag.shape) == (("hand",), "body", {"area": 2.0})
+        assert drag.regressor(random_motion()).shape == (20, 3, 1)
+        with pytest.raises(ArgumentError, match=r"drag cannot be made of its place 'hand' alone"):
+            Drag.candidates("hand")
+
 
 def test_exports():
     assert all(hasattr(effects, name) for name in effects.__all__)

@@ -387,7 +387,7 @@ def test_add_refuses_what_is_there(model, logs):
     present = with_friction(model)
     with pytest.raises(ArgumentError, match="it is there already"):
         add("coulomb_friction", present, logs[:1], where=["elbow"], bandwidth=BANDWIDTH)
-    with pytest.raises(ArgumentError, match="wherever it can be already"):
+    with pytest.raises(ArgumentError, match="can be added nowhere"):
         add("coulomb_friction", present, logs[:1], bandwidth=BANDWIDTH)
 
 

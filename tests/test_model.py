@@ -21,7 +21,7 @@ from geodrake.effects import (
 )
 from geodrake.errors import ArgumentError
 from geodrake.inertia import from_mass_com_inertia, inertial_parameters
-from geodrake.model import FittedEffect, fitted_plant_context
+from geodrake.model import FittedEffect
 from geodrake.motion import Motion
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -41,7 +41,7 @@ def motion(arm):
 
 def drake_effort(model, motion):
     """Inverse dynamics of Drake's plant with the model's bodies, sample by sample."""
-    plant, context = model.plant, fitted_plant_context(model)
+    plant, context = model.plant, model.create_context()
     rows = []
     for q, v, vd in zip(motion.q, motion.v, motion.vd, strict=True):
         plant.SetPositions(context, q)
@@ -66,7 +66,7 @@ def test_payload_is_a_heavier_link(arm, motion):
     np.testing.assert_allclose(loaded.effort(motion), drake_effort(loaded, motion), atol=1e-9)
     np.testing.assert_allclose(loaded.total_phi[-1], arm.phi[-1] + phi)
     np.testing.assert_array_equal(loaded.phi, arm.phi)
-    context = fitted_plant_context(loaded)
+    context = loaded.create_context()
     np.testing.assert_allclose(inertial_parameters(loaded.plant, context), loaded.total_phi)
 
 

@@ -53,7 +53,7 @@ def add(
         ArgumentError: There is no such effect or place, or the model has the effect there already.
         LogError: A log cannot be used.
     """
-    where = tuple(where or ()) or None
+    where = tuple(dict.fromkeys(where or ())) or None
     if effect not in WHOLE:
         effect_class(effect, extra)
     elif where:
@@ -114,7 +114,10 @@ def _places(
     if where is None:
         if options:
             return list(options)
-        raise ArgumentError(f"The model has {effect} wherever it can be already.")
+        raise ArgumentError(
+            f"{effect} can be added nowhere: the model has it already, or no joint that moves in "
+            "the logs, pair of joints or body can have it."
+        )
     if tuple(where) in options:
         return [tuple(where)]
     missing = [name for name in where if (name,) not in options]

@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
 from geodrake.effects.base import Effect
+from geodrake.errors import LogError
 from geodrake.folds import Fold, validation_blocks
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.identification.cross_validation import HeldOut
@@ -78,6 +79,8 @@ def open_case(
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     read = [log if isinstance(log, JointLog) else read_log(log) for log in logs]
     matched = [match_joints(log, model.joints) for log in _with_names_of_their_own(read)]
+    for log in matched:
+        _check_efforts(log)
     limits = effort_limits(model.plant)
     hints = [hint for log in matched for hint in _hints(log, limits)]
     if bandwidth is None:
@@ -105,8 +108,8 @@ def open_case(
     notes.append(f"validated on {len(folds)} held-out folds")
     fingerprints = tuple(log.fingerprint for log in matched)
     notes += [
-        f"the model was fitted to {log.name} before: its errors there as it stands are those of "
-        "training data"
+        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
+        "and a fit counts it twice"
         for log, fingerprint in zip(matched, fingerprints, strict=True)
         if fingerprint in model.fitted_to
     ]
@@ -115,9 +118,7 @@ def open_case(
 
 def reopen(case: Case, model: RobotModel) -> Case:
     """The case with a model fitted to it, whose effects alone get columns."""
-    dataset = reduce_logs(
-        model, case.trajectories, case.folds, effects=effects_of(model), fitted=True
-    )
+    dataset = reduce_logs(model, case.trajectories, case.folds, effects=effects_of(model))
     return replace(case, model=model, dataset=dataset)
 
 
@@ -161,6 +162,18 @@ def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
         replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
         for k, log in enumerate(logs)
     ]
+
+
+def _check_efforts(log: JointLog) -> None:
+    reach = np.nanmax(log.effort, axis=0) - np.nanmin(log.effort, axis=0)
+    constant = reach <= 1e-9 * np.nanmax(np.abs(log.effort), axis=0)
+    if constant.any():
+        joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+        raise LogError(
+            f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
+            advice="Check what is logged there.",
+            joints=joints,
+        )
 
 
 def _hints(log: JointLog, limits: object) -> list[str]:

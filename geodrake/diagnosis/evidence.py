@@ -77,6 +77,17 @@ def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
     return float(min(1.0, tried * chi2.sf(max(gain, 0.0), parameters)))
 
 
+def fold_agreement(before: Array, after: Array) -> float:
+    """Share of the folds, those without samples left aside, whose loss falls.
+
+    Args:
+        before: (F,) loss of every fold before.
+        after: (F,) loss afterwards.
+    """
+    seen = before > 0.0
+    return float(np.mean(after[seen] < before[seen])) if seen.any() else 0.0
+
+
 def tie_probability(loss_a: Array, loss_b: Array) -> float:
     """Chance that b is truly no worse than a, from the paired losses of the folds.
 
@@ -87,7 +98,7 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
     Returns:
         One-sided p-value of the paired t-test; 1 where the two do not differ at all.
     """
-    difference = loss_b - loss_a
+    difference = (loss_b - loss_a)[(loss_a > 0.0) | (loss_b > 0.0)]
     spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
     if spread == 0.0:
         return 0.0 if difference.sum() > 0 else 1.0

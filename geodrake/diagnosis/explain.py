@@ -83,10 +83,10 @@ def explain(
         before.errors,
         error_table(case.dataset, start.held_out),
         errors,
-        fit.model,
+        fit.model if steps else model,
         before,
         after if steps else before,
-        (*case.notes, *companion_notes(trail.end.unknowns, fit)),
+        (*case.notes, *(companion_notes(trail.end.unknowns, fit) if steps else ())),
     )
 
 

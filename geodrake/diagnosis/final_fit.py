@@ -55,7 +55,10 @@ def final_fit(
         settled = settle(settled, iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
     base = replace(case.model, fitted_to=seen)
-    fit = fit_model(base, reopened.dataset, settled.unknowns, settled.weights, delays=delays)
+    # Weights of maximum likelihood, so that the information is that of the parameters.
+    held_out = settled.held_out
+    weights = settled.effective / held_out.samples.sum(0) / held_out.mse
+    fit = fit_model(base, reopened.dataset, settled.unknowns, weights, delays=delays)
     return reopened, fit, end
 
 

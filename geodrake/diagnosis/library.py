@@ -34,18 +34,18 @@ def candidate_effects(
         if effect.places == "joint":
             for joint in single:
                 if speed[joint] > 0.0:
-                    found.extend(effect.candidates(joint, speed[joint]))  # type: ignore[attr-defined]
+                    found.extend(effect.candidates(joint, speed[joint]))
         elif effect.places == "joint_pair":
             for pair in model.joint_pairs:
-                found.extend(effect.candidates(pair))  # type: ignore[attr-defined]
+                found.extend(effect.candidates(pair))
         elif effect.places == "body":
             for body in model.bodies:
-                found.extend(effect.candidates(body))  # type: ignore[attr-defined]
+                found.extend(effect.candidates(body))
     return tuple(found)
 
 
 def candidate_delays(period: float, bandwidth: float) -> tuple[float, ...]:
     """Delays to try beside none, s: multiples of a step the data can resolve, to either side."""
-    step = max(period, LONGEST_DELAY / 10, 0.02 / bandwidth)
-    steps = np.arange(1, int(LONGEST_DELAY / step + 1e-9) + 1) * step
-    return (0.0, *steps.tolist(), *(-steps[: len(steps) // 2]).tolist())
+    step = max(period, LONGEST_DELAY / 10, min(0.02 / bandwidth, LONGEST_DELAY / 2))
+    steps = np.arange(1, max(2, int(LONGEST_DELAY / step + 1e-9) + 1)) * step
+    return (0.0, *steps.tolist(), *(-steps[: (len(steps) + 1) // 2]).tolist())

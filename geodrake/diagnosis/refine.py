@@ -33,7 +33,8 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
             if effect not in fixed and not _is_base(hypothesis, effect):
                 reduced = hypothesis.without([effect])
                 trial = try_package(reduced, Package((effect,), effect.where), 1)
-                if not trial.convinces(criteria) and (weakest is None or trial.score < weakest[0]):
+                needed = trial.convinces(criteria) and stands_out(hypothesis, effect)
+                if not needed and (weakest is None or trial.score < weakest[0]):
                     weakest = (trial.score, reduced)
         if weakest is None:
             return hypothesis
@@ -48,9 +49,14 @@ def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
     )
     if effect.name not in DRY_AND_VISCOUS or not refined:
         return False
+    return stands_out(hypothesis, effect)
+
+
+def stands_out(hypothesis: Hypothesis, effect: Effect) -> bool:
+    """Whether a parameter of an effect is three deviations or more away from zero."""
     span = hypothesis.unknowns.span(effect)
     x, deviations = hypothesis.cv.fit_all(), hypothesis.cv.deviations()
-    return bool(np.all(x[span] > 3.0 * deviations[span]))
+    return bool(np.any(np.abs(x[span]) > 3.0 * deviations[span]))
 
 
 def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:

@@ -230,8 +230,8 @@ class Explanation:
         steps: The effects added, in order.
         start: Errors of the model as it stands.
         refitted: Held-out errors with the parameters refitted within their prior, before any step.
-        end: Held-out errors of the final model.
-        model: The final, physically consistent model.
+        end: Held-out errors of the final model; without a step, those of the model as it stands.
+        model: The final, physically consistent model; without a step, the model as it stands.
         before: Comparison with the model as it stands.
         after: Comparison with held-out predictions of the final model.
         notes: What was done to the logs and noticed about the model.

@@ -13,6 +13,7 @@ from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
 from geodrake.diagnosis.evidence import (
     Criteria,
     false_alarm_probability,
+    fold_agreement,
     log_likelihood_gain,
     tie_probability,
 )
@@ -102,8 +103,9 @@ def try_package(hypothesis: Hypothesis, package: Package, tried: int) -> Trial:
     dataset, before = hypothesis.dataset, hypothesis.held_out
     columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
     information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
-    lower = np.array([p.lower for effect in package.effects for p in effect.parameters])
-    after = hypothesis.cv.with_candidate(columns, information, lower)
+    parameters = [p for effect in package.effects for p in effect.parameters]
+    lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
+    after = hypothesis.cv.with_candidate(columns, information, lower, upper)
     both = np.concatenate([hypothesis.unknowns.columns, columns])
     effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
     gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
@@ -114,7 +116,7 @@ def try_package(hypothesis: Hypothesis, package: Package, tried: int) -> Trial:
         package,
         gain,
         float(1.0 - left.sum() / lost.sum()),
-        float(np.mean(left < lost)),
+        fold_agreement(lost, left),
         false_alarm_probability(gain, package.parameters, tried),
     )
 
@@ -234,7 +236,7 @@ def _whole(
         Package((), where),
         gain,
         float(1.0 - after.sum() / before.sum()),
-        float(np.mean(after < before)),
+        fold_agreement(before, after),
         alarm,
     )
     if not trial.convinces(criteria):

@@ -8,9 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.delay import fine_delay
-from geodrake.diagnosis.evidence import Criteria, false_alarm_probability, log_likelihood_gain
+from geodrake.diagnosis.evidence import (
+    Criteria,
+    false_alarm_probability,
+    fold_agreement,
+    log_likelihood_gain,
+)
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.results import Step
@@ -67,7 +73,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     steps = []
     for i, group in enumerate(ordered):
         parameters, deviations = _values(case, group, trail, fit)
-        count = sum(len(effect.parameters) for effect in group.effects) or 1
+        count = _parameters(case, group)
         gain = gain_of(hypotheses[i], hypotheses[i + 1])
         steps.append(
             Step(
@@ -86,6 +92,12 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     return tuple(steps)
 
 
+def _parameters(case: Case, group: _Group) -> int:
+    if group.looseness is not None:
+        return 2 * len(case.model.bodies)
+    return sum(Package((e,), e.where).parameters for e in group.effects) or 1
+
+
 def refit_step(
     case: Case, start: Hypothesis, fit: ModelFit, criteria: Criteria
 ) -> tuple[Step, ...]:
@@ -101,7 +113,8 @@ def refit_step(
     gain = float(log_likelihood_gain(before.mse, start.held_out.mse, start.effective).sum())
     alarm = false_alarm_probability(gain, 2 * len(case.model.bodies), 1)
     loss = (before.sse / case.dataset.effort_std**2).sum(1)
-    reduction, agreement = 1.0 - start.loss().sum() / loss.sum(), np.mean(start.loss() < loss)
+    reduction = 1.0 - start.loss().sum() / loss.sum()
+    agreement = fold_agreement(loss, start.loss())
     convinces = reduction >= criteria.reduction and agreement >= criteria.agreement
     if alarm > criteria.alarm or not convinces:
         return ()

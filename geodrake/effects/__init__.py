@@ -20,13 +20,15 @@ that hangs from a link, and turns with it, takes ten lines:
 `HangingHose("elbow")` then works wherever an effect does; `load_effect_file` reads such a file, and
 its effects are passed on as `extra`. Further fields are shape parameters, and `candidates` says
 which values of them to try (see `StribeckFriction`). What an effect needs to know of more than one
-joint it gets by overriding `rows` (see `CoupledFriction`).
+joint it gets by overriding `rows` (see `CoupledFriction`); what acts on a body derives from
+`BodyEffect` (see `Payload`).
 """
 
 from __future__ import annotations
 
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
 from geodrake.effects.base import (
+    BodyEffect,
     Effect,
     JointEffect,
     JointMotion,
@@ -50,6 +52,7 @@ from geodrake.effects.viscous_friction import ViscousFriction
 
 __all__ = [
     "AsymmetricFriction",
+    "BodyEffect",
     "CoulombFriction",
     "CoupledFriction",
     "CoupledRotorInertia",

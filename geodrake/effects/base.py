@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
@@ -163,6 +163,25 @@ class Effect(abc.ABC):
         place = {"joint", "joints", "body"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
+    @classmethod
+    def candidates(cls, *args: Any, **kwargs: Any) -> Iterable[Effect]:
+        """Instances a diagnosis should try at a place: one, unless the effect has shapes to try.
+
+        A diagnosis calls it with a joint and its largest speed, with a pair of joints, or with a
+        body, as `places` says.
+
+        Raises:
+            ArgumentError: The effect has shape parameters without a default.
+        """
+        make: Callable[..., Effect] = cls
+        try:
+            return (make(args[0]),)
+        except TypeError as error:
+            raise ArgumentError(
+                f"{cls.name} cannot be made of its place {args[0]!r} alone: {error}.",
+                advice="Give its shape parameters defaults, or define candidates().",
+            ) from error
+
 
 @dataclass(frozen=True)
 class JointEffect(Effect):
@@ -177,21 +196,44 @@ class JointEffect(Effect):
         return (self.joint,)
 
     @abc.abstractmethod
-    def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """One (N,) column per parameter, from the motion of the joint."""
+    def columns(self, joint: JointMotion) -> Sequence[ArrayLike]:
+        """One column per parameter, (N,) or a number, from the motion of the joint."""
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """The columns at the joint itself."""
+        """The columns at the joint itself.
+
+        Raises:
+            ArgumentError: There is no such joint, or `columns` gave something unusable.
+        """
         columns = self.columns(motion.joint(self.joint))
         if len(columns) != len(self.parameters):
             raise ArgumentError(
                 f"{self.name} has {len(self.parameters)} parameters and {len(columns)} columns.",
                 advice="Let columns() return one column for each entry of `parameters`.",
             )
-        return {self.joint: np.stack(list(columns), -1)}
+        usable = [self._usable(column, len(motion.v)) for column in columns]
+        return {self.joint: np.stack(usable, -1)}
+
+    def _usable(self, column: ArrayLike, count: int) -> Array:
+        try:
+            values = np.broadcast_to(np.asarray(column, float), (count,))
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(
+                f"{self.name} of {self.joint} gives a column of shape {np.shape(column)} for "
+                f"{count} samples: {error}.",
+                advice="Let columns() return arrays of the shape of joint.q, or numbers.",
+            ) from error
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise ArgumentError(
+                f"{self.name} of {self.joint} gives {values[bad[0]]} in {len(bad)} of {count} "
+                "samples.",
+                advice="Let columns() return finite numbers for every motion of the joint.",
+            )
+        return values
 
     @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> Iterable[JointEffect]:
+    def candidates(cls, joint: str, peak_speed: float) -> Iterable[Effect]:
         """Instances a diagnosis should try at a joint: one, or one for every shape on a grid.
 
         Args:
@@ -199,7 +241,7 @@ class JointEffect(Effect):
             peak_speed: Largest speed of the joint in the log, rad/s or m/s.
         """
         del peak_speed
-        return (cls(joint),)
+        return super().candidates(joint)
 
 
 @dataclass(frozen=True)
@@ -219,9 +261,27 @@ class JointPairEffect(Effect):
         return self.joints
 
     @classmethod
-    def candidates(cls, joints: tuple[str, str]) -> Iterable[JointPairEffect]:
+    def candidates(cls, joints: tuple[str, str]) -> Iterable[Effect]:
         """Instances a diagnosis should try at a pair of joints."""
-        return (cls(joints),)
+        return super().candidates(joints)
+
+
+@dataclass(frozen=True)
+class BodyEffect(Effect):
+    """An effect that acts on a body. Subclasses define `name`, `parameters`, `rows`."""
+
+    body: str
+    places: ClassVar[str] = "body"
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The body."""
+        return (self.body,)
+
+    @classmethod
+    def candidates(cls, body: str) -> Iterable[Effect]:
+        """Instances a diagnosis should try at a body."""
+        return super().candidates(body)
 
 
 def require_positive(effect: Effect, *names: str) -> None:

@@ -155,6 +155,14 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
         if missing or not is_dataclass(effect):
             what = ", ".join(missing) or "the line @dataclass(frozen=True)"
             raise ModelError(f"The effect {effect.__name__} of {path} lacks {what}.")
+        place = _PLACE_FIELDS.get(effect.places)
+        if place is None or not (effect.places == "log" or place in _field_names(effect)):
+            raise ModelError(
+                f"The effect {effect.__name__} of {path} has places = {effect.places!r} and the "
+                f"fields {_field_names(effect)}.",
+                advice="Derive it from JointEffect, JointPairEffect or BodyEffect, which have "
+                "the field that says where the effect is.",
+            )
         if name in taken:
             raise ModelError(
                 f"The effect {effect.__name__} of {path} has the name {name!r} of another effect.",
@@ -162,6 +170,10 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
             )
         taken.add(effect.name)
     return tuple(effects)
+
+
+def _field_names(effect: type[Effect]) -> list[str]:
+    return [field.name for field in fields(effect)]  # type: ignore[arg-type]
 
 
 def _import(path: Path) -> ModuleType:

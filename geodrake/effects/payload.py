@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from geodrake.effects.base import Array, Effect, Parameter, RobotMotion
+from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion
 from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from geodrake.manifolds import Manifold, PhysicalInertia
 
@@ -16,7 +15,7 @@ _NEVER_NEGATIVE = ("m", "Ixx", "Iyy", "Izz")
 
 
 @dataclass(frozen=True)
-class Payload(Effect):
+class Payload(BodyEffect):
     """Rigid body fixed to a link.
 
     effort = Y_B(q, v, v̇) φ, with the regressor of the link's own inertial parameters and the
@@ -26,21 +25,13 @@ class Payload(Effect):
         body: Name of the link.
     """
 
-    body: str
-
     name = "payload"
-    places: ClassVar[str] = "body"
     parameters = tuple(
         Parameter(name, unit, lower=0.0 if name in _NEVER_NEGATIVE else -np.inf)
         for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
     )
     signature = "follows gravity and acceleration at all joints up to the link that carries it"
     confused_with = ("wrong_inertia", "rotor_inertia", "gravity_tilt", "effort_scale")
-
-    @property
-    def where(self) -> tuple[str, ...]:
-        """The link."""
-        return (self.body,)
 
     @property
     def manifold(self) -> Manifold:
@@ -55,8 +46,3 @@ class Payload(Effect):
     def regressor(self, motion: RobotMotion) -> Array:
         """The link's inertial regressor, (N, nv, 10)."""
         return motion.body_columns(self.body)
-
-    @classmethod
-    def candidates(cls, body: str) -> Iterable[Payload]:
-        """A payload on a link."""
-        return (cls(body),)

@@ -10,7 +10,7 @@ from scipy.signal import welch
 
 from geodrake.filtering import HIGHEST_BANDWIDTH
 from geodrake.model import RobotModel
-from geodrake.motion import JointLog, Motion, Trajectory
+from geodrake.motion import JointLog, Motion, Segment, Trajectory
 from geodrake.preparation import prepare_logs
 
 Array = NDArray[np.float64]
@@ -97,21 +97,30 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
         frequency (K,) in Hz, without 0, and ratio (K,), the geometric mean over joints.
     """
     segments = [segment for trajectory in trajectories for segment in trajectory.segments]
-    shortest = min(len(segment) * segment.period for segment in segments)
-    window = min(0.5 * shortest, 100.0 / trajectories[0].filter.bandwidth)
-    needed = measured = frequency = np.zeros(1)
+    window = min(
+        0.5 * min(len(segment) * segment.period for segment in segments),
+        100.0 / trajectories[0].filter.bandwidth,
+    )
+    fastest = 0.5 / max(segment.period for segment in segments)
+    frequency = np.arange(1.0 / window, fastest, 1.0 / window)
+    needed = measured = np.zeros((len(frequency), len(model.joints)))
     for segment in segments:
-        rate, part = 1.0 / segment.period, slice(0, _SAMPLES)
+        part = slice(0, _SAMPLES)
         motion = Motion(
             model.positions(segment.position[part]),
             segment.velocity[part],
             segment.acceleration[part],
         )
-        length = int(window * rate)
-        frequency, density = welch(model.effort(motion), rate, "hann", length, axis=0)
-        needed = needed + len(segment) * density
-        _, density = welch(segment.effort[part], rate, "hann", length, axis=0)
-        measured = measured + len(segment) * density
+        needed = needed + _density(model.effort(motion), segment, window, frequency)
+        measured = measured + _density(segment.effort[part], segment, window, frequency)
     tiny = np.finfo(float).tiny
-    ratio = np.exp(np.mean(np.log((needed[1:] + tiny) / (measured[1:] + tiny)), axis=1))
-    return frequency[1:], ratio
+    ratio = np.exp(np.mean(np.log((needed + tiny) / (measured + tiny)), axis=1))
+    return frequency, ratio
+
+
+def _density(effort: Array, segment: Segment, window: float, frequency: Array) -> Array:
+    """(K, n) spectral density times samples, on a grid that logs of all rates share."""
+    rate = 1.0 / segment.period
+    own, density = welch(effort, rate, "hann", round(window * rate), axis=0)
+    columns = [np.interp(frequency, own, column) for column in density.T]
+    return len(segment) * np.stack(columns, 1)

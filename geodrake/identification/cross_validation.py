@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import nnls
+from scipy.optimize import lsq_linear
 
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import Unknowns
@@ -133,13 +133,16 @@ class CrossValidation:
         matrix = self._gram * scale[:, None] * scale + _ridge(len(scale))
         return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
 
-    def with_candidate(self, columns: Indices, information: Array, lower: Array) -> HeldOut:
+    def with_candidate(
+        self, columns: Indices, information: Array, lower: Array, upper: Array
+    ) -> HeldOut:
         """Held-out errors with candidate columns beside the unknowns.
 
         Args:
             columns: (k,) the candidate's columns.
             information: (k, k) its prior information about zero.
-            lower: (k,) lower bounds, 0 or −inf.
+            lower: (k,) lower bounds.
+            upper: (k,) upper bounds.
         """
         base = self.unknowns.columns
         cross, rhs = self._assemble(base, columns)
@@ -150,7 +153,7 @@ class CrossValidation:
         for f, fit in enumerate(self._fits):
             solved = fit.solve(cross[f])
             schur, right = own[f] - cross[f].T @ solved, rhs[f] - cross[f].T @ fit.x
-            y = _bounded_solve(schur, right, lower)
+            y = _bounded_solve(schur, right, lower, upper)
             x[f] = np.concatenate([fit.x - solved @ y, y])
         return hold_out(self.dataset, np.concatenate([base, columns]), x, delay=self.delay)
 
@@ -172,17 +175,15 @@ def _ridge(size: int) -> Array:
     return 1e-9 * np.eye(size)
 
 
-def _bounded_solve(schur: Array, rhs: Array, lower: Array) -> Array:
-    """Minimizer of ½ yᵀ S y − rᵀ y with y ≥ 0 where a lower bound is given."""
+def _bounded_solve(schur: Array, rhs: Array, lower: Array, upper: Array) -> Array:
+    """Minimizer of ½ yᵀ S y − rᵀ y within bounds."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(schur), 1e-300))
-    matrix = schur * scale[:, None] * scale + _ridge(len(rhs))
-    y = np.linalg.solve(matrix, scale * rhs)
-    bounded = np.isfinite(lower)
-    if np.any(y[bounded] < 0):
-        root = np.linalg.cholesky(matrix)
-        target = np.linalg.solve(root, scale * rhs)
-        mirrored = np.concatenate([root.T, -root.T[:, ~bounded]], axis=1)
-        z, _ = nnls(mirrored, target)
-        y = z[: len(rhs)]
-        y[~bounded] -= z[len(rhs) :]
-    return scale * y
+    # Columns that say the same leave eigenvalues that rounding may make negative.
+    values, vectors = np.linalg.eigh(schur * scale[:, None] * scale)
+    roots = np.sqrt(np.maximum(values, 0.0) + 1e-9)
+    target = (vectors.T @ (scale * rhs)) / roots
+    y = scale * (vectors @ (target / roots))
+    if np.all((y >= lower) & (y <= upper)):
+        return y
+    box = (lower / scale, upper / scale)
+    return scale * lsq_linear(roots[:, None] * vectors.T, target, box, method="bvls").x

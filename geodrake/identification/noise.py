@@ -35,8 +35,8 @@ def noise_floor(
 
     Args:
         trajectories: The prepared logs.
-        model: A model fitted to the logs; the floor is then that of its residuals where it is
-            lower than that of the efforts.
+        model: A model; the floor is then that of its residuals where they are quieter than the
+            efforts, as those of a model fitted to the logs are.
         sign_width: (nv,) speed below which the direction of motion is not known, for the model.
 
     Returns:

@@ -42,6 +42,9 @@ SIGN_NOISE = 3.0
 AT_REST = 8.0
 """Deviations of the speed's noise that a joint does not exceed if it never moves."""
 
+LEAST_SPEED = 1e-4
+"""Share of the fastest joint's speed that a joint does not exceed if it never moves."""
+
 STILL_SPEED = 0.01
 """Share of its peak speed below which a joint counts as at rest."""
 
@@ -52,7 +55,7 @@ MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
 then be anything up to breakaway, and no model of the motion says what."""
 
-ROWS_KEPT = 50_000
+ROWS_KEPT = 4_000
 """Filtered rows kept of each fold and joint for autocorrelations and figures."""
 
 
@@ -63,7 +66,6 @@ def reduce_logs(
     *,
     effects: Sequence[Effect],
     delays: Sequence[float] = (0.0,),
-    fitted: bool = False,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
@@ -73,8 +75,6 @@ def reduce_logs(
         folds: Validation folds of the trajectories.
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s; the first must be 0.
-        fitted: Whether the model was fitted to these logs, so that its residuals show the noise
-            better than the efforts do.
 
     Raises:
         LogError: The effort of a joint never changes.
@@ -112,7 +112,7 @@ def reduce_logs(
             for columns, joint in zip(layout.columns, boxes, strict=True)
         ),
         _effort_deviation(model.joints, boxes),
-        noise_floor(trajectories, model if fitted else None, sign_width=layout.sign_width),
+        noise_floor(trajectories, model, sign_width=layout.sign_width),
         trajectories[0].filter.bandwidth,
         np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
     )
@@ -127,7 +127,8 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
     ]
     peak = np.max(speeds, axis=0)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-    return np.where(peak > AT_REST * noise, peak, 0.0)
+    moving = (peak > AT_REST * noise) & (peak > LEAST_SPEED * peak.max())
+    return np.where(moving, peak, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
