@@ -292,3 +292,20 @@ def test_unknowns_without_an_effect_are_those_before_it(dataset, model):
         assert fewer.inertia_blocks == rest.inertia_blocks
         for name in ("columns", "mean", "information", "lower", "upper"):
             np.testing.assert_array_equal(getattr(fewer, name), getattr(rest, name))
+
+
+def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:3])
+    size = len(unknowns.columns)
+    root = np.random.default_rng(3).normal(size=(2 * size, size))
+    known = replace(unknowns, information=root.T @ root)
+    weak = np.array([[1e-6]])
+    released = known.released(EFFECTS[1], weak)
+    span = known.span(EFFECTS[1])
+    rest = np.delete(np.arange(len(known.columns)), span)
+    before, after = (np.linalg.inv(u.information) for u in (known, released))
+    np.testing.assert_allclose(
+        after[np.ix_(rest, rest)], before[np.ix_(rest, rest)], rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_array_equal(released.information[span, span], weak)
+    np.testing.assert_array_equal(released.information[span, rest], 0.0)

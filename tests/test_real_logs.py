@@ -110,6 +110,15 @@ def test_ur10e_carries_a_payload_after_the_change(ur10e_changed):
     assert 0.0 < deviation < 0.3
 
 
+def test_ur10e_payload_that_was_put_down_is_noticed(ur10e_changed):
+    found = explain(ur10e_changed.model, [DATA / "ur10e_free_c.csv"])
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("payload", ("wrist_3_link",))
+    assert step.error_before > 0.4
+    assert step.error_after < 0.1
+    assert step.parameters["wrist_3_link"]["mass"] < 0.15
+
+
 def test_ur10e_payload_is_named_by_one_diagnosis(ur10e_saved, ur10e_changed):
     diagnosis = diagnose(ur10e_saved, [DATA / "ur10e_changed.csv"])
     chosen = diagnosis.candidates[0]

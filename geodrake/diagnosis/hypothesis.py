@@ -33,6 +33,7 @@ class Hypothesis:
         looseness: Factor by which the inertial prior is widened.
         cv: The fits.
         effective: (nv,) effective number of samples.
+        released: Effects of the model whose parameters were let go.
     """
 
     dataset: Dataset
@@ -42,6 +43,7 @@ class Hypothesis:
     looseness: float
     cv: CrossValidation
     effective: Array
+    released: tuple[Effect, ...] = ()
 
     @property
     def held_out(self) -> HeldOut:
@@ -77,6 +79,12 @@ class Hypothesis:
         """This hypothesis with the inertial prior `factor` times as wide, refitted."""
         unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
         return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
+
+    def release(self, effect: Effect) -> Hypothesis:
+        """This hypothesis with the parameters of an effect let go, refitted."""
+        _, information = effect_prior(self.dataset, effect)
+        unknowns = self.unknowns.released(effect, information)
+        return settle(replace(self, unknowns=unknowns, released=(*self.released, effect)))
 
     def delayed(self, delay: int) -> Hypothesis:
         """This hypothesis against the effort with another delay."""

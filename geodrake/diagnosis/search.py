@@ -19,6 +19,7 @@ from geodrake.diagnosis.evidence import (
 )
 from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
 from geodrake.effects.base import Effect
+from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
 Array = NDArray[np.float64]
@@ -155,7 +156,11 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     """All kinds that convince, best first, with those that tie with the best marked."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     tried = sum(len(packages) for kind in offered for packages in kind.options.values())
-    ranked = [*_delays(hypothesis, criteria), *_looser_prior(hypothesis, criteria)]
+    ranked = [
+        *_delays(hypothesis, criteria),
+        *_looser_prior(hypothesis, criteria),
+        *_other_payloads(hypothesis, criteria),
+    ]
     for kind in offered:
         trials = convincing(hypothesis, kind, tried, criteria)
         if trials:
@@ -215,6 +220,30 @@ def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
         parameters=2 * len(bodies),
         criteria=criteria,
     )
+
+
+def _other_payloads(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+    """Payloads that the model came with, changed or put down since."""
+    found = []
+    for effect in hypothesis.unknowns.effects:
+        known = effect not in hypothesis.released and _is_known(hypothesis, effect)
+        if is_payload(effect) and known:
+            found += _whole(
+                hypothesis,
+                [hypothesis.release(effect)],
+                name=effect.name,
+                where=effect.where,
+                parameters=len(effect.parameters),
+                criteria=criteria,
+            )
+    return found
+
+
+def _is_known(hypothesis: Hypothesis, effect: Effect) -> bool:
+    """Whether more is known about an effect than that it may be there."""
+    span = hypothesis.unknowns.span(effect)
+    known = hypothesis.unknowns.information[span, span]
+    return bool(np.trace(known) > 1.01 * np.trace(effect_prior(hypothesis.dataset, effect)[1]))
 
 
 def _whole(

@@ -33,10 +33,11 @@ Values = dict[str, dict[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """What one step adds: effects of one name, a delay, or a looser inertial prior."""
+    """What one step adds: effects of one name, a payload let go, a delay, a looser prior."""
 
     name: str
     effects: tuple[Effect, ...] = ()
+    released: Effect | None = None
     delay: int | None = None
     looseness: float | None = None
 
@@ -45,6 +46,8 @@ class _Group:
             return hypothesis.delayed(self.delay)
         if self.looseness is not None:
             return hypothesis.loosened(self.looseness)
+        if self.released is not None:
+            return hypothesis.release(self.released)
         return hypothesis.with_effects(self.effects)
 
 
@@ -143,6 +146,7 @@ def _groups(trail: Trail) -> list[_Group]:
         if effect not in present:
             names.setdefault(effect.name, []).append(effect)
     groups = [_Group(name, tuple(effects)) for name, effects in names.items()]
+    groups += [_Group(effect.name, (effect,), effect) for effect in trail.end.released]
     if trail.end.delay != trail.start.delay:
         groups.append(_Group("effort_delay", delay=trail.end.delay))
     if trail.end.looseness > 1.0:

@@ -90,6 +90,25 @@ class Unknowns:
             shifted(self.starts),
         )
 
+    def released(self, effect: Effect, information: Array) -> Unknowns:
+        """These unknowns with what was known about one effect forgotten.
+
+        Args:
+            effect: One of the effects.
+            information: (k, k) what is known about it instead, around zero.
+        """
+        span = self.span(effect)
+        inside = np.zeros(len(self.columns), bool)
+        inside[span] = True
+        cross = self.information[np.ix_(~inside, inside)]
+        known = np.zeros_like(self.information)
+        # What is known about the others, whatever the effect's parameters are.
+        known[np.ix_(~inside, ~inside)] = self.information[np.ix_(~inside, ~inside)] - (
+            cross @ np.linalg.solve(self.information[span, span], cross.T)
+        )
+        known[span, span] = information
+        return replace(self, mean=np.where(inside, 0.0, self.mean), information=known)
+
     def loosened(self, factor: float, inertial: int) -> Unknowns:
         """These unknowns with the prior of the first `inertial` ones `factor` times as wide."""
         scale = np.ones(len(self.columns))
