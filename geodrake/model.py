@@ -189,6 +189,12 @@ class RobotModel:
         return tuple(self.joints[i] for i in self._single_joints[0])
 
     @cached_property
+    def sliding_joints(self) -> tuple[str, ...]:
+        """Names of the prismatic joints, whose positions are in m and efforts in N."""
+        starts = self._single_joints[0]
+        return tuple(self.joints[i] for i in starts if self._joint_type(i) == "prismatic")
+
+    @cached_property
     def _single_joints(self) -> tuple[list[int], list[int]]:
         plant = self.plant
         joints = [plant.get_joint(index) for index in plant.GetJointIndices()]

@@ -108,13 +108,7 @@ def friction(joints):
 
 def model_of(joints, prismatic=()):
     """As much of a RobotModel as reports look at: its joints' kinds and its effects."""
-    kinds = ["prismatic" if joint in prismatic else "revolute" for joint in joints]
-    found = [
-        SimpleNamespace(type_name=lambda kind=kind: kind, velocity_start=lambda i=i: i)
-        for i, kind in enumerate(kinds)
-    ]
-    plant = SimpleNamespace(GetJointIndices=lambda: range(len(found)), get_joint=found.__getitem__)
-    return SimpleNamespace(plant=plant, joints=joints, effects=())
+    return SimpleNamespace(sliding_joints=tuple(prismatic), joints=joints, effects=())
 
 
 def explanation(joints, steps=None, *, verdict="unexplained", prismatic=()):

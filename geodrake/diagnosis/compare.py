@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -54,21 +54,30 @@ def comparison(
     if unknowns is None or held_out is None:
         unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
     found = series(dataset, unknowns, held_out)
-    return Comparison(error_table(dataset, held_out), where_it_fails(found), found, case.notes)
+    return Comparison(
+        error_table(dataset, held_out),
+        where_it_fails(found, sliding=case.model.sliding_joints),
+        found,
+        case.notes,
+    )
 
 
-def where_it_fails(found: Sequence[Series], *, most: int = 6) -> tuple[Failing, ...]:
+def where_it_fails(
+    found: Sequence[Series], *, sliding: Collection[str] = (), most: int = 6
+) -> tuple[Failing, ...]:
     """Circumstances in which errors are concentrated, the worst of each joint first.
 
     Args:
         found: Measured and predicted efforts.
+        sliding: Names of prismatic joints, whose units are m and N.
         most: Largest number of circumstances to return.
     """
     worst = []
     for joint in dict.fromkeys(s.joint for s in found):
         own = [s for s in found if s.joint == joint]
         squares = np.concatenate([s.residual for s in own]) ** 2
-        cases = [_failing(joint, words, mask, squares) for words, mask in _circumstances(own)]
+        circumstances = _circumstances(own, *(("m", "N") if joint in sliding else ("rad", "N·m")))
+        cases = [_failing(joint, words, mask, squares) for words, mask in circumstances]
         notable = [c for c in cases if c is not None and c.rms > _NOTABLE * c.elsewhere]
         if notable:
             weight = float(
@@ -79,17 +88,17 @@ def where_it_fails(found: Sequence[Series], *, most: int = 6) -> tuple[Failing, 
     return tuple(case for _, case in worst[:most])
 
 
-def _circumstances(own: Sequence[Series]) -> Iterator[tuple[str, Mask]]:
+def _circumstances(own: Sequence[Series], way: str, effort: str) -> Iterator[tuple[str, Mask]]:
     """Words and masks of quarters of the time, speeds, positions, accelerations and loads."""
     signals = {
         name: np.concatenate([getattr(s, name) for s in own])
         for name in ("velocity", "position", "acceleration", "predicted")
     }
     speed, load = np.abs(signals["velocity"]), np.abs(signals["predicted"])
-    yield from _extremes(speed, "at speeds", "rad/s")
-    yield from _extremes(load, "at predicted efforts", "N·m")
-    yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", "rad/s²")
-    yield from _extremes(signals["position"], "at positions", "rad")
+    yield from _extremes(speed, "at speeds", f"{way}/s")
+    yield from _extremes(load, "at predicted efforts", effort)
+    yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", f"{way}/s²")
+    yield from _extremes(signals["position"], "at positions", way)
     yield "while it moves forwards", signals["velocity"] > 0.02 * speed.max()
     yield "while it moves backwards", signals["velocity"] < -0.02 * speed.max()
     blocks = np.concatenate([[s.block] * len(s.time) for s in own])

@@ -42,10 +42,8 @@ class Units:
     @classmethod
     def of(cls, model: RobotModel) -> Units:
         """The units of a model's joints, and of the effects that it has."""
-        joints = (model.plant.get_joint(index) for index in model.plant.GetJointIndices())
-        sliding = (j.velocity_start() for j in joints if j.type_name() == "prismatic")
         own = {fitted.effect.name: type(fitted.effect) for fitted in model.effects}
-        return cls(frozenset(model.joints[i] for i in sliding), {**cls().effects, **own})
+        return cls(frozenset(model.sliding_joints), {**cls().effects, **own})
 
     def at(self, joint: str, unit: str) -> str:
         """A unit that is written for a revolute joint, at a joint."""
