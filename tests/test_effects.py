@@ -348,13 +348,13 @@ class TestUsersEffect:
             Wrong("elbow").regressor(random_motion())
 
     @staticmethod
-    def of_columns(*columns):
+    def of_columns(*made):
         class Mine(effects.JointEffect):
             name = "mine"
-            parameters = tuple(effects.Parameter("a", "N·m") for _ in columns)
+            parameters = (effects.Parameter("a", "N·m"),) * len(made)
 
             def columns(self, joint: JointMotion):
-                return [column(joint) for column in columns]
+                return [column(joint) for column in made]
 
         return Mine("elbow")
 
