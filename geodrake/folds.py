@@ -1,7 +1,8 @@
 """Validation folds: whole trajectories, or long blocks of time with gaps between them.
 
 Residuals of real robots are correlated over many samples, so that folds of single samples call
-nearly every smooth regressor real. Folds here are as far apart in time as the data allow.
+nearly every smooth regressor real. Folds here are long stretches of time. Their gaps take at most a
+twentieth of the data, so that the outermost samples of neighbouring folds may share filter windows.
 """
 
 from __future__ import annotations
@@ -79,10 +80,17 @@ def validation_blocks(
         ArgumentError: If there is no trajectory, or `blocks` or `gap_seconds` is out of range.
         LogError: If the trajectories are too short for two folds.
     """
-    if not trajectories or (blocks is not None and blocks < 1) or (gap_seconds or 0.0) < 0.0:
+    if not trajectories or (gap_seconds or 0.0) < 0.0:
         raise ArgumentError(
-            f"Folds need a trajectory, at least one block and no negative gap; got "
-            f"{len(trajectories)} trajectories, blocks={blocks}, gap_seconds={gap_seconds}."
+            f"Folds need a trajectory and no negative gap; got {len(trajectories)} trajectories, "
+            f"gap_seconds={gap_seconds}."
+        )
+    least = 2 if len(trajectories) == 1 else 1
+    if blocks is not None and blocks < least:
+        raise ArgumentError(
+            f"{blocks} blocks do not do for {len(trajectories)} log: something must be held out.",
+            advice=f"Ask for at least {least} blocks.",
+            blocks=blocks,
         )
     wanted = blocks or max(1, _FOLDS // len(trajectories))
     if blocks is None and len(trajectories) >= _ENOUGH_TRAJECTORIES:

@@ -45,6 +45,9 @@ class JointLog:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for quantity in ("time", "position", "effort", "velocity", "acceleration"):
+            if (values := getattr(self, quantity)) is not None:
+                object.__setattr__(self, quantity, np.asarray(values, float))
         shape = (len(self.time), len(self.joints))
         for quantity in ("position", "effort", "velocity", "acceleration"):
             values = getattr(self, quantity)

@@ -85,7 +85,9 @@ def prepare_logs(
         ArgumentError: If there is no log, joints differ, or the bandwidth does not fit.
         LogError: If a log is still throughout, or too short for the bandwidth.
     """
-    if not logs or any(log.joints != logs[0].joints for log in logs):
+    if not logs:
+        raise ArgumentError("There is no log.", advice="Give at least one.")
+    if any(log.joints != logs[0].joints for log in logs):
         raise ArgumentError(
             f"Logs to prepare must be of the same joints; got {[log.joints for log in logs]}.",
             advice="Match every log to the model's joints first.",
@@ -190,9 +192,7 @@ def _prepare(uniform: _Uniform, bandwidth: float, motion_bandwidth: float, how: 
         )
     dropped = len(uniform.pieces) - len(segments)
     if dropped:
-        note = (
-            f"left out {dropped} of {len(uniform.pieces)} pieces, still or too short for the filter"
-        )
+        note = f"left out {dropped} of {len(uniform.pieces)} pieces: still, or short for the filter"
         return replace(trajectory, notes=(*notes, note))
     return trajectory
 
@@ -237,7 +237,8 @@ def _choose_velocities(
     )
     still = np.where(uniform.moving, 0.0, np.inf)
     # Differences of positions, or a filter in the drive, make velocities late.
-    lag = np.sum((truth - found) * slope, axis=0) / (np.sum(slope**2, axis=0) + still)
+    steepness = np.sum(slope**2, axis=0) + still
+    lag = np.sum((truth - found) * slope, axis=0) / np.where(steepness > 0.0, steepness, np.inf)
     error = np.sum((found + lag * slope - truth) ** 2, axis=0)
     relative = np.sqrt(error / (np.sum(truth**2, axis=0) + still))
     worst, latest = int(np.argmax(relative)), int(np.argmax(np.abs(lag)))

@@ -8,7 +8,7 @@ from pendulum_logs import JOINTS, PENDULUM, body_effort, friction, pendulum_log
 
 from geodrake import load_model
 from geodrake.diagnosis import add, compare, explain
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.motion import JointLog
 
 
@@ -77,3 +77,27 @@ def test_without_a_step_the_model_stays(model):
     found = explain(model, [pendulum_log(9)])
     assert found.steps == ()
     assert found.model is model
+
+
+def test_velocities_that_nobody_filled_in(model):
+    log = pendulum_log(10, friction((0.5, 0.2)))
+    empty = replace(log, velocity=np.zeros_like(log.position))
+    with_zeros, without = explain(model, [empty]), explain(model, [log])
+    assert [s.effect for s in with_zeros.steps] == [s.effect for s in without.steps]
+    assert any("velocities are not used" in note for note in with_zeros.notes)
+
+
+def test_lists_do_for_a_log():
+    log = JointLog("lists", ("a",), [0.0, 0.1], [[1.0], [2.0]], [[0.0], [1.0]])
+    assert log.position.shape == (2, 1)
+
+
+@pytest.mark.parametrize("blocks", [0, 1])
+def test_too_few_blocks_are_refused_by_name(model, blocks):
+    with pytest.raises(ArgumentError, match=rf"{blocks} blocks do not do"):
+        compare(model, [pendulum_log(11)], blocks=blocks)
+
+
+def test_no_log_is_refused(model):
+    with pytest.raises(ArgumentError, match="There is no log"):
+        compare(model, [])

@@ -1,5 +1,16 @@
 """The `geodrake` command: compare, diagnose, add, explain, demo."""
 
-from geodrake.cli.app import main
+import sys
 
 __all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command; Ctrl-C is said in a word, even while it is still being imported."""
+    try:
+        from geodrake.cli.app import main as run
+
+        run()
+    except KeyboardInterrupt:
+        print("Interrupted.", file=sys.stderr)
+        sys.exit(130)

@@ -33,6 +33,8 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     except KeyboardInterrupt:
         _stop("Interrupted.", INTERRUPTED)
     except Exception as error:  # whatever it is, the user gets a sentence
+        if _was_interrupted(error):
+            _stop("Interrupted.", INTERRUPTED)
         if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
             traceback.print_exc()
         if isinstance(error, GeodrakeError):
@@ -45,6 +47,15 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             "what --debug shows.",
             INTERNAL_ERROR,
         )
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error, as when it comes amid the import of an extension."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def _stop(message: str, code: int) -> None:

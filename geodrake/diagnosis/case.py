@@ -165,8 +165,10 @@ def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
 
 
 def _check_efforts(log: JointLog) -> None:
-    reach = np.nanmax(log.effort, axis=0) - np.nanmin(log.effort, axis=0)
-    constant = reach <= 1e-9 * np.nanmax(np.abs(log.effort), axis=0)
+    effort = log.effort[np.isfinite(log.effort).all(axis=1)]
+    constant = np.zeros(len(log.joints), bool)
+    if len(effort):
+        constant = np.ptp(effort, axis=0) <= 1e-9 * np.abs(effort).max(axis=0)
     if constant.any():
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
         raise LogError(

@@ -187,7 +187,7 @@ def _import(path: Path) -> ModuleType:
     sys.modules[name] = module  # dataclasses look their module up while they are made
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ModelError(
             f"{path} cannot be run: {type(error).__name__}: {error}.",
