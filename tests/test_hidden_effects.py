@@ -20,6 +20,7 @@ from geodrake.log_files import read_log
 
 pytest.importorskip("pinocchio")
 
+from pendulum_logs import NOISE, pendulum_log
 from pinocchio_logs import (
     MODELS,
     HiddenEffects,
@@ -235,3 +236,41 @@ class TestNothingHidden:
         assert [step.effect for step in found.steps] == ["wrong_inertia"]
         assert found.verdict == "explained"
         assert found.end.nrms < MARGIN * floor_nrms(model_file(name), recording, found.end)
+
+
+SHOULDER = np.array([1.0, 0.0])
+REFINED = {
+    "stribeck": (
+        lambda v, vd: (
+            SHOULDER * (np.tanh(v / 3e-3) * (0.3 + 0.35 * np.exp(-np.abs(v) / 0.25)) + 0.2 * v)
+        ),
+        {"coulomb_friction", "viscous_friction", "stribeck_friction"},
+    ),
+    "quadratic": (
+        lambda v, vd: SHOULDER * 0.15 * v * np.abs(v),
+        {"nonlinear_viscous_friction"},
+    ),
+    "quadratic, dry and viscous": (
+        lambda v, vd: SHOULDER * (0.15 * v * np.abs(v) + 0.3 * np.tanh(v / 3e-3) + 0.2 * v),
+        {"nonlinear_viscous_friction", "coulomb_friction", "viscous_friction"},
+    ),
+    "coupled rotor": (lambda v, vd: 0.05 * vd[:, ::-1], {"coupled_rotor_inertia"}),
+}
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("name", REFINED)
+def test_laws_with_a_shape(name, seed):
+    """Laws written out here, on Drake's inverse dynamics of the double pendulum."""
+    law, expected = REFINED[name]
+    log = pendulum_log(seed, lambda q, v, vd, load: law(v, vd), seconds=60.0)
+    found = explain(model_file("double_pendulum"), [log])
+    assert {step.effect for step in found.steps} == expected
+    assert found.verdict == "explained"
+    floor = floor_nrms(model_file("double_pendulum"), Recording(log, NOISE), found.end)
+    # The Stribeck velocity is one of a grid of four, and the error of that remains.
+    assert found.end.nrms < (1.25 if name == "stribeck" else MARGIN) * floor
+    for step in found.steps:
+        if step.effect == "nonlinear_viscous_friction":
+            assert step.parameters["shoulder"]["exponent"] == 2.0
+            assert step.parameters["shoulder"]["viscous"] == pytest.approx(0.15, rel=0.03)

@@ -28,9 +28,6 @@ COMPLEXITY: Mapping[str, int] = {
 
 DRY_AND_VISCOUS = ("coulomb_friction", "viscous_friction")
 
-REFINEMENTS = ("stribeck_friction", "nonlinear_viscous_friction")
-"""Offered on top of dry and viscous friction only: alone they are compromises between the two."""
-
 
 @dataclass(frozen=True)
 class Package:
@@ -108,9 +105,19 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
     ]
 
 
+def is_refinement(effect: Effect) -> bool:
+    """Whether an effect refines dry and viscous friction, and alone is a compromise of the two.
+
+    Stribeck friction is one, and |v|^α with α < 1; drag that grows faster than the speed is not.
+    """
+    if effect.name == "nonlinear_viscous_friction":
+        return float(effect.shape["exponent"]) < 1.0
+    return effect.name == "stribeck_friction"
+
+
 def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
     """Whether the frictions that an effect refines are among those taken, by name and place."""
-    if effect.name not in REFINEMENTS or ("asymmetric_friction", effect.where) in taken:
+    if not is_refinement(effect) or ("asymmetric_friction", effect.where) in taken:
         return True
     return all((name, effect.where) in taken for name in DRY_AND_VISCOUS)
 

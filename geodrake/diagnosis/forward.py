@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.refine import prune, simplify
+from geodrake.diagnosis.refine import prune, reshape, simplify
 from geodrake.diagnosis.search import PENALTY, Ranked, choose, gain_of, rank
 from geodrake.effects.base import Effect
 
@@ -94,7 +94,8 @@ def _settled(
     """The hypothesis once nothing is left to simplify, prune or tune."""
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = prune(simplify(hypothesis, fixed, criteria), fixed, criteria)
+        hypothesis = reshape(simplify(hypothesis, fixed, criteria), fixed)
+        hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis
         if set(hypothesis.unknowns.effects) == set(before):
             break
@@ -106,7 +107,8 @@ def _refined(
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
     simple = simplify(chosen.hypothesis, fixed, criteria)
-    for after in (prune(simple, fixed, criteria), prune(chosen.hypothesis, fixed, criteria)):
+    for shaped in (reshape(simple, fixed), reshape(chosen.hypothesis, fixed)):
+        after = prune(shaped, fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
         if gain_of(hypothesis, after) > PENALTY * max(added, 1):
             return after

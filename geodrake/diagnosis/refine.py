@@ -8,8 +8,8 @@ import numpy as np
 
 from geodrake.diagnosis.candidates import (
     DRY_AND_VISCOUS,
-    REFINEMENTS,
     Package,
+    is_refinement,
     kind_complexity,
     kinds,
 )
@@ -44,7 +44,7 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
 def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
     """Whether a refinement stands on an effect that is clearly there (by three deviations)."""
     refined = any(
-        other.name in REFINEMENTS and other.where == effect.where
+        is_refinement(other) and other.where == effect.where
         for other in hypothesis.unknowns.effects
     )
     if effect.name not in DRY_AND_VISCOUS or not refined:
@@ -57,6 +57,23 @@ def stands_out(hypothesis: Hypothesis, effect: Effect) -> bool:
     span = hypothesis.unknowns.span(effect)
     x, deviations = hypothesis.cv.fit_all(), hypothesis.cv.deviations()
     return bool(np.any(np.abs(x[span]) > 3.0 * deviations[span]))
+
+
+def reshape(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> Hypothesis:
+    """Choose shape parameters anew: what fitted best before other effects came may not now."""
+    for effect in hypothesis.unknowns.effects:
+        variants = [
+            other
+            for other in hypothesis.dataset.effects
+            if (other.name, other.where) == (effect.name, effect.where) and other != effect
+        ]
+        if effect not in fixed and variants:
+            reduced = hypothesis.without([effect])
+            others = [reduced.with_effects([variant]) for variant in variants]
+            best = max(others, key=lambda other: gain_of(hypothesis, other))
+            if gain_of(hypothesis, best) > PENALTY:
+                hypothesis = best
+    return hypothesis
 
 
 def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
