@@ -57,7 +57,9 @@ class _Addition:
     where: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME", help="Joint or body to add it at; repeatable. Everywhere if absent."
+            metavar="NAME",
+            help="Joint or body to add it at; repeatable. If absent, all joints, or the body or "
+            "pair of joints that it helps most at.",
         ),
     ] = None
 
