@@ -37,5 +37,9 @@ class IdentificationError(GeodrakeError):
     """A program for the parameters has no usable solution."""
 
 
+class ConvergenceError(GeodrakeError):
+    """An iteration did not reach its tolerance."""
+
+
 class OutputError(GeodrakeError):
     """A result cannot be written where it was asked for."""

@@ -12,11 +12,18 @@ PACKAGE = ROOT / "geodrake"
 LAYERS = (
     # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
+    "positive_definite",
     "bodies",
     "inertia",
+    "body_distances",
+    "ellipsoids",
     "manifolds",
+    "projections",
+    "perturbation",
     "filtering",
     "motion",
+    "unit_hints",
+    "smoothing",
     "preparation",
     "folds",
     "log_files",
