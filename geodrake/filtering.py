@@ -168,22 +168,20 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
     return make_interp_spline(time, signal, k=5).derivative()(time)
 
 
-def resample(time: Array, smooth: Array, sharp: Array, period: float) -> tuple[Array, ...]:
-    """Move jittered samples to uniform instants, starting with the first.
+def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple[Array, Array]:
+    """Move jittered samples to other instants.
 
     Args:
         time: (N,) increasing time stamps, s.
         smooth: (N, m) signals to interpolate by a cubic spline (positions, velocities).
         sharp: (N, n) signals to interpolate linearly, without overshoot (efforts).
-        period: Time between the new samples, s.
+        instants: (K,) new time stamps between the first and the last, s.
 
     Returns:
-        New time stamps (K,), smooth (K, m) and sharp (K, n).
+        The smooth signals (K, m) and the sharp ones (K, n).
     """
-    count = int((time[-1] - time[0]) / period + 1e-3) + 1
-    grid = np.minimum(time[0] + period * np.arange(count), time[-1])
-    linear = np.stack([np.interp(grid, time, column) for column in sharp.T], 1)
-    return grid, CubicSpline(time, smooth)(grid), linear
+    linear = np.stack([np.interp(instants, time, column) for column in sharp.T], 1)
+    return CubicSpline(time, smooth)(instants), linear
 
 
 def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:

@@ -141,11 +141,12 @@ def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | N
 def _name(trajectory: Trajectory, blocks: Sequence[Block], pieces: int) -> str:
     if pieces == 1:
         return trajectory.name
+    low_pass = trajectory.filter
     first, last = (
-        segment.time[trajectory.filter.output_indices(len(segment))[sample]]
-        for segment, sample in (
-            (trajectory.segments[blocks[0].segment], blocks[0].start),
-            (trajectory.segments[blocks[-1].segment], blocks[-1].stop - 1),
+        trajectory.segments[index][center : center + 1].time[0]
+        for index, center in (
+            (block.segment, low_pass.halfwidth + low_pass.decimation * sample)
+            for block, sample in ((blocks[0], blocks[0].start), (blocks[-1], blocks[-1].stop - 1))
         )
     )
     return f"{trajectory.name} {first:.2f}–{last:.2f} s"

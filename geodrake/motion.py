@@ -6,14 +6,17 @@ import difflib
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.filtering import ZeroPhaseFilter
 
 Array = NDArray[np.float64]
+
+_ROWS = 100_000  # of a log that are copied at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +71,14 @@ class JointLog:
     def fingerprint(self) -> str:
         """Digest of the measurements, whatever the order of the joints: tells logs apart."""
         order = np.argsort(self.joints)
-        digest = hashlib.sha256(np.ascontiguousarray(self.time).tobytes())
+        digest = hashlib.sha256(np.ascontiguousarray(self.time))
         for values in (self.position, self.effort):
-            digest.update(np.ascontiguousarray(values[:, order]).tobytes())
+            for first in range(0, len(self), _ROWS):
+                digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]))
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
-        """The log of some of its joints, in the order given.
+        """The log of some of its joints, in the order given; itself if that is its own order.
 
         Args:
             joints: Names of joints that the log has.
@@ -89,6 +93,8 @@ class JointLog:
                     advice="Rename the log's columns, or record that joint too.",
                     joint=joint,
                 )
+        if tuple(joints) == self.joints:
+            return self
         order = [self.joints.index(joint) for joint in joints]
         pick = {
             quantity: values[:, order]
@@ -133,7 +139,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A piece of a log without gaps, at uniform instants.
+    """Samples of a log without gaps, at uniform instants.
 
     Positions, velocities and accelerations are smooth and belong together. Efforts are resampled
     but not filtered: they and the regressors pass the same filter later.
@@ -157,6 +163,36 @@ class Segment:
     def __len__(self) -> int:
         return len(self.time)
 
+    def __getitem__(self, samples: slice) -> Segment:
+        signals = (self.time, self.position, self.velocity, self.acceleration, self.effort)
+        return Segment(*(signal[samples] for signal in signals), self.period)
+
+    @property
+    def peak_speed(self) -> Array:
+        """(n,) largest speed of every joint, rad/s or m/s."""
+        return np.abs(self.velocity).max(axis=0)
+
+
+class Stretch(Protocol):
+    """What gives the samples of a log without gaps, a slice at a time.
+
+    A segment does; so does a long log that is smoothed only where somebody looks.
+    """
+
+    @property
+    def period(self) -> float:
+        """Time between samples, s."""
+
+    @property
+    def peak_speed(self) -> Array:
+        """(n,) largest speed of every joint, rad/s or m/s."""
+
+    def __len__(self) -> int:
+        """Number of samples."""
+
+    def __getitem__(self, samples: slice) -> Segment:
+        """Some of the samples, in memory."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -165,7 +201,7 @@ class Trajectory:
     Attributes:
         name: Name of the log.
         joints: Names of the n joints, in the log's order.
-        segments: Its pieces without gaps, in time.
+        segments: Its stretches without gaps, in time.
         filter: What efforts and regressors of every segment are to be filtered by.
         speed_noise: (n,) deviation of the noise of the smoothed velocities, rad/s or m/s.
         notes: What was done to the log and chosen from it, in words.
@@ -173,7 +209,7 @@ class Trajectory:
 
     name: str
     joints: tuple[str, ...]
-    segments: tuple[Segment, ...]
+    segments: tuple[Stretch, ...]
     filter: ZeroPhaseFilter
     speed_noise: Array
     notes: tuple[str, ...] = ()
@@ -206,59 +242,15 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
     return log.select(model_joints)
 
 
-def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
-    """A sentence for the user if efforts look like another unit than N·m or N; else None.
-
-    Args:
-        log: The log.
-        effort_limits: (n,) limits of the model's joints, N·m or N; zeros and infinities say
-            nothing.
-    """
-    limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
-    known = np.isfinite(limits) & (limits > 0)
-    if not known.any():
-        return None
-    peaks = _peaks(log.effort)
-    ratio = np.where(known, peaks / np.where(known, limits, 1.0), np.nan)
-    worst = int(np.nanargmax(ratio))
-    if ratio[worst] > 3.0:
-        return (
-            f"Efforts are in other units by the look of it: {log.joints[worst]} peaks at "
-            f"{peaks[worst]:.4g}, {ratio[worst]:.0f} times the model's limit of "
-            f"{limits[worst]:.4g} N·m or N. N·mm, motor torque or ticks?"
-        )
-    if ratio[worst] < 0.01:
-        return (
-            f"Efforts are in other units by the look of it: no joint goes beyond 1 % of the "
-            f"model's limit; {log.joints[worst]} comes nearest with {peaks[worst]:.3g} of "
-            f"{limits[worst]:.4g} N·m or N. Motor current, a share of the limit, or kN·m?"
-        )
-    return None
-
-
-def position_unit_hint(log: JointLog) -> str | None:
-    """A sentence for the user if joint positions look like degrees; else None."""
-    peaks = _peaks(log.position)
-    worst = int(np.argmax(peaks))
-    if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:
-        return (
-            f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
-            f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m."
-        )
-    return None
-
-
-def _peaks(values: Array) -> Array:
-    """(n,) largest magnitude of each column, 0 where nothing was measured."""
-    return np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=0, initial=0.0)
-
-
 def _nearest(name: str, others: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, others, n=3, cutoff=0.4) or others
     return f" (nearest: {', '.join(map(repr, close))})" if close else ""
 
 
 def _check_time(name: str, time: Array) -> None:
+    steps = np.diff(time)
+    if np.all(steps > 0):
+        return
     rows = np.flatnonzero(np.isfinite(time))
     steps = np.diff(time[rows])
     if np.all(steps > 0):

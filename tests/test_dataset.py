@@ -94,14 +94,14 @@ def decimated(low_pass, signal):
 
 def dense_rows(model, trajectories, fold, joint):
     """Rows [A | b] of a fold and joint, computed directly from its definition."""
-    speeds = [np.abs(s.velocity).max(0) for t in trajectories for s in t.segments]
+    speeds = [np.abs(s[:].velocity).max(0) for t in trajectories for s in t.segments]
     peak = np.max(speeds, axis=0)
     noise = np.max([t.speed_noise for t in trajectories], axis=0)
     width = np.maximum(0.002 * peak, 3.0 * noise)
     rows = []
     for block in fold.blocks:
         trajectory = trajectories[block.trajectory]
-        segment, low_pass = trajectory.segments[block.segment], trajectory.filter
+        segment, low_pass = trajectory.segments[block.segment][:], trajectory.filter
         columns = unfiltered(model, segment, width)[:, joint]
         signals = np.column_stack([columns, segment.effort[:, joint]])
         still = np.abs(segment.velocity[:, joint]) < 0.01 * peak[joint]
@@ -261,7 +261,7 @@ def test_noise_floor_is_that_of_the_filtered_noise():
         prepare_logs([pendulum_log(7, noise=noise)], bandwidth=8.0)[0]
         for noise in ((0.0, 0.0), NOISE)
     )
-    difference = noisy.segments[0].effort - quiet.segments[0].effort
+    difference = noisy.segments[0][:].effort - quiet.segments[0][:].effort
     rms = np.sqrt(np.mean(noisy.filter.apply(difference) ** 2, axis=0))
     np.testing.assert_allclose(noise_floor([noisy]), rms, rtol=0.15)
 

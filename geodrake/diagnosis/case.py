@@ -21,15 +21,10 @@ from geodrake.identification.reduce import peak_speeds, reduce_logs
 from geodrake.identification.unknowns import Unknowns
 from geodrake.log_files import read_log
 from geodrake.model import RobotModel
-from geodrake.motion import (
-    JointLog,
-    Trajectory,
-    effort_unit_hint,
-    match_joints,
-    position_unit_hint,
-)
+from geodrake.motion import JointLog, Trajectory, match_joints
 from geodrake.plant import effort_limits
 from geodrake.preparation import prepare_logs
+from geodrake.unit_hints import effort_unit_hint, position_unit_hint
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ from scipy.signal import welch
 
 from geodrake.filtering import HIGHEST_BANDWIDTH
 from geodrake.model import RobotModel
-from geodrake.motion import JointLog, Motion, Segment, Trajectory
+from geodrake.motion import JointLog, Motion, Stretch, Trajectory
 from geodrake.preparation import prepare_logs
+from geodrake.uniform_log import make_uniform
 
 Array = NDArray[np.float64]
 
@@ -42,12 +43,13 @@ def prepare_for_model(
     Returns:
         The prepared logs, and a sentence on what was changed and why, if anything was.
     """
-    trajectories = prepare_logs(logs)
+    uniform = [make_uniform(log) for log in logs]
+    trajectories = prepare_logs(uniform)
     chosen = trajectories[0].filter.bandwidth
     coherent = coherent_bandwidth(model, trajectories)
     if coherent is not None:
         lowered = prepare_logs(
-            logs, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
+            uniform, bandwidth=coherent, motion_bandwidth=coherent, how="chosen from the data"
         )
         return lowered, (
             f"bandwidth lowered to {coherent:.3g} Hz: above it the motion asks for efforts that "
@@ -57,14 +59,14 @@ def prepare_for_model(
     if outputs >= _ENOUGH:
         return trajectories, None
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
-    sharp = prepare_logs(logs, bandwidth=chosen, motion_bandwidth=highest)
+    sharp = prepare_logs(uniform, bandwidth=chosen, motion_bandwidth=highest)
     frequency, ratio = effort_ratio(model, sharp)
     noisy = frequency[(frequency > chosen) & (ratio > 1.0)]
     limit = min([highest, *noisy[:1].tolist()])
     raised = min(chosen * _ENOUGH / outputs, limit)
     if raised < 1.2 * chosen:
         return trajectories, None
-    return prepare_logs(logs, bandwidth=raised, how="chosen from the data"), (
+    return prepare_logs(uniform, bandwidth=raised, how="chosen from the data"), (
         f"bandwidth raised from {chosen:.3g} to {raised:.3g} Hz, as the log is short"
     )
 
@@ -105,20 +107,16 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     frequency = np.arange(1.0 / window, fastest, 1.0 / window)
     needed = measured = np.zeros((len(frequency), len(model.joints)))
     for segment in segments:
-        part = slice(0, _SAMPLES)
-        motion = Motion(
-            model.positions(segment.position[part]),
-            segment.velocity[part],
-            segment.acceleration[part],
-        )
+        start = segment[:_SAMPLES]
+        motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
         needed = needed + _density(model.effort(motion), segment, window, frequency)
-        measured = measured + _density(segment.effort[part], segment, window, frequency)
+        measured = measured + _density(start.effort, segment, window, frequency)
     tiny = np.finfo(float).tiny
     ratio = np.exp(np.mean(np.log((needed + tiny) / (measured + tiny)), axis=1))
     return frequency, ratio
 
 
-def _density(effort: Array, segment: Segment, window: float, frequency: Array) -> Array:
+def _density(effort: Array, segment: Stretch, window: float, frequency: Array) -> Array:
     """(K, n) spectral density times samples, on a grid that logs of all rates share."""
     rate = 1.0 / segment.period
     own, density = welch(effort, rate, "hann", round(window * rate), axis=0)

@@ -17,7 +17,7 @@ from geodrake.motion import Motion, Segment, Trajectory
 Array = NDArray[np.float64]
 
 _LEAST_BINS = 12
-_SAMPLES = 200_000  # of a segment whose residuals are looked at
+_SAMPLES = 200_000  # of a segment that are looked at
 
 
 def noise_floor(
@@ -47,9 +47,10 @@ def noise_floor(
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
-            density = _quiet_density(segment.effort, rate, bandwidth)
+            start = segment[:_SAMPLES]
+            density = _quiet_density(start.effort, rate, bandwidth)
             if model is not None:
-                residual = _residual(segment, model, sign_width)
+                residual = _residual(start, model, sign_width)
                 density = np.minimum(density, _quiet_density(residual, rate, bandwidth))
             power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)
@@ -57,15 +58,10 @@ def noise_floor(
 
 
 def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike) -> Array:
-    """(K, n) measured − predicted effort at the full rate, of the start of a segment."""
-    part = slice(0, _SAMPLES)
-    motion = Motion(
-        model.positions(segment.position[part]),
-        segment.velocity[part],
-        segment.acceleration[part],
-    )
+    """(K, n) measured − predicted effort at the full rate."""
+    motion = Motion(model.positions(segment.position), segment.velocity, segment.acceleration)
     needed = model.effort(motion, sign_width=sign_width)
-    return segment.effort[part] - EffortDelay(model.delay).delayed(needed, segment.period)
+    return segment.effort - EffortDelay(model.delay).delayed(needed, segment.period)
 
 
 def _quiet_density(effort: Array, rate: float, bandwidth: float) -> Array:

@@ -24,14 +24,12 @@ from geodrake.identification.dataset import (
 from geodrake.identification.noise import noise_floor
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import LARGEST_REGRESSOR, RobotModel
-from geodrake.motion import Motion, Segment, Trajectory
+from geodrake.motion import Motion, Stretch, Trajectory
 from geodrake.reduction import triangular_factor
 from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.smoothing import CHUNK, SPLINE_REACH
 
 Array = NDArray[np.float64]
-
-CHUNK = 20_000
-"""Samples whose regressors are in memory at once."""
 
 LEAST_SIGN_WIDTH = 0.002
 """Least share of its peak speed below which the direction of a joint's motion is not known."""
@@ -47,9 +45,6 @@ LEAST_SPEED = 1e-4
 
 STILL_SPEED = 0.01
 """Share of its peak speed below which a joint counts as at rest."""
-
-SPLINE_REACH = 40
-"""Samples beyond which an interpolating spline does not feel a change."""
 
 MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
@@ -120,12 +115,8 @@ def reduce_logs(
 
 def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
     """(nv,) largest speed of every joint, rad/s or m/s; 0 for one that does not move."""
-    speeds = [
-        np.abs(segment.velocity).max(axis=0)
-        for trajectory in trajectories
-        for segment in trajectory.segments
-    ]
-    peak = np.max(speeds, axis=0)
+    segments = [segment for trajectory in trajectories for segment in trajectory.segments]
+    peak = np.max([segment.peak_speed for segment in segments], axis=0)
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
     moving = (peak > AT_REST * noise) & (peak > LEAST_SPEED * peak.max())
     return np.where(moving, peak, 0.0)
@@ -210,39 +201,39 @@ class _Box:
 
 
 def _chunks(
-    layout: _Layout, trajectory: Trajectory, segment: Segment, advance: Sequence[float]
+    layout: _Layout, trajectory: Trajectory, stretch: Stretch, advance: Sequence[float]
 ) -> Iterator[tuple[int, list[JointRows]]]:
-    """First output and filtered rows of every joint, for stretches of a segment."""
+    """First output and filtered rows of every joint, for slices of a stretch."""
     low_pass, model = trajectory.filter, layout.model
     width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
+    margin = SPLINE_REACH + round(max(map(abs, advance)) / stretch.period)
     first = 0
-    for samples, outputs in low_pass.chunks(len(segment), min(CHUNK, LARGEST_REGRESSOR // width)):
-        effort = _advanced(segment, samples, advance)
-        q = model.positions(segment.position[samples])
-        v, vd = segment.velocity[samples], segment.acceleration[samples]
-        instants = low_pass.output_indices(len(v))
-        states = np.stack([segment.position[samples], v, vd], 1)[instants]
-        still = low_pass.apply(np.abs(v) < layout.still_speed) > MOSTLY_STILL
+    for samples, outputs in low_pass.chunks(len(stretch), min(CHUNK, LARGEST_REGRESSOR // width)):
+        low = max(0, samples.start - margin)
+        near = stretch[low : samples.stop + margin]
+        inner = slice(samples.start - low, samples.stop - low)
+        effort, here = _advanced(near.effort, stretch.period, inner, advance), near[inner]
+        instants = low_pass.output_indices(len(here))
+        states = np.stack([here.position, here.velocity, here.acceleration], 1)[instants]
+        still = low_pass.apply(np.abs(here.velocity) < layout.still_speed) > MOSTLY_STILL
+        motion = Motion(model.positions(here.position), here.velocity, here.acceleration)
         rows = [
             JointRows(
-                segment.time[samples][instants],
+                here.time[instants],
                 states[:, :, j],
                 low_pass.apply(columns),
                 low_pass.apply(effort[:, j]),
                 ~still[:, j],
             )
-            for j, columns in enumerate(layout.evaluate(Motion(q, v, vd)))
+            for j, columns in enumerate(layout.evaluate(motion))
         ]
         yield first, rows
         first += outputs
 
 
-def _advanced(segment: Segment, samples: slice, advance: Sequence[float]) -> Array:
-    """(N, nv, d) efforts of some samples as they were logged `advance` seconds later."""
-    margin = SPLINE_REACH + round(max(map(abs, advance)) / segment.period)
-    low, high = max(0, samples.start - margin), min(len(segment), samples.stop + margin)
-    part, kept = segment.effort[low:high], slice(samples.start - low, samples.stop - low)
-    shifted = [EffortDelay(-seconds).delayed(part, segment.period)[kept] for seconds in advance]
+def _advanced(effort: Array, period: float, inner: slice, advance: Sequence[float]) -> Array:
+    """(N, nv, d) efforts of the inner samples as they were logged `advance` seconds later."""
+    shifted = [EffortDelay(-seconds).delayed(effort, period)[inner] for seconds in advance]
     return np.stack(shifted, -1)
 
 

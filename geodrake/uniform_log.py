@@ -1,0 +1,149 @@
+"""A raw log seen at uniform instants: gaps, empty cells and jitter, and which joints move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.motion import JointLog
+from geodrake.smoothing import Piece
+
+Array = NDArray[np.float64]
+
+_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
+_LEAST_ROWS = 8  # of a piece worth resampling
+_STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
+_PART, _PARTS = 100_000, 8  # samples, and how many such parts of a log are looked at for a choice
+
+
+@dataclass(frozen=True, eq=False)
+class UniformLog:
+    """A log in uniform pieces, and which of its joints move.
+
+    Attributes:
+        log: The log.
+        pieces: Its pieces between gaps, in time.
+        period: Time between samples, s.
+        noise: (n,) deviation of the noise of the positions, rad or m.
+        moving: (n,) whether a joint moves.
+        notes: What was noticed.
+    """
+
+    log: JointLog
+    pieces: tuple[Piece, ...]
+    period: float
+    noise: Array
+    moving: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of all pieces together, s."""
+        return sum(map(len, self.pieces)) * self.period
+
+    def sample_parts(self) -> Iterator[Piece]:
+        """Parts of the pieces, evenly spread over a long log, by which choices are made."""
+        return _sample_parts(self.pieces)
+
+
+def make_uniform(log: JointLog) -> UniformLog:
+    """Split a log at gaps and empty cells, and find its period, its noise and what moves.
+
+    Raises:
+        LogError: If the log is still throughout, or has no rows in a row.
+    """
+    notes = list(log.notes)
+    if log.acceleration is not None:
+        notes.append("measured accelerations are not used; they are derived from velocities")
+    velocity = log.velocity
+    if velocity is not None and np.isnan(velocity).mean() > 0.1:
+        velocity = None
+        notes.append("measured velocities have too many empty cells and are not used")
+    measured = [log.time[:, None], log.position, log.effort]
+    measured += [] if velocity is None else [velocity]
+    complete = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in measured])
+    if np.count_nonzero(complete) < 2:
+        raise LogError(
+            f"Log {log.name!r} has {np.count_nonzero(complete)} rows without empty cells out of "
+            f"{len(log)}.",
+            advice="Log time, position and effort of every joint in the same row.",
+        )
+    runs, period, note = _runs(log.time, complete)
+    notes += [note] if note else []
+    pieces = tuple(
+        Piece(
+            log.time[run],
+            log.position[run],
+            None if velocity is None else velocity[run],
+            log.effort[run],
+            period,
+        )
+        for run in runs
+        if run.stop - run.start >= _LEAST_ROWS
+    )
+    noise, moving = _find_moving(log, pieces, period)
+    return UniformLog(log, pieces, period, noise, moving, tuple(notes))
+
+
+def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float, str | None]:
+    """Rows between gaps and incomplete rows, the sampling period, and a note if they are many."""
+    rows = np.flatnonzero(complete)
+    steps = np.diff(time[rows])
+    period = float(np.median(steps))
+    gap = (steps > max(_GAP_STEPS * period, _GAP_SECONDS)) | (np.diff(rows) > 1)
+    last = np.flatnonzero(gap)
+    starts, stops = rows[np.append(0, last + 1)], rows[np.append(last, len(rows) - 1)] + 1
+    runs = [slice(start, stop) for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)]
+    if len(last) == 0:
+        return runs, period, None
+    longest = last[np.argmax(steps[last])]
+    return runs, period, (
+        f"split into {len(runs)} pieces at gaps and empty cells, the longest of "
+        f"{steps[longest]:.3g} s at t = {time[rows[longest]]:.2f} s"
+    )
+
+
+def _sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:
+    parts = [
+        (piece, part)
+        for piece in pieces
+        for part in pairwise(_edges(len(piece), max(1, round(len(piece) / _PART))))
+    ]
+    chosen = np.unique(_edges(len(parts) - 1, min(len(parts), _PARTS) - 1))
+    return (parts[k][0][slice(*parts[k][1])] for k in chosen.tolist())
+
+
+def _edges(length: int, parts: int) -> list[int]:
+    return np.linspace(0, length, parts + 1).round().astype(int).tolist()
+
+
+def _find_moving(
+    log: JointLog, pieces: Sequence[Piece], period: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Noise deviation (n,) of each position, and which joints (n,) move."""
+    if not pieces:
+        raise LogError(
+            f"Log {log.name!r} has no {_LEAST_ROWS} rows in a row without a gap or an empty cell.",
+            advice="Record without dropouts, or log all joints in the same row.",
+        )
+    seconds = sum(map(len, pieces)) * period
+    bends = np.concatenate([np.diff(part.position, 2, axis=0) for part in _sample_parts(pieces)])
+    noise = np.median(np.abs(bends), axis=0) / (0.6745 * np.sqrt(6.0))
+    highest = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
+    lowest = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)
+    reach = highest - lowest
+    moving = reach > np.maximum(_STILL_NOISE * noise, _STILL_RANGE)
+    if not moving.any():
+        most = int(np.argmax(reach))
+        raise LogError(
+            f"Log {log.name!r} is still throughout: in its {seconds:.3g} s no joint moves by more "
+            f"than {_STILL_RANGE:g} rad (m) and {_STILL_NOISE:.0f} times its position noise; "
+            f"{log.joints[most]} comes nearest with {reach[most]:.3g}, noise {noise[most]:.2g}.",
+            advice="Record several seconds in which each joint of interest moves back and forth.",
+        )
+    return noise, moving
