@@ -88,11 +88,7 @@ class JointLog:
         """
         for joint in joints:
             if joint not in self.joints:
-                raise LogError(
-                    f"Log {self.name!r} has no joint {joint!r}{_nearest(joint, self.joints)}.",
-                    advice="Rename the log's columns, or record that joint too.",
-                    joint=joint,
-                )
+                raise _missing(self.name, joint, self.joints)
         if tuple(joints) == self.joints:
             return self
         order = [self.joints.index(joint) for joint in joints]
@@ -231,15 +227,31 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
         LogError: If log or model has a joint that the other lacks; the message offers the
             nearest names.
     """
-    for joint in log.joints:
+    check_joints(log.name, log.joints, model_joints)
+    return log.select(model_joints)
+
+
+def check_joints(name: str, joints: Sequence[str], model_joints: Sequence[str]) -> None:
+    """Raise a LogError unless the joints of the log of that name are the model's, in any order."""
+    for joint in joints:
         if joint not in model_joints:
             raise LogError(
-                f"The model has no joint {joint!r}, which log {log.name!r} has"
+                f"The model has no joint {joint!r}, which log {name!r} has"
                 f"{_nearest(joint, model_joints)}.",
                 advice="Rename the log's columns, or leave that joint's columns out.",
                 joint=joint,
             )
-    return log.select(model_joints)
+    for joint in model_joints:
+        if joint not in joints:
+            raise _missing(name, joint, joints)
+
+
+def _missing(name: str, joint: str, joints: Sequence[str]) -> LogError:
+    return LogError(
+        f"Log {name!r} has no joint {joint!r}{_nearest(joint, joints)}.",
+        advice="Rename the log's columns, or record that joint too.",
+        joint=joint,
+    )
 
 
 def _nearest(name: str, others: Sequence[str]) -> str:

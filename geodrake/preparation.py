@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,11 +136,11 @@ def _measured_lag(
     uniform: UniformLog, smoother: ZeroPhaseFilter
 ) -> tuple[Array | None, str | None]:
     """(n,) lag of measured velocities, s; None if there are none that agree with the positions."""
-    if uniform.pieces[0].velocity is None:
-        return None, None
     truths, measured, slopes = [], [], []
     inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
     for part in uniform.sample_parts():
+        if part.velocity is None:
+            return None, None
         truths.append(differentiate(smoother.smooth(part.position), uniform.period)[inner])
         velocity = smoother.smooth(part.velocity)
         measured.append(velocity[inner])

@@ -1,8 +1,8 @@
 """Stretches of a log that are resampled and smoothed where somebody looks, and nowhere else.
 
 A log of hours fills memory by itself; its uniform, smoothed and differentiated copies would do so
-four times over. Each slice is therefore made from the raw rows around it. Splines and filters forget
-what is far away, so that a slice does not depend, beyond rounding, on how a stretch is cut.
+four times over. Each slice is therefore made from the raw rows around it. Splines and filters
+forget what is far away, so that a slice does not depend, beyond rounding, on how a stretch is cut.
 """
 
 from __future__ import annotations

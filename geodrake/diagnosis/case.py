@@ -72,8 +72,13 @@ def open_case(
         LogError: A log cannot be used.
     """
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    read = [log if isinstance(log, JointLog) else read_log(log) for log in logs]
-    matched = [match_joints(log, model.joints) for log in _with_names_of_their_own(read)]
+    read = [
+        match_joints(log, model.joints)
+        if isinstance(log, JointLog)
+        else read_log(log, joints=model.joints)
+        for log in logs
+    ]
+    matched = _with_names_of_their_own(read)
     for log in matched:
         _check_efforts(log)
     limits = effort_limits(model.plant)
@@ -160,10 +165,11 @@ def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
 
 
 def _check_efforts(log: JointLog) -> None:
-    effort = log.effort[np.isfinite(log.effort).all(axis=1)]
-    constant = np.zeros(len(log.joints), bool)
-    if len(effort):
-        constant = np.ptp(effort, axis=0) <= 1e-9 * np.abs(effort).max(axis=0)
+    known = np.isfinite(log.effort)
+    highest = log.effort.max(axis=0, initial=-np.inf, where=known)
+    lowest = log.effort.min(axis=0, initial=np.inf, where=known)
+    constant = highest - lowest <= 1e-9 * np.maximum(np.abs(highest), np.abs(lowest))
+    constant &= known.any(axis=0)
     if constant.any():
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
         raise LogError(

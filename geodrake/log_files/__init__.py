@@ -1,0 +1,58 @@
+"""Readers and writers of joint logs, as CSV and NPZ.
+
+The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
+`<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. What
+follows the last dot is the quantity, so joint names may contain dots.
+"""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from geodrake.errors import LogError
+from geodrake.log_files.columns import HEADER_ADVICE
+from geodrake.log_files.csv_file import read_csv
+from geodrake.log_files.npz_file import read_npz
+from geodrake.log_files.writing import write_log
+from geodrake.motion import JointLog
+
+__all__ = ["read_log", "write_log"]
+
+
+def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointLog:
+    """Read a log.
+
+    Args:
+        path: A `.csv` (or `.txt`) file with a header, or an `.npz` file of 1-D arrays of the same
+            names. Columns may come in any order; others than those of the format are ignored and
+            noted. Empty cells and `nan` become NaN.
+        joints: Names of a model's joints, if the log must have the same and in their order.
+
+    Returns:
+        The log, its joints in the order given or of their position columns, named after the file.
+
+    Raises:
+        LogError: If the file cannot be read, lacks a needed column or joint, has one twice, has
+            cells that are not numbers, has fewer than ten rows, or if its time does not increase.
+    """
+    path = Path(path)
+    readers = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}
+    if not path.exists():
+        raise LogError(f"There is no log file {str(path)!r}.", advice="Check the path.")
+    if path.is_dir():
+        raise LogError(f"{str(path)!r} is a directory, not a log.", advice="Name the file in it.")
+    if path.suffix.lower() not in readers:
+        raise LogError(
+            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
+            advice=f"Convert it to .csv or .npz. {HEADER_ADVICE}",
+        )
+    try:
+        return readers[path.suffix.lower()](path, joints)
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile, csv.Error) as error:
+        raise LogError(
+            f"Log {str(path)!r} cannot be read: {error}.",
+            advice="Check the file's permissions and that it is a text table or an .npz file.",
+        ) from error

@@ -1,0 +1,115 @@
+"""Logs in CSV files."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.log_files.columns import HEADER_ADVICE, Columns, Recording, is_used
+from geodrake.motion import JointLog
+
+Array = NDArray[np.float64]
+
+_LINES = 50_000  # that are read at once
+
+
+def read_csv(path: Path, joints: Sequence[str] | None) -> JointLog:
+    """Read a log from a CSV file; see `read_log`."""
+    with path.open("rb") as binary:
+        most = 1 + sum(block.count(b"\n") for block in iter(lambda: binary.read(1 << 20), b""))
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        header = [name.strip() for name in next(csv.reader(file), [])]
+        _check_header(path, header)
+        columns = Columns.of(path, header, joints)
+        recording = Recording(columns, most)
+        places = [header.index(name) for name in columns.names]
+        rows, line = 0, 1
+        while lines := list(islice(file, _LINES)):
+            table = _numbers(path, header, lines)
+            if table is None:
+                table = _cells(path, header, places, lines, (rows, line))
+            else:
+                table = table[:, places]
+            for name, numbers in zip(columns.names, table.T, strict=True):
+                recording.put(name, slice(rows, rows + len(table)), numbers)
+            rows, line = rows + len(table), line + len(lines)
+    return recording.log(rows)
+
+
+def _numbers(path: Path, header: Sequence[str], lines: Sequence[str]) -> Array | None:
+    """(K, columns) of lines with nothing but numbers; None for others."""
+    if not any(line.strip() for line in lines):
+        return np.empty((0, len(header)))
+    try:
+        table = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
+    except ValueError:
+        return None  # empty cells, text or ragged rows: told apart cell by cell
+    return table if table.shape[1] == len(header) else None
+
+
+def _cells(
+    path: Path,
+    header: Sequence[str],
+    places: Sequence[int],
+    lines: Sequence[str],
+    before: tuple[int, int],
+) -> Array:
+    """(K, used columns) of lines read cell by cell: slower, but exact about what is wrong where.
+
+    `before` counts the rows and the lines of the file that come before them.
+    """
+    values: list[list[float]] = []
+    reader = csv.reader(lines)
+    for cells in filter(None, reader):
+        row = before[0] + len(values) + 1
+        if len(cells) != len(header):
+            raise LogError(
+                f"Row {row} of log {str(path)!r} (line {before[1] + reader.line_num}) has "
+                f"{len(cells)} cells; the header has {len(header)}.",
+                advice="Was the recording cut off? Remove or repair that line.",
+                row=row,
+            )
+        values.append([_number(cells[k], path, row, header[k]) for k in places])
+    return np.array(values, float).reshape(-1, len(places))
+
+
+def _number(cell: str, path: Path, row: int, column: str) -> float:
+    try:
+        return float(cell) if cell and not cell.isspace() else np.nan
+    except ValueError:
+        raise LogError(
+            f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()!r}, which is "
+            "not a number.",
+            advice="Leave a cell empty, or write nan, where nothing was measured.",
+            row=row,
+            column=column,
+        ) from None
+
+
+def _check_header(path: Path, header: Sequence[str]) -> None:
+    def is_number(cell: str) -> bool:
+        try:
+            float(cell)
+        except ValueError:
+            return False
+        return True
+
+    if not any(header) or all(map(is_number, header)):
+        first = ",".join(header)
+        raise LogError(
+            f"Log {str(path)!r} has no header: its first line is {first[:60]!r}.",
+            advice=HEADER_ADVICE,
+        )
+    twice = sorted({name for name in header if is_used(name) and header.count(name) > 1})
+    if twice:
+        raise LogError(
+            f"Log {str(path)!r} has these columns more than once: {', '.join(twice)}.",
+            advice="Remove or rename one of each.",
+            columns=twice,
+        )
