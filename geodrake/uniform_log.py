@@ -102,9 +102,13 @@ def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float,
     if len(last) == 0:
         return runs, period, None
     longest = last[np.argmax(steps[last])]
-    return runs, period, (
-        f"split into {len(runs)} pieces at gaps and empty cells, the longest of "
-        f"{steps[longest]:.3g} s at t = {time[rows[longest]]:.2f} s"
+    return (
+        runs,
+        period,
+        (
+            f"split into {len(runs)} pieces at gaps and empty cells, the longest of "
+            f"{steps[longest]:.3g} s at t = {time[rows[longest]]:.2f} s"
+        ),
     )
 
 
