@@ -1,25 +1,9 @@
-"""Inertial parameters of a rigid body, and the maps between their representations.
-
-One body has ten inertial parameters, in this order everywhere in geodrake ([Lee2019] Eq. (3.2.1)):
-
-    φ = [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx]
-
-about the body origin Bo, expressed in the body frame B: mass m in kg, first mass moment
-h = m p_BoBcm_B in kg·m, rotational inertia I_BBo_B in kg·m². φ is the linear image of the pseudo
-inertia P(φ) = ∫ [x;1][x;1]ᵀ dm, and a body can exist just when P(φ) ≻ 0 (Eq. (3.2.7)).
-
-All functions broadcast over leading axes.
-"""
+"""Inertial parameters, pseudo inertia, and mass with centre of mass: maps between them."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import SpatialInertia, UnitInertia
-from pydrake.systems.framework import Context
-
-from geodrake.bodies import Member, lumped_bodies
 
 Array = NDArray[np.float64]
 
@@ -83,11 +67,38 @@ def from_pseudo_inertia(matrix: ArrayLike) -> Array:
 
 
 _BASIS = pseudo_inertia(np.eye(PARAMETERS_PER_BODY))
+_DUAL_BASIS = np.einsum(
+    "ij,jab->iab", np.linalg.inv(np.einsum("iab,jab->ij", _BASIS, _BASIS)), _BASIS
+)
 
 
 def pseudo_inertia_basis() -> Array:
     """The ten matrices P(e_i), so that P(φ) = Σ φ_i P(e_i); shape (10, 4, 4)."""
     return _BASIS.copy()
+
+
+def dual(covector: ArrayLike) -> Array:
+    """The matrix X(a) of a linear function aᵀφ, such that aᵀφ = tr(P(φ) X(a)).
+
+    Args:
+        covector: (..., 10) coefficients a, in the order of φ.
+
+    Returns:
+        (..., 4, 4) symmetric matrices ([Lee2019] Eqs. (B.1.8), (B.1.9)).
+    """
+    return np.asarray(np.einsum("...i,iab->...ab", np.asarray(covector, float), _DUAL_BASIS))
+
+
+def from_dual(matrix: ArrayLike) -> Array:
+    """The covector a of a symmetric matrix X(a), the inverse of `dual`.
+
+    Args:
+        matrix: (..., 4, 4) symmetric matrices, such as the Q of an ellipsoid.
+
+    Returns:
+        (..., 10) coefficients tr(P(eᵢ) X).
+    """
+    return np.asarray(np.einsum("...ab,iab->...i", np.asarray(matrix, float), _BASIS))
 
 
 def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
@@ -169,6 +180,36 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
     return from_pseudo_inertia(H_AB @ pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))
 
 
+def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
+    """Inertial parameters in other units of length and mass.
+
+    Args:
+        phi: (..., 10) inertial parameters in SI.
+        metre: One metre in the new unit, such as 39.37 for inches.
+        kilogram: One kilogram in the new unit.
+
+    Returns:
+        (..., 10) the numbers of the same bodies in the new units ([Lee2019] Eq. (3.3.24)).
+    """
+    return np.asarray(phi, float) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
+
+
+def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
+    """Inertial parameters of a set of point masses.
+
+    Args:
+        masses: (..., k) masses, kg; negative ones take mass away.
+        positions: (..., k, 3) positions from Bo, expressed in B, m.
+
+    Returns:
+        (..., 10) parameters of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
+    """
+    x = np.asarray(positions, float)
+    points = np.concatenate([x, np.ones((*x.shape[:-1], 1))], -1)
+    matrix = np.einsum("...k,...ki,...kj->...ij", np.asarray(masses, float), points, points)
+    return from_pseudo_inertia(matrix)
+
+
 def pullback_metric(phi: ArrayLike) -> Array:
     """Metric g(φ) of the affine-invariant distance, pulled back to inertial parameters.
 
@@ -180,46 +221,3 @@ def pullback_metric(phi: ArrayLike) -> Array:
     """
     solved = np.linalg.solve(pseudo_inertia(phi)[..., None, :, :], _BASIS)
     return 0.5 * np.einsum("...iab,...jba->...ij", solved, solved)
-
-
-def from_spatial_inertia(spatial: SpatialInertia) -> Array:
-    """Inertial parameters of Drake's M_BBo_B; shape (10,)."""
-    inertia = spatial.get_mass() * spatial.get_unit_inertia().CopyToFullMatrix3()
-    moments = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
-    return np.array([spatial.get_mass(), *spatial.CalcComMoment(), *moments])
-
-
-def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
-    """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia."""
-    phi = np.asarray(phi, float)
-    mass = phi[0]
-    if mass == 0.0:
-        return SpatialInertia.Zero()
-    unit = UnitInertia(*(phi[4:7] / mass), *(phi[[7, 9, 8]] / mass))
-    return SpatialInertia(mass, phi[1:4] / mass, unit, skip_validity_check=True)
-
-
-def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -> Array:
-    """Inertial parameters of a plant's bodies.
-
-    Args:
-        plant: A finalized plant.
-        context: Where to read the parameters; the plant's default values if None.
-
-    Returns:
-        (nb, 10) parameters of `geodrake.bodies.lumped_bodies(plant)`, each in the frame of its
-        representative.
-    """
-    if context is None:
-        context = plant.CreateDefaultContext()
-
-    def parameters(member: Member) -> Array:
-        spatial = plant.get_body(member.index).CalcSpatialInertiaInBodyFrame(context)
-        return change_frame(
-            from_spatial_inertia(spatial),
-            member.X_RB.rotation().matrix(),
-            member.X_RB.translation(),
-        )
-
-    lumps = [sum(map(parameters, body.members)) for body in lumped_bodies(plant)]
-    return np.array(lumps).reshape(-1, PARAMETERS_PER_BODY)

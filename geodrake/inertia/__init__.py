@@ -1,0 +1,74 @@
+"""Inertial parameters of a rigid body, and the maps between their representations.
+
+One body has ten inertial parameters, in this order everywhere in geodrake ([Lee2019] Eq. (3.2.1)):
+
+    φ = [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx]
+
+about the body origin Bo, expressed in the body frame B: mass m in kg, first mass moment
+h = m p_BoBcm_B in kg·m, rotational inertia I_BBo_B in kg·m². φ is the linear image of the pseudo
+inertia P(φ) = ∫ [x;1][x;1]ᵀ dm, and a body can exist just when P(φ) ≻ 0 (Eq. (3.2.7)).
+
+All functions broadcast over leading axes.
+"""
+
+from geodrake.inertia.parameters import (
+    PARAMETER_NAMES,
+    PARAMETER_UNITS,
+    PARAMETERS_PER_BODY,
+    Array,
+    change_frame,
+    change_units,
+    dual,
+    from_dual,
+    from_mass_com_inertia,
+    from_point_masses,
+    from_pseudo_inertia,
+    is_physical,
+    pseudo_inertia,
+    pseudo_inertia_basis,
+    pullback_metric,
+    rotational_inertia,
+    to_mass_com_inertia,
+)
+from geodrake.inertia.principal import (
+    PrincipalAxes,
+    central_second_moment,
+    principal_axes,
+    triangle_margins,
+)
+from geodrake.inertia.spatial import (
+    from_spatial_inertia,
+    from_spatial_inertia_matrix,
+    inertial_parameters,
+    spatial_inertia_matrix,
+    to_spatial_inertia,
+)
+
+__all__ = [
+    "PARAMETERS_PER_BODY",
+    "PARAMETER_NAMES",
+    "PARAMETER_UNITS",
+    "Array",
+    "PrincipalAxes",
+    "central_second_moment",
+    "change_frame",
+    "change_units",
+    "dual",
+    "from_dual",
+    "from_mass_com_inertia",
+    "from_point_masses",
+    "from_pseudo_inertia",
+    "from_spatial_inertia",
+    "from_spatial_inertia_matrix",
+    "inertial_parameters",
+    "is_physical",
+    "principal_axes",
+    "pseudo_inertia",
+    "pseudo_inertia_basis",
+    "pullback_metric",
+    "rotational_inertia",
+    "spatial_inertia_matrix",
+    "to_mass_com_inertia",
+    "to_spatial_inertia",
+    "triangle_margins",
+]
