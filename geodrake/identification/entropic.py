@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from geodrake.identification.fit import FitResult
+from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Regularizer
 from geodrake.inertia import Array, pseudo_inertia
@@ -28,3 +30,9 @@ class Entropic(Regularizer):
         """The problem with an entropic prior for every body."""
         priors = zip(problem.inertia_blocks, prior, strict=True)
         return replace(problem, entropic={start: (phi, gamma) for start, phi in priors})
+
+    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
+        """Solve the fit by Drake's conic solver of that name, or by "newton"."""
+        if solver == "newton":
+            return solve_newton(self.regularize(problem, prior, gamma))
+        return super().solve(problem, prior, gamma, solver)

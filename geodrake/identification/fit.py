@@ -35,7 +35,8 @@ class FitResult:
         active_blocks: First columns of inertia blocks at the boundary of physical bodies.
         prior_weight: Weight of the prior against the data: 1, and in the point-to-set form the
             γ for which the regularized form has this solution (inf when the data are idle).
-        solver: What solved it: "closed form", "bounded least squares", or the conic solver.
+        solver: What solved it: "closed form", "bounded least squares", "newton", or the conic
+            solver.
         solve_time: Time of the whole solution, s.
     """
 
@@ -88,8 +89,8 @@ def solve_fit(
         coordinates = Coordinates.of(problem)
         x, name = _without_solver(coordinates)
         if x is not None:
-            return _result(coordinates, x, 1.0, name, time.perf_counter() - begin)
-    _check_residual_bound(problem)
+            return fit_result(coordinates, x, 1.0, name, time.perf_counter() - begin)
+    check_residual_bound(problem)
     # The first solution only says where and how to scale the program for the second.
     rough = build_fit(problem)
     x = _parameters(rough, run_solver(rough.program, solver, rough=True))
@@ -97,7 +98,7 @@ def solve_fit(
     solution = run_solver(fit.program, solver)
     x = _parameters(fit, solution)
     weight = _prior_weight(fit, solution, x)
-    return _result(fit.coordinates, x, weight, solver, time.perf_counter() - begin)
+    return fit_result(fit.coordinates, x, weight, solver, time.perf_counter() - begin)
 
 
 def _parameters(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
@@ -157,7 +158,8 @@ def _without_solver(coordinates: Coordinates) -> tuple[Array | None, str]:
     return x, name
 
 
-def _check_residual_bound(problem: FitProblem) -> None:
+def check_residual_bound(problem: FitProblem) -> None:
+    """Refuse a residual bound below the least squares minimum, which no constraint lowers."""
     bound = problem.residual_bound
     if bound is None:
         return
@@ -189,9 +191,18 @@ def _prior_weight(fit: FitProgram, solution: MathematicalProgramResult, x: Array
     return 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
 
 
-def _result(
+def fit_result(
     coordinates: Coordinates, x: Array, prior_weight: float, solver: str, elapsed: float
 ) -> FitResult:
+    """The result at parameters x (p,), with the information there.
+
+    Args:
+        coordinates: Of the problem.
+        x: Its solution.
+        prior_weight: Weight of the prior against the data.
+        solver: What solved it.
+        elapsed: Time that took, s.
+    """
     problem = coordinates.problem
     R = problem.factor[:, :-1]
     prior = problem.prior_information.copy()

@@ -1,0 +1,188 @@
+"""Follow the central path of an entropic fit to its minimum, from anywhere inside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geodrake.errors import IdentificationError
+from geodrake.identification.newton_program import IDENTITY, WeightedProgram, svec
+from geodrake.identification.newton_step import Iterate, Linearization
+from geodrake.inertia import Array
+
+_STEPS = 60
+_ROOM, _LEAST_ROOM = 0.02, 1e-5
+"""Share of the way to the boundary that a step leaves, far from and close to the solution."""
+_SHORT, _BACK = 0.4, 0.7
+"""Length below which a step is bad, and the share of the excess that is kept to go back."""
+_FEASIBLE = 1e-9
+_EXACT = 1e-13
+"""Gap, relative to the smallest γ, at which parameters are exact to some seven digits."""
+_QUADRATIC = 1e-4
+"""Gap, relative to the smallest γ, below which Newton's method converges quadratically."""
+_ROUNDING = 1e-16
+"""Gap, relative to the cost, below which there is only rounding."""
+_GOOD = 1e-9
+"""Gap, relative to the cost, that will do when rounding leaves no way further."""
+_LIFT = 1e-2
+"""Share of the smallest weight to which a warm start lifts the products s λ."""
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Minimum of a `WeightedProgram`.
+
+    Attributes:
+        weighted: The program.
+        point: The minimum with its multipliers.
+        steps: Newton steps that were taken.
+        gap: Bound on how much lower the cost was before the last step, to first order.
+        linearization: The conditions next to the point.
+    """
+
+    weighted: WeightedProgram
+    point: Iterate
+    steps: int
+    gap: float
+    linearization: Linearization
+
+    @property
+    def excess(self) -> float:
+        """Squared residual beyond the least of any parameters."""
+        return self.weighted.program.excess(self.point.z)
+
+    def derivative(self) -> float:
+        """Derivative of the squared residual by the logarithm of the prior's weight."""
+        data, z = self.weighted.program.data, self.point.z
+        errors = data @ np.append(z, -1.0)
+        return float(2.0 * errors @ (data[:, :-1] @ self.linearization.tangent()))
+
+
+def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
+    """The minimum of a program, by damped Newton steps that stay strictly inside.
+
+    Args:
+        weighted: The program.
+        start: A point with positive definite S and Z and positive slacks and multipliers.
+
+    Raises:
+        IdentificationError: The constraints contradict each other, or rounding got in the way.
+    """
+    best: Minimum | None = None
+    stalled = 0
+    point = start
+    for count in range(_STEPS):
+        try:
+            here = Linearization(weighted, point)
+        except np.linalg.LinAlgError:
+            break
+        gap, cost = here.gap(), weighted.cost(point.z)
+        feasible = _feasible(here, point)
+        if feasible and (best is None or gap < best.gap):
+            stalled = 0 if best is None or gap < 0.5 * best.gap else stalled + 1
+            best = Minimum(weighted, point, count, gap, here)
+        elif best is not None:
+            stalled += 1
+        if feasible and gap <= max(_EXACT * weighted.gamma.min(initial=np.inf), _ROUNDING * cost):
+            break
+        if best is not None and stalled > 2 and best.gap <= _GOOD * max(cost, 1e-300):
+            break
+        point = _next(here, point)
+    if best is None or best.gap > _GOOD * max(weighted.cost(best.point.z), weighted.gamma.sum()):
+        raise _failure(weighted, point)
+    if best.gap > _QUADRATIC * weighted.gamma.min(initial=np.inf):
+        return best
+    # One more step on the factor at hand, which nearly squares the error that is left.
+    step = best.linearization.direction(0.0)
+    length = min(1.0, (1.0 - _LEAST_ROOM) * best.linearization.reach(step))
+    return replace(best, point=best.point.moved(step.step, length))
+
+
+def _next(here: Linearization, point: Iterate) -> Iterate:
+    """The point after a predictor and a corrector."""
+    excess = here.excess()
+    predictor = here.direction(0.0)
+    length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
+    ratio = min(1.0, here.excess(predictor, length) / excess) if excess > 0 else 0.0
+    step = here.direction(ratio**3 * excess, predictor)
+    reach = here.reach(step)
+    if reach < _SHORT:
+        # Second-order terms can mislead far from the path; go back towards it.
+        step = here.direction(_BACK * excess)
+        reach = here.reach(step)
+    # The closer to the solution, the closer to the boundary a step may end.
+    room = min(_ROOM, max(ratio, _LEAST_ROOM))
+    return point.moved(step.step, min(1.0, (1.0 - room) * reach))
+
+
+def _feasible(here: Linearization, point: Iterate) -> bool:
+    scale = 1.0 + np.abs(point.z).max(initial=0.0)
+    worst = max(
+        np.abs(here.slack_error).max(initial=0.0), np.abs(here.equality_error).max(initial=0.0)
+    )
+    return bool(worst <= _FEASIBLE * scale)
+
+
+def cold_start(weighted: WeightedProgram) -> Iterate:
+    """The prior, with multipliers of the size of the cost's slope there."""
+    program = weighted.program
+    z = np.zeros(program.size)
+    z[program.blocks] = IDENTITY - svec(program.begin)
+    slope = weighted.slope(z)
+    slope[program.blocks] -= weighted.gamma[:, None] * IDENTITY
+    forces = np.linalg.norm(slope[program.blocks], axis=1)
+    Z = (weighted.gamma + forces)[:, None, None] * np.eye(4)
+    G, h = program.inequalities
+    slack = G @ z - h
+    push = float(np.linalg.norm(slope) / np.sqrt(len(slope)))
+    if np.any(slack < 0):
+        push = max(push, float(weighted.gamma.max(initial=0.0)))
+    push = push or 1.0
+    slack = np.maximum(slack, 0.1)
+    return Iterate(z, Z, slack, push / slack, np.zeros(len(program.equalities[1])))
+
+
+def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
+    """A start at coordinates (p,) near the minimum; their blocks may be at the boundary."""
+    program = weighted.program
+    cold = cold_start(weighted)
+    values, vectors = np.linalg.eigh(program.matrices(z))
+    values = np.maximum(values, 1e-12)
+    z = z.copy()
+    turned = np.swapaxes(vectors, 1, 2)
+    z[program.blocks] = svec(vectors * values[:, None, :] @ turned - program.begin)
+    Z = vectors * (weighted.gamma[:, None] / values)[:, None, :] @ turned
+    G, h = program.inequalities
+    slack = np.maximum(G @ z - h, 1e-3)
+    push = _LIFT * weighted.gamma.min(initial=np.inf)
+    push = push if np.isfinite(push) else 1e-3
+    return Iterate(z, Z, slack, push / slack, cold.forces)
+
+
+def continued(minimum: Minimum, weighted: WeightedProgram) -> Iterate:
+    """A start from the minimum of the same program with another weight."""
+    point = minimum.point
+    push = _LIFT * weighted.gamma.min(initial=1.0)
+    s, y = point.slack, point.multipliers
+    # Products of nothing would hold the next steps at the boundary that is active here.
+    active = s * weighted.gamma.max(initial=1.0) < y
+    slack = np.where(active, np.maximum(s, push / y), s)
+    multipliers = np.where(active, y, np.maximum(y, push / s))
+    return Iterate(point.z, point.Z, slack, multipliers, point.forces)
+
+
+def _failure(weighted: WeightedProgram, point: Iterate) -> IdentificationError:
+    program = weighted.program
+    G, h = program.inequalities
+    E, e = program.equalities
+    missed = max((h - G @ point.z).max(initial=0.0), np.abs(E @ point.z - e).max(initial=0.0))
+    if missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0)):
+        cause = "The bounds and constraints contradict each other for physical bodies."
+        advice = "Widen the bounds, check the ellipsoids' sign and the total mass."
+    else:
+        cause = "Most often the data and the prior differ by very many orders of magnitude."
+        advice = "Check units and noise levels, raise gamma, or use the solver clarabel."
+    return IdentificationError(
+        f"newton found no parameters. {cause}", advice=advice, solver="newton", violation=missed
+    )

@@ -1,0 +1,202 @@
+"""What Newton's method iterates on: an entropic fit on triangular factors, without units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
+from geodrake.identification.problem import FitProblem
+from geodrake.inertia import Array
+from geodrake.reduction import triangular_factor
+
+Rows = tuple[Array, Array]
+
+_SVEC = SYMMETRIC_BASIS.reshape(10, 16)
+IDENTITY = _SVEC @ np.eye(4).ravel()
+"""Coordinates svec(I) of the 4×4 identity; shape (10,)."""
+
+_UNDETERMINED = 1e-11
+_HOLD = 1e-6
+
+
+def smat(coordinates: Array) -> Array:
+    """Symmetric matrices (..., 4, 4) of orthonormal coordinates (..., 10)."""
+    return (coordinates @ _SVEC).reshape(*coordinates.shape[:-1], 4, 4)
+
+
+def svec(matrices: Array) -> Array:
+    """Orthonormal coordinates (..., 10) of symmetric matrices (..., 4, 4)."""
+    return matrices.reshape(*matrices.shape[:-2], 16) @ _SVEC.T
+
+
+@dataclass(frozen=True, eq=False)
+class NewtonProgram:
+    """An entropic fit in the coordinates z of `Coordinates`, split into data and prior.
+
+    Minimizes ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i (tr S_i − log|S_i|)) with S_i = B_i + smat(z_i) ≻ 0,
+    G z ≥ h and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)).
+
+    Attributes:
+        coordinates: Map to the parameters of the problem.
+        data: (p, p + 1) triangle [M | d]; what d has beyond it is `floor`.
+        prior: (k, p) root C of the quadratic prior.
+        held: (j, p) weak rows that hold directions which neither data nor prior determine.
+        blocks: (n, 10) indices of the inertia blocks in z.
+        begin: (n, 4, 4) matrices B.
+        gamma: (n,) weights γ.
+        inequalities: G (m, p) and h (m,), with rows of unit length.
+        equalities: E (l, p) and e (l,), with independent rows of unit length.
+        floor: Least squared residual of any parameters, also unphysical ones.
+    """
+
+    coordinates: Coordinates
+    data: Array
+    prior: Array
+    held: Array
+    blocks: NDArray[np.intp]
+    begin: Array
+    gamma: Array
+    inequalities: Rows
+    equalities: Rows
+    floor: float
+
+    @classmethod
+    def of(cls, problem: FitProblem) -> NewtonProgram:
+        """The program of a problem whose every block has an entropic prior.
+
+        Raises:
+            ArgumentError: A block has none.
+        """
+        free = sorted(set(problem.inertia_blocks) - set(problem.entropic))
+        if free:
+            raise ArgumentError(
+                f"Newton's method needs an entropic prior for every inertia block; those at "
+                f"columns {free} have none.",
+                advice="Give them one, or use the solver clarabel.",
+                columns=free,
+            )
+        coordinates = Coordinates.of(problem)
+        p = problem.size
+        triangle = triangular_factor([np.column_stack(coordinates.data())])
+        prior = coordinates.prior_root()
+        blocks = np.reshape(
+            [np.arange(start, start + 10) for start in problem.inertia_blocks], (-1, 10)
+        ).astype(np.intp)
+        inequalities, equalities = _constraint_rows(coordinates)
+        return cls(
+            coordinates=coordinates,
+            data=triangle[:p],
+            prior=prior,
+            held=_undetermined(np.vstack([triangle[:p, :p], prior]), blocks),
+            blocks=blocks,
+            begin=coordinates.starts,
+            gamma=np.array([problem.entropic[start][1] for start in problem.inertia_blocks]),
+            inequalities=inequalities,
+            equalities=equalities,
+            floor=float(triangle[p, p] ** 2) if len(triangle) > p else 0.0,
+        )
+
+    @property
+    def size(self) -> int:
+        """Number p of coordinates."""
+        return self.data.shape[1] - 1
+
+    def excess(self, z: Array) -> float:
+        """Squared residual of z (p,) beyond `floor`."""
+        return float(np.square(self.data @ np.append(z, -1.0)).sum())
+
+    def matrices(self, z: Array) -> Array:
+        """S_i of every block, (n, 4, 4), at z (p,)."""
+        return self.begin + smat(z[self.blocks])
+
+    def weighted(self, weight: float) -> WeightedProgram:
+        """The program with the prior's weight w in its factor."""
+        p = self.size
+        extra = np.vstack([np.sqrt(weight) * self.prior, self.held])
+        triangle = self.data
+        if len(extra):
+            rows = np.column_stack([extra, np.zeros(len(extra))])
+            triangle = triangular_factor([triangle, rows])[:p]
+        return WeightedProgram(
+            program=self,
+            weight=weight,
+            factor=np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p])),
+            target=np.sqrt(2.0) * triangle[:, p],
+            gamma=weight * self.gamma,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedProgram:
+    """A `NewtonProgram` with one weight: ½‖F z − f‖² + Σ γ_i (tr S_i − log|S_i|).
+
+    Attributes:
+        program: The program.
+        weight: The weight w.
+        factor: (p, p) upper triangular F, in Fortran's order.
+        target: (p,) f.
+        gamma: (n,) weights w γ_i.
+    """
+
+    program: NewtonProgram
+    weight: float
+    factor: Array
+    target: Array
+    gamma: Array
+
+    def slope(self, z: Array) -> Array:
+        """Gradient (p,) of the cost without its logarithms at z (p,)."""
+        gradient = self.factor.T @ (self.factor @ z - self.target)
+        gradient[self.program.blocks] += self.gamma[:, None] * IDENTITY
+        return gradient
+
+    def cost(self, z: Array) -> float:
+        """Cost at z (p,), counted from a perfect fit at the prior."""
+        S = self.program.matrices(z)
+        logs = np.linalg.slogdet(S)[1]
+        divergences = np.trace(S, axis1=1, axis2=2) - logs - 4.0
+        errors = self.factor @ z - self.target
+        return float(0.5 * errors @ errors + self.gamma @ divergences)
+
+
+def _constraint_rows(coordinates: Coordinates) -> tuple[Rows, Rows]:
+    """Inequalities G z ≥ h and equalities E z = e of bounds and constraints."""
+    problem = coordinates.problem
+    lower, upper = coordinates.bounds()
+    matrix = np.eye(problem.size)
+    constraints = problem.constraints
+    if constraints is not None:
+        begin = constraints.matrix @ problem.prior_mean
+        matrix = np.vstack([matrix, constraints.matrix @ coordinates.transform])
+        lower = np.append(lower, constraints.lower - begin)
+        upper = np.append(upper, constraints.upper - begin)
+    norms = np.linalg.norm(matrix, axis=1)
+    scale = 1.0 / np.where(norms > 0, norms, 1.0)
+    matrix, lower, upper = scale[:, None] * matrix, scale * lower, scale * upper
+    fixed = np.isfinite(lower) & (lower == upper)
+    above, below = np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed
+    inequalities = (
+        np.vstack([matrix[above], -matrix[below]]),
+        np.append(lower[above], -upper[below]),
+    )
+    return inequalities, (matrix[fixed], lower[fixed])
+
+
+def _undetermined(rows: Array, blocks: NDArray[np.intp]) -> Array:
+    """Weak rows for the directions of scalars that no row determines.
+
+    Every block has its barrier, so only scalars can be without curvature.
+    """
+    scalars = np.setdiff1d(np.arange(rows.shape[1]), blocks.ravel())
+    if not len(scalars):
+        return np.zeros((0, rows.shape[1]))
+    factor = triangular_factor([rows[:, scalars]])
+    _, sizes, directions = np.linalg.svd(factor)
+    unknown = directions[sizes <= _UNDETERMINED * max(sizes[0], 1e-300)]
+    held = np.zeros((len(unknown), rows.shape[1]))
+    held[:, scalars] = _HOLD * unknown
+    return held
