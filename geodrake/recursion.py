@@ -107,7 +107,9 @@ def _move(
     Both are (5, 3 + 2k, n): ω, α, a, then k angular and k linear parts.
     """
     (q, v, vd), joint, k = sample, mobilizer.motion, len(mobilizer.dofs)
-    old = k - len(v)
+    old = _subspace(parent)[0].shape[
+        1
+    ]  # k where nothing is asked of the mobilizer's own velocities
     w_P, wd_P, a_P = parent[:, _OMEGA], parent[:, _ALPHA], parent[:, _ACCEL]
     angular, linear = joint.angular[_CYCLE], joint.linear[_CYCLE]
     w, wd, t, td = (_map(subspace, x)[:, None] for subspace in (angular, linear) for x in (v, vd))
@@ -119,8 +121,8 @@ def _move(
     coriolis = _cyclic(_cross(w_P, p)) + 2.0 * t
     seen[:, _ACCEL] = a_P[:3] + td[:3] + _cross(wd_P, p) + _cross(w_P, coriolis)
     (turn, slide), (turn_P, slide_P) = _subspace(seen), _subspace(parent)
-    turn[:, :old], turn[:, old:] = turn_P[:3], angular[:3, :, None]
-    slide[:, :old], slide[:, old:] = slide_P[:3], linear[:3, :, None]
+    turn[:, :old], turn[:, old:] = turn_P[:3], angular[:3, : k - old, None]
+    slide[:, :old], slide[:, old:] = slide_P[:3], linear[:3, : k - old, None]
     work.add_products(slide[:, :old], (turn_P[1:4], p[2:5]), (turn_P[2:5], -p[1:4]))
 
     R_PB = (joint.rotation @ joint.features(q)).reshape(3, 3, 1, -1)

@@ -42,7 +42,7 @@ def inverse_dynamics_regressor(
         ArgumentError: A shape does not fit the plant, or a value is not finite.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, samples = _arguments(plant, q, v, vd)
+    tree, samples = checked_samples(plant, q, v, vd)
     shape = len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies)
     regressor = np.empty(shape)
     for part, piece in regressor_pieces(tree, *samples):
@@ -54,7 +54,7 @@ def body_regressor(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
 ) -> Array:
     """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, without the others."""
-    tree, samples = _arguments(plant, q, v, vd)
+    tree, samples = checked_samples(plant, q, v, vd)
     if not 0 <= body < len(tree.bodies):
         raise ArgumentError(f"Body {body} is not one of the plant's {len(tree.bodies)} bodies.")
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
@@ -81,7 +81,7 @@ def inverse_dynamics(
         vd: (N, nv) accelerations v̇.
         phi: (nb, 10) inertial parameters.
     """
-    tree, samples = _arguments(plant, q, v, vd)
+    tree, samples = checked_samples(plant, q, v, vd)
     phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
     if phi.shape != expected:
         raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
@@ -101,7 +101,7 @@ def regressor_pieces(
         The samples, as a slice, and their Y as (nv, 10 nb, n): the rows of velocity k are
         `Y[k].T`, in the column order that LAPACK works on. The next piece overwrites the array.
     """
-    tree, samples = _arguments(plant, q, v, vd)
+    tree, samples = checked_samples(plant, q, v, vd)
     columns = PARAMETERS_PER_BODY * len(tree.bodies)
     regressor = np.zeros((tree.num_velocities, columns, piece_size(tree)))
     for part, blocks in pieces(tree, samples):
@@ -111,10 +111,14 @@ def regressor_pieces(
         yield part, piece
 
 
-def _arguments(
+def checked_samples(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> tuple[KinematicTree, Samples]:
-    """The tree and the checked samples."""
+    """The tree, and samples q (N, nq), v and vd (N, nv) as arrays that fit it.
+
+    Raises:
+        ArgumentError: A shape does not fit the plant, or a value is not finite.
+    """
     tree = plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
     q, v, vd = np.asarray(q, float), np.asarray(v, float), np.asarray(vd, float)
     nq, nv = tree.num_positions, tree.num_velocities
