@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification import identify
+from geodrake.identification import BodyConstraints, identify
 from geodrake.inertia import (
     change_frame,
     from_mass_com_inertia,
@@ -20,7 +20,7 @@ from geodrake.inertia import (
 )
 
 HUMAN = Path(__file__).parents[2] / "shared" / "data" / "human_force_plate.npz"
-REGULARIZERS = ("euclidean", "pullback", "entropic")
+REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
 PRIOR = from_mass_com_inertia(
     np.array([4.0, 2.5, 0.8]),
     np.array([[0.0, 0.02, 0.2], [0.05, 0.0, 0.15], [0.0, 0.0, 0.04]]),
@@ -79,7 +79,7 @@ def test_scs_finds_the_same(regularizer):
     assert results[0].divergence == pytest.approx(results[1].divergence, rel=1e-3)
 
 
-@pytest.mark.parametrize("regularizer", ["pullback", "entropic"])
+@pytest.mark.parametrize("regularizer", ["pullback", "entropic", "riemannian"])
 @given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
 @settings(max_examples=8, deadline=None)
 def test_invariance_under_frames_and_units(regularizer, seed, length, mass):
@@ -207,3 +207,78 @@ def test_human_residuals_match_for_all_regularizers():
         assert is_physical(other.phi).all()
         inside = np.einsum("bij,bji->b", pseudo_inertia(other.phi), human["Q"])
         assert (inside > -1e-6).all()
+
+
+def ball(centre, radius):
+    """Q with [x;1]ᵀ Q [x;1] ≥ 0 inside a ball."""
+    Q = np.zeros((4, 4))
+    Q[:3, :3], Q[:3, 3], Q[3, :3], Q[3, 3] = -np.eye(3), centre, centre, radius**2 - centre @ centre
+    return Q
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_bounds_on_mass_and_centre_of_mass_hold(regularizer):
+    A, b = data(9, noise=2.0)
+    com = PRIOR[:, 1:4] / PRIOR[:, :1]
+    free = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.05)
+    outside = np.abs(free.phi[:, 1:4] / free.phi[:, :1] - com) > 0.01
+    assert outside.any(), "the bounds do nothing: a weak test"
+    bounds = BodyConstraints(
+        mass_bounds=[[3.9, 4.1], [-np.inf, np.inf], [0.5, np.inf]],
+        com_bounds=np.stack([com - 0.01, com + 0.01], -1),
+    )
+    options = {"regularizer": regularizer, "gamma": 0.05, "constraints": bounds}
+    result = identify(A, b, PRIOR, total_mass=7.0, **options)
+    mass = result.phi[:, 0]
+    assert 3.9 - 1e-7 <= mass[0] <= 4.1 + 1e-7 and mass[2] >= 0.5 - 1e-7
+    assert mass.sum() == pytest.approx(7.0, rel=1e-7)
+    assert (np.abs(result.phi[:, 1:4] / mass[:, None] - com) < 0.01 + 1e-6).all()
+    with pytest.raises(ArgumentError, match="total_mass is given twice"):
+        both = BodyConstraints(total_mass=7.0)
+        identify(A, b, PRIOR, regularizer=regularizer, gamma=1.0, total_mass=7.0, constraints=both)
+
+
+CONSTRAINTS = {
+    "mass shape": (
+        {"mass_bounds": [[0, 1]]},
+        r"mass_bounds must have shape \(3, 2\); got \(1, 2\)",
+    ),
+    "mass order": ({"mass_bounds": [[2, 1]] * 3}, r"mass_bounds leaves nothing .* at \[\[0\]"),
+    "no mass": ({"mass_bounds": [[-2, -1]] * 3}, r"no positive mass to bodies \[0, 1, 2\]"),
+    "com shape": ({"com_bounds": np.zeros((3, 2))}, r"com_bounds must have shape \(3, 3, 2\)"),
+    "nan": ({"com_bounds": np.full((3, 3, 2), np.nan)}, "com_bounds leaves nothing"),
+    "mass": ({"total_mass": np.inf}, "total_mass must be positive"),
+}
+
+
+@pytest.mark.parametrize("name", CONSTRAINTS)
+def test_bad_constraints_are_refused(name):
+    change, message = CONSTRAINTS[name]
+    with pytest.raises(ArgumentError, match=message):
+        BodyConstraints(**change).rows(PRIOR, 32)
+
+
+def test_an_ellipsoid_without_the_prior_names_the_body():
+    A, b = data(10)
+    com = PRIOR[:, 1:4] / PRIOR[:, :1]
+    Q = np.array([ball(c + np.array([0, 0.5 * (i == 1), 0]), 0.3) for i, c in enumerate(com)])
+    with pytest.raises(ArgumentError, match=r"bodies \[1\] do not contain the prior") as caught:
+        identify(A, b, PRIOR, regularizer="pullback", gamma=1.0, ellipsoids=Q)
+    assert caught.value.evidence["bodies"] == [1]
+    assert caught.value.evidence["trace"][0] == pytest.approx(
+        np.trace(pseudo_inertia(PRIOR[1]) @ Q[1])
+    )
+
+
+def test_an_impossible_prior_comes_with_the_nearest_possible_one():
+    A, b = data(11)
+    bad = PRIOR.copy()
+    bad[1, 4] = 1.0  # Ixx > Iyy + Izz
+    bad[2] = 0.0
+    with pytest.raises(ArgumentError, match=r"not physical for bodies \[1, 2\]") as caught:
+        identify(A, b, bad, regularizer="entropic", gamma=1.0)
+    nearest = caught.value.evidence["nearest"]
+    assert is_physical(nearest).all()
+    np.testing.assert_array_equal(nearest[0], PRIOR[0])
+    np.testing.assert_allclose(nearest[1, :4], PRIOR[1, :4])
+    assert identify(A, b, nearest, regularizer="entropic", gamma=1.0).residual > 0

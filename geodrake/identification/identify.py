@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.errors import ArgumentError
+from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.euclidean import Euclidean
 from geodrake.identification.fit import FitResult
-from geodrake.identification.problem import (
-    FitProblem,
-    LinearConstraints,
-    checked,
-    whitened_factor,
-)
+from geodrake.identification.problem import FitProblem, checked, whitened_factor
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia_basis
+from geodrake.identification.riemannian import Riemannian
+from geodrake.identification.riemannian_fit import LocalMinima, RiemannianFit
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
+from geodrake.repairs import nearest_physical
 
 REGULARIZERS: dict[str, type[Regularizer]] = {
-    kind.name: kind for kind in (Euclidean, Pullback, Entropic)
+    kind.name: kind for kind in (Euclidean, Pullback, Entropic, Riemannian)
 }
 
 _MARGIN = 1e-6
@@ -54,8 +53,13 @@ class IdentificationResult:
 
     @property
     def solver(self) -> str:
-        """What solved it: "closed form", "bounded least squares" or a conic solver's name."""
+        """What solved it: "closed form", "interior point", … or a conic solver's name."""
         return self.fit.solver
+
+    @property
+    def minima(self) -> LocalMinima | None:
+        """For a regularizer that is not convex: what the starts led to. None for a convex one."""
+        return self.fit.minima if isinstance(self.fit, RiemannianFit) else None
 
     @property
     def solve_time(self) -> float:
@@ -68,17 +72,19 @@ def identify(  # noqa: PLR0913 - the stable interface
     b: ArrayLike,
     prior: ArrayLike,
     *,
-    regularizer: str,
+    regularizer: str | Regularizer,
     gamma: float | None = None,
     residual_bound: float | None = None,
     sigma: ArrayLike | None = None,
     ellipsoids: ArrayLike | None = None,
     total_mass: float | None = None,
     extra_bounds: ArrayLike | None = None,
+    constraints: BodyConstraints | None = None,
     solver: str = "clarabel",
 ) -> IdentificationResult:
-    """Physical parameters that fit A x ≈ b and stay near a prior; the minimum is global.
+    """Physical parameters that fit A x ≈ b and stay near a prior.
 
+    The minimum is global, except with "riemannian", whose result says what was found (`minima`).
     With `gamma` it minimizes ‖A x − b‖²_{Σ⁻¹} + γ d(Φ, Φ⁰)² ([Lee2019] Eq. (3.2.16)); with
     `residual_bound` c, d(Φ, Φ⁰)² subject to ‖A x − b‖²_{Σ⁻¹} ≤ c (Eq. (3.5.52)), which compares
     regularizers fairly. x = [Φ, extra], and the extra parameters are not regularized.
@@ -87,7 +93,8 @@ def identify(  # noqa: PLR0913 - the stable interface
         A: (m, 10·nb + extra) regressor; the bodies' columns come first, in their order.
         b: (m,) measurements.
         prior: (nb, 10) physical inertial parameters Φ⁰.
-        regularizer: "euclidean", "pullback" or "entropic".
+        regularizer: "euclidean", "pullback", "entropic" or "riemannian"; or a `Regularizer` with
+            settings of its own, such as `PointMassKL(points)`.
         gamma: Weight γ > 0; exactly one of gamma and residual_bound.
         residual_bound: Greatest squared residual c.
         sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
@@ -95,7 +102,9 @@ def identify(  # noqa: PLR0913 - the stable interface
             tr(P(φ_i) Q_i) ≥ 0 (Eq. (3.5.46)).
         total_mass: Sum of all masses, kg.
         extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
-        solver: Drake's conic solver: "clarabel" or "scs".
+        constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
+            too instead.
+        solver: A name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
 
     Returns:
         The parameters and how they were found.
@@ -105,7 +114,7 @@ def identify(  # noqa: PLR0913 - the stable interface
         IdentificationError: The solver found no solution, for instance because no physical
             bodies reach the residual bound or the total mass inside their ellipsoids.
     """
-    kind = _regularizer(regularizer)
+    kind = regularizer_of(regularizer)
     if (gamma is None) == (residual_bound is None):
         raise ArgumentError(
             f"Exactly one of gamma and residual_bound is needed; got gamma={gamma}, "
@@ -113,42 +122,69 @@ def identify(  # noqa: PLR0913 - the stable interface
         )
     if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
         raise ArgumentError(f"gamma must be positive; got {gamma:g}.")
-    prior = _physical_prior(prior)
+    prior = physical_prior(prior)
     factor = whitened_factor(A, b, sigma=sigma)
     problem = _problem(factor, prior, extra_bounds)
-    constraints = _constraints(prior, problem.size, ellipsoids, total_mass)
-    problem = replace(problem, constraints=constraints, residual_bound=residual_bound)
+    bodies = _merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass)
+    rows = bodies.rows(prior, problem.size)
+    problem = replace(problem, constraints=rows, residual_bound=residual_bound)
     fit = kind.solve(problem, prior, 1.0 if gamma is None else gamma, solver)
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
     return IdentificationResult(
         phi=phi,
         extra=extra,
         residual=fit.residual,
-        divergence=kind.divergence(phi, prior),
-        regularizer=regularizer,
+        divergence=kind.divergence_of(fit, prior),
+        regularizer=kind.name,
         gamma=fit.prior_weight if gamma is None else gamma,
         fit=fit,
     )
 
 
-def _regularizer(name: str) -> Regularizer:
-    if name not in REGULARIZERS:
+def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
+    """The regularizer of a name, with its default settings; a regularizer stays what it is."""
+    if isinstance(regularizer, Regularizer):
+        return regularizer
+    if regularizer not in REGULARIZERS:
         known = ", ".join(f'"{known}"' for known in REGULARIZERS)
-        raise ArgumentError(f'There is no regularizer "{name}"; there are {known}.')
-    return REGULARIZERS[name]()
+        raise ArgumentError(f'There is no regularizer "{regularizer}"; there are {known}.')
+    return REGULARIZERS[regularizer]()
 
 
-def _physical_prior(prior: ArrayLike) -> Array:
+def physical_prior(prior: ArrayLike) -> Array:
+    """A prior (nb, 10) of bodies that can exist.
+
+    Raises:
+        ArgumentError: Some cannot; its evidence has `bodies` and, as `nearest`, a prior (nb, 10)
+            with the smallest bodies of the same mass and centre of mass in their place.
+    """
     prior = checked("prior", prior, (None, PARAMETERS_PER_BODY))
     wrong = np.flatnonzero(~is_physical(prior)).tolist()
     if wrong:
+        spare = 1e-3 * prior[is_physical(prior), 0].sum() or 1.0
+        nearest = prior.copy()
+        for body in wrong:
+            nearest[body] = nearest_physical(
+                prior[body], points=np.zeros((1, 3)), spare_mass=float(spare)
+            )
         raise ArgumentError(
             f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
             "definite.",
-            advice="Give them a mass, a centre of mass and an inertia that a solid body can have.",
+            advice="Give them a mass, a centre of mass and an inertia that a solid body can have; "
+            "evidence['nearest'] of this error is a prior with the least such change.",
             bodies=wrong,
+            nearest=nearest,
         )
     return prior
+
+
+def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraints:
+    """The constraints together with those given one by one."""
+    constraints = constraints or BodyConstraints()
+    for field in fields(constraints):
+        if given.get(field.name) is not None and getattr(constraints, field.name) is not None:
+            raise ArgumentError(f"{field.name} is given twice: by itself and in constraints.")
+    return replace(constraints, **{k: v for k, v in given.items() if v is not None})
 
 
 def _problem(factor: Array, prior: Array, extra_bounds: ArrayLike | None) -> FitProblem:
@@ -160,9 +196,7 @@ def _problem(factor: Array, prior: Array, extra_bounds: ArrayLike | None) -> Fit
         )
     limits: dict[str, Any] = {}
     if extra_bounds is not None:
-        bounds = np.asarray(extra_bounds, float)
-        if bounds.shape != (extra, 2):
-            raise ArgumentError(f"extra_bounds must have shape ({extra}, 2); got {bounds.shape}.")
+        bounds = checked_bounds("extra_bounds", extra_bounds, (extra, 2))
         free = np.full(prior.size, np.inf)
         limits = {"lower": np.append(-free, bounds[:, 0]), "upper": np.append(free, bounds[:, 1])}
     return FitProblem(
@@ -173,32 +207,3 @@ def _problem(factor: Array, prior: Array, extra_bounds: ArrayLike | None) -> Fit
         margin=_MARGIN,
         **limits,
     )
-
-
-def _constraints(
-    prior: Array, p: int, ellipsoids: ArrayLike | None, total_mass: float | None
-) -> LinearConstraints | None:
-    """Rows for the ellipsoids and the total mass."""
-    nb = len(prior)
-    rows, lower, upper = np.zeros((0, p)), np.empty(0), np.empty(0)
-    if ellipsoids is not None:
-        Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
-        wrong = np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist()
-        if wrong:
-            raise ArgumentError(
-                f"The ellipsoids of bodies {wrong} are not bounded regions [x;1]ᵀQ[x;1] ≥ 0.",
-                advice="Q is positive inside: use −Q if yours is negative there.",
-                bodies=wrong,
-            )
-        blocks = np.zeros((nb, nb, PARAMETERS_PER_BODY))
-        blocks[range(nb), range(nb)] = np.einsum("bij,kji->bk", Q, pseudo_inertia_basis())
-        rows = np.hstack([blocks.reshape(nb, -1), np.zeros((nb, p - prior.size))])
-        lower, upper = np.zeros(nb), np.full(nb, np.inf)
-    if total_mass is not None:
-        if not (np.isfinite(total_mass) and total_mass > 0):
-            raise ArgumentError(f"total_mass must be positive, in kg; got {total_mass:g}.")
-        masses = np.zeros(p)
-        masses[: prior.size : PARAMETERS_PER_BODY] = 1.0
-        rows = np.vstack([rows, masses])
-        lower, upper = np.append(lower, total_mass), np.append(upper, total_mass)
-    return LinearConstraints(matrix=rows, lower=lower, upper=upper) if len(rows) else None

@@ -41,6 +41,10 @@ class Regularizer(ABC):
             gamma: Weight γ > 0.
         """
 
+    def divergence_of(self, fit: FitResult, prior: Array) -> float:
+        """d² at a solution of `solve`."""
+        return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
+
     def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
         """Solve the fit with γ d(Φ, Φ⁰)² added, by Drake's conic solver of that name."""
         return solve_fit(self.regularize(problem, prior, gamma), solver=solver)

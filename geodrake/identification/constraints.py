@@ -1,0 +1,165 @@
+"""What is known of the bodies besides a prior: where their mass can be, and how much there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.errors import ArgumentError
+from geodrake.identification.problem import LinearConstraints, checked
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, pseudo_inertia, pseudo_inertia_basis
+
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyConstraints:
+    """Linear constraints on inertial parameters.
+
+    Attributes:
+        ellipsoids: (nb, 4, 4) matrices Q with [x;1]ᵀ Q [x;1] ≥ 0 inside an ellipsoid that holds
+            all of a body's mass: tr(P(φ_i) Q_i) ≥ 0 ([Lee2019] Eq. (3.5.46)).
+        total_mass: Sum of all masses, kg.
+        mass_bounds: (nb, 2) least and greatest masses, kg; −inf and inf for none.
+        com_bounds: (nb, 3, 2) least and greatest coordinates of each centre of mass in the body's
+            frame, m; −inf and inf for none.
+    """
+
+    ellipsoids: ArrayLike | None = None
+    total_mass: float | None = None
+    mass_bounds: ArrayLike | None = None
+    com_bounds: ArrayLike | None = None
+
+    def rows(self, prior: Array, size: int) -> LinearConstraints | None:
+        """The constraints as rows for parameters x = [Φ, extra].
+
+        Args:
+            prior: (nb, 10) physical prior.
+            size: Number of parameters x.
+
+        Returns:
+            The rows, or None if there are no constraints.
+
+        Raises:
+            ArgumentError: A shape or value is wrong, bounds contradict each other, or an ellipsoid
+                does not contain the prior's body.
+        """
+        parts = [
+            _ellipsoid_rows(self.ellipsoids, prior),
+            _total_mass_row(self.total_mass, prior),
+            _mass_rows(self.mass_bounds, prior),
+            *_com_rows(self.com_bounds, prior),
+        ]
+        matrix = np.vstack([part.matrix for part in parts])
+        lower = np.concatenate([part.lower for part in parts])
+        upper = np.concatenate([part.upper for part in parts])
+        used = np.isfinite(lower) | np.isfinite(upper)
+        if not used.any():
+            return None
+        wide = np.zeros((used.sum(), size))
+        wide[:, : prior.size] = matrix[used]
+        return LinearConstraints(matrix=wide, lower=lower[used], upper=upper[used])
+
+
+def _of_bodies(rows: Array) -> Array:
+    """(nb, 10·nb) matrix with one row (nb, 10) a body."""
+    nb = len(rows)
+    blocks = np.zeros((nb, nb, PARAMETERS_PER_BODY))
+    blocks[range(nb), range(nb)] = rows
+    return blocks.reshape(nb, -1)
+
+
+def _none(prior: Array) -> LinearConstraints:
+    return LinearConstraints(matrix=np.zeros((0, prior.size)), lower=np.empty(0), upper=np.empty(0))
+
+
+def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> LinearConstraints:
+    if ellipsoids is None:
+        return _none(prior)
+    nb = len(prior)
+    Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
+    wrong = np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist()
+    if wrong:
+        raise ArgumentError(
+            f"The ellipsoids of bodies {wrong} are not bounded regions [x;1]ᵀQ[x;1] ≥ 0.",
+            advice="Q is positive inside: use −Q if yours is negative there.",
+            bodies=wrong,
+        )
+    P = pseudo_inertia(prior)
+    inside = np.einsum("bij,bji->b", Q, P)
+    outside = inside < -_ROUNDING * np.einsum("bij,bji->b", np.abs(Q), np.abs(P))
+    if outside.any():
+        wrong = np.flatnonzero(outside).tolist()
+        raise ArgumentError(
+            f"The ellipsoids of bodies {wrong} do not contain the prior's bodies: tr(P Q) is "
+            f"{', '.join(f'{value:.3g}' for value in inside[wrong])} instead of at least 0.",
+            advice="Check that prior and ellipsoids are in the same frames and units; else enlarge "
+            "the ellipsoids, or move the prior inside.",
+            bodies=wrong,
+            trace=inside[wrong].tolist(),
+        )
+    rows = _of_bodies(np.einsum("bij,kji->bk", Q, pseudo_inertia_basis()))
+    return LinearConstraints(matrix=rows, lower=np.zeros(nb), upper=np.full(nb, np.inf))
+
+
+def _total_mass_row(total_mass: float | None, prior: Array) -> LinearConstraints:
+    if total_mass is None:
+        return _none(prior)
+    if not (np.isfinite(total_mass) and total_mass > 0):
+        raise ArgumentError(f"total_mass must be positive, in kg; got {total_mass:g}.")
+    row = np.zeros((1, prior.size))
+    row[0, ::PARAMETERS_PER_BODY] = 1.0
+    total = np.array([float(total_mass)])
+    return LinearConstraints(matrix=row, lower=total, upper=total)
+
+
+def _mass_rows(mass_bounds: ArrayLike | None, prior: Array) -> LinearConstraints:
+    if mass_bounds is None:
+        return _none(prior)
+    bounds = checked_bounds("mass_bounds", mass_bounds, (len(prior), 2))
+    wrong = np.flatnonzero(bounds[:, 1] <= 0).tolist()
+    if wrong:
+        raise ArgumentError(
+            f"mass_bounds leave no positive mass to bodies {wrong}; masses are in kg.",
+            bodies=wrong,
+        )
+    rows = np.zeros_like(prior)
+    rows[:, 0] = 1.0
+    return LinearConstraints(matrix=_of_bodies(rows), lower=bounds[:, 0], upper=bounds[:, 1])
+
+
+def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[LinearConstraints]:
+    """h_k − l m ≥ 0 and h_k − u m ≤ 0, linear where h/m would not be."""
+    if com_bounds is None:
+        return []
+    bounds, parts = checked_bounds("com_bounds", com_bounds, (len(prior), 3, 2)), []
+    for axis in range(3):
+        for side in range(2):
+            limit = bounds[:, axis, side]
+            finite = np.isfinite(limit)
+            rows = np.zeros_like(prior)
+            rows[:, 1 + axis] = 1.0
+            rows[:, 0] = -np.where(finite, limit, 0.0)
+            zero, none = np.zeros(len(prior)), np.full(len(prior), np.inf)
+            lower = np.where(finite, zero, -none) if side == 0 else -none
+            upper = np.where(finite, zero, none) if side == 1 else none
+            parts.append(LinearConstraints(matrix=_of_bodies(rows), lower=lower, upper=upper))
+    return parts
+
+
+def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Bounds as an array of a shape whose last axis is (least, greatest); infinite for none."""
+    array = np.asarray(bounds, float)
+    if array.shape != shape:
+        raise ArgumentError(f"{name} must have shape {shape}; got {array.shape}.")
+    low, high = array[..., 0], array[..., 1]
+    usable = (low <= high) & (low < np.inf) & (high > -np.inf)
+    if not usable.all():
+        places = np.argwhere(~usable).tolist()
+        raise ArgumentError(
+            f"{name} leaves nothing between the least and the greatest value at {places}.",
+            places=places,
+        )
+    return array

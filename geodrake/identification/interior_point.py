@@ -1,0 +1,191 @@
+"""Interior-point minimization of a small smooth function, convex or not, over linear constraints.
+
+A primal-dual barrier method after J. Nocedal and S. Wright, *Numerical Optimization* (2006), §19.3:
+it starts inside the inequalities and stays there. Where the Hessian is not positive definite, a
+multiple of a metric is added to it, which is a trust region in that metric.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, null_space
+
+from geodrake.errors import IdentificationError
+from geodrake.inertia import Array
+
+_GAP = 1e-11
+"""Duality gap at which to stop, as a share of the size of the function."""
+
+_ACCURACY = 1e-14
+"""Decrease that a step must promise to be worth taking, as a share of the size."""
+
+_TO_BOUNDARY = 0.995
+_SUFFICIENT = 1e-4
+_FIRST_SHIFT, _MOST_SHIFTS = 1e-3, 40
+_MOST_STEPS, _MOST_HALVINGS = 300, 50
+_CLIP = 1e8
+
+
+class Objective(Protocol):
+    """A twice differentiable function with a domain of its own."""
+
+    @property
+    def size(self) -> float:
+        """Value that counts as one, to which tolerances are relative."""
+
+    def value(self, z: Array) -> float:
+        """f(z), infinite outside the domain."""
+
+    def derivatives(self, z: Array) -> tuple[Array, Array]:
+        """Gradient (p,) and Hessian (p, p) at z."""
+
+    def metric(self, z: Array) -> Array:
+        """(p, p) positive definite matrix of about the size of the Hessian."""
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Points z with E z = e, of which only the directions are needed, and C z ≥ c.
+
+    Attributes:
+        directions: (p, p − k) orthonormal basis of the null space of E.
+        matrix: (m, p) C.
+        lower: (m,) c.
+    """
+
+    directions: Array
+    matrix: Array
+    lower: Array
+
+    @classmethod
+    def of(cls, equality: Array, matrix: Array, lower: Array) -> Region:
+        """The region of equality rows E (k, p), inequality rows C (m, p) and lower bounds c."""
+        directions = null_space(equality) if len(equality) else np.eye(equality.shape[1])
+        return cls(directions, matrix, lower)
+
+    def slacks(self, z: Array) -> Array:
+        """C z − c, (m,)."""
+        return self.matrix @ z - self.lower
+
+
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """A local minimum.
+
+    Attributes:
+        z: (p,) where it is.
+        value: f(z).
+        hessian: (p, p) Hessian of f at z.
+        strict: Whether the Hessian is positive definite there, as far as constraints leave freedom.
+        steps: Newton steps taken.
+    """
+
+    z: Array
+    value: float
+    hessian: Array
+    strict: bool
+    steps: int
+
+
+def minimize(
+    objective: Objective, region: Region, start: Array, *, barrier: float = 1e-2
+) -> Minimum:
+    """The local minimum that a start leads to.
+
+    Args:
+        objective: The function f.
+        region: The constraints.
+        start: (p,) in the domain, on the equalities and strictly inside the inequalities.
+        barrier: First duality gap, as a share of the size of the function; less for a good start.
+
+    Raises:
+        IdentificationError: No minimum was reached in 300 Newton steps.
+    """
+    m, size = len(region.lower), objective.size
+    least = _GAP * size / max(m, 1)
+    t = max(barrier * size / m, least) if m else least
+    z, s = start, region.slacks(start)
+    y = t / s
+    for count in range(1, _MOST_STEPS + 1):
+        g, H = objective.derivatives(z)
+        g = g - region.matrix.T @ (t / s)
+        step, shift = _newton_step(
+            objective, region, z, g, H + (region.matrix.T * (y / s)) @ region.matrix
+        )
+        promise = -float(g @ step)
+        settled = promise <= max(_ACCURACY * size, 0.1 * t * m)
+        if settled and t > least:
+            t = max(least, 0.1 * t * min(1.0, (t * m / size) ** 0.25))
+            continue
+        length = _line_search(objective, region, (z, s, t), step, promise)
+        z = z + length * step
+        y = _moved_multipliers(y, s, t, region.matrix @ step)
+        s = region.slacks(z)
+        y = np.clip(y, t / s / _CLIP, t / s * _CLIP)
+        if length == 0.0 and t > least:
+            t = max(least, 0.1 * t)
+        elif promise <= _ACCURACY * size or length == 0.0:
+            return Minimum(z, objective.value(z), objective.derivatives(z)[1], shift == 0.0, count)
+    raise IdentificationError(
+        f"No minimum was reached in {_MOST_STEPS} Newton steps.",
+        advice="Check units and noise levels, raise gamma, or start from another point.",
+        steps=_MOST_STEPS,
+    )
+
+
+def _newton_step(
+    objective: Objective, region: Region, z: Array, gradient: Array, hessian: Array
+) -> tuple[Array, float]:
+    """The step (p,), and the multiple of the metric that made its matrix positive definite."""
+    N = region.directions
+    reduced: Any = N.T @ hessian @ N
+    metric: Any = None
+    shift = 0.0
+    for _ in range(_MOST_SHIFTS):
+        try:
+            factor = cho_factor(reduced if metric is None else reduced + shift * metric)
+        except LinAlgError:
+            if metric is None:
+                metric = N.T @ objective.metric(z) @ N
+            shift = 4.0 * shift or _FIRST_SHIFT
+        else:
+            return -N @ cho_solve(factor, N.T @ gradient), shift
+    raise IdentificationError(
+        "The parameters cannot be told apart by data and prior: no Newton step is defined.",
+        advice="Add data or a prior for them, or leave their columns out.",
+    )
+
+
+def _line_search(
+    objective: Objective,
+    region: Region,
+    point: tuple[Array, Array, float],
+    step: Array,
+    promise: float,
+) -> float:
+    """Share of the step that lowers f − t Σ log s enough; 0 when none does."""
+    z, s, t = point
+    change = region.matrix @ step
+    towards = change < 0
+    length = min(1.0, _TO_BOUNDARY * float(np.min(s[towards] / -change[towards], initial=np.inf)))
+    begin = objective.value(z)
+    rounding = 1e-15 * max(abs(begin), objective.size)
+    for _ in range(_MOST_HALVINGS):
+        barrier = t * float(np.log1p(length * change / s).sum())
+        decrease = begin - objective.value(z + length * step) + barrier
+        if decrease >= _SUFFICIENT * length * promise - rounding:
+            return length
+        length *= 0.5
+    return 0.0
+
+
+def _moved_multipliers(y: Array, s: Array, t: float, change: Array) -> Array:
+    """Multipliers y after Newton's step on s y = t, kept positive."""
+    step = t / s - y - y / s * change
+    towards = step < 0
+    return y + step * min(
+        1.0, _TO_BOUNDARY * float(np.min(y[towards] / -step[towards], initial=np.inf))
+    )

@@ -1,0 +1,131 @@
+"""The Riemannian distance: the geometric distance itself, and not convex."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from geodrake.errors import ArgumentError, GeodrakeError
+from geodrake.identification.entropic import Entropic
+from geodrake.identification.fit import FitResult
+from geodrake.identification.interior_point import Minimum
+from geodrake.identification.problem import FitProblem
+from geodrake.identification.pullback import Pullback
+from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.riemannian_fit import RiemannianSearch
+from geodrake.identification.solvers import SOLVERS
+from geodrake.inertia import Array, pseudo_inertia
+from geodrake.positive_definite import relative_logarithms
+
+STARTS = ("entropic", "pullback", "prior", "data")
+
+_SAME_COST = 1e-9
+
+
+@dataclass(frozen=True)
+class Riemannian(Regularizer):
+    """d² = Σ_i ½ ‖log(P_i⁰⁻½ P_i P_i⁰⁻½)‖² ([Lee2019] Eqs. (3.3.26), (3.5.53)).
+
+    Half the square of the geodesic distance (2.2.10), so that it agrees to second order with the
+    pullback metric and the entropic divergence, and one γ means the same for all three. Independent
+    of units and frames; grows without limit at the boundary of physical bodies.
+
+    The problem is not convex: a body e times as heavy as its prior costs little more when it gets
+    heavier still, so that there can be several minima. The search starts at the entropic solution,
+    the global minimum of a convex neighbour, and then at others; `minima` of the result says
+    whether they led to the same place. In the point-to-set form, γ is the one for which the
+    residual of a local minimum meets its bound.
+
+    Attributes:
+        starts: Where to start from, the entropic solution first: some of "entropic", "pullback",
+            "prior" and "data", the entropic solution of a thousandth of the weight γ.
+        random_starts: Number of further starts, on random geodesics from the entropic solution.
+        seed: Seed of the random starts.
+    """
+
+    starts: tuple[str, ...] = STARTS
+    random_starts: int = 0
+    seed: int = 0
+
+    name: ClassVar[str] = "riemannian"
+
+    def __post_init__(self) -> None:
+        unknown = [start for start in self.starts if start not in STARTS]
+        if unknown or self.starts[:1] != ("entropic",):
+            raise ArgumentError(
+                f"starts must begin with 'entropic' and come from {', '.join(STARTS)}; "
+                f"got {self.starts}."
+            )
+        if self.random_starts < 0:
+            raise ArgumentError(f"random_starts cannot be negative; got {self.random_starts}.")
+
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """d(Φ, Φ⁰)² of all bodies together."""
+        logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
+        return 0.5 * float(np.square(logs).sum())
+
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """The entropic problem, a convex neighbour that agrees with this one to second order."""
+        return Entropic().regularize(problem, prior, gamma)
+
+    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
+        """The best local minimum that the starts lead to; the solver finds the starts.
+
+        Raises:
+            ArgumentError: The residual bound is below what any parameters reach.
+            IdentificationError: There is no solution, or none whose residual meets the bound.
+        """
+        begin = time.perf_counter()
+        search = RiemannianSearch.of(problem, prior, gamma)
+        convex = search.inside(lambda inner: Entropic().solve(inner, prior, gamma, solver))
+        first = search.start(convex.x)
+        best, weight = search.meet_bound(first, convex.prior_weight)
+        found: dict[str, Minimum | None] = {"entropic": best}
+        for name, start in self._others(search, first, prior, gamma * weight, solver).items():
+            try:
+                found[name] = search.minimum(start(), weight)
+            except GeodrakeError:  # the minima that were found stand
+                found[name] = None
+        lowest = min(filter(None, found.values()), key=lambda minimum: minimum.value)
+        if lowest.value < best.value - _SAME_COST * abs(best.value):
+            minima = search.compared(found, lowest)
+            best, weight = search.meet_bound(lowest.z, weight)
+        else:
+            minima = search.compared(found, best)
+        return search.result(best, weight, minima, time.perf_counter() - begin)
+
+    def _others(
+        self, search: RiemannianSearch, first: Array, prior: Array, gamma: float, solver: str
+    ) -> dict[str, Callable[[], Array]]:
+        """What gives the coordinates (p,) of the other starts, as far as they exist."""
+        conic = solver if solver in SOLVERS else "clarabel"
+        free = replace(search, problem=replace(search.problem, residual_bound=None))
+
+        def pullback() -> Array:
+            fit = free.inside(lambda inner: Pullback().solve(inner, prior, gamma, conic))
+            # It may be at the boundary of physical bodies; a share of the first start leads inside.
+            return 0.9 * search.start(fit.x) + 0.1 * first
+
+        def data() -> Array:
+            share = 1e-3 * gamma
+            return search.start(
+                free.inside(lambda inner: Entropic().solve(inner, prior, share, solver)).x
+            )
+
+        def nearest() -> Array:
+            # The prior may break a constraint that the first start keeps.
+            begin = search.start(search.problem.prior_mean)
+            ways = ((1.0 - share) * begin + share * first for share in (0.0, 1e-3, 0.1, 0.5))
+            return next((z for z in ways if search.is_inside(z)), first)
+
+        random = np.random.default_rng(self.seed)
+        starts = {"pullback": pullback, "data": data} if np.isfinite(gamma) else {}
+        starts["prior"] = nearest
+        chosen = {name: starts[name] for name in self.starts[1:] if name in starts}
+        for number in range(self.random_starts):
+            chosen[f"random {number}"] = lambda: search.random_start(first, random)
+        return chosen

@@ -1,0 +1,312 @@
+"""Local minima of a fit with the Riemannian distance, within bounds and linear constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geodrake.errors import IdentificationError
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
+from geodrake.identification.fit import FitResult
+from geodrake.identification.interior_point import Minimum, Region, minimize
+from geodrake.identification.log_distance import LogCost
+from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.inertia import Array
+from geodrake.reduction import triangular_factor
+
+_MARGINS = (1e-4, 1e-6, 1e-8)
+"""Shares of a constraint's scale by which a start is kept inside it; the first feasible one."""
+
+_WARM = 1e-6
+_SAME = 1e-4
+"""Geodesic distance within which two minima count as one."""
+
+_MEETS = 1e-9
+"""Relative difference of the residual from its bound."""
+
+_MOST_TRIALS = 60
+_FARTHEST = 1.5
+"""Standard deviation of the logarithms of mass and moments in random starts, at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class LocalMinima:
+    """Where the starts led to.
+
+    Attributes:
+        starts: Names of the starts.
+        costs: (n,) cost reached from each start, at the γ of the solution; inf where the search
+            failed.
+        distances: (n,) geodesic distance of what each start led to from the best.
+        strict: Whether the best is a strict local minimum: its Hessian is positive definite.
+    """
+
+    starts: tuple[str, ...]
+    costs: Array
+    distances: Array
+    strict: bool
+
+    @property
+    def agree(self) -> bool:
+        """Whether all starts led to the same minimum."""
+        return bool((self.distances < _SAME).all())
+
+    @property
+    def distinct(self) -> int:
+        """Number of different minima that were found, told apart by their costs."""
+        found = np.sort(self.costs[np.isfinite(self.costs)])
+        apart = self.distances[np.isfinite(self.costs)]
+        if (apart < _SAME).all():
+            return 1
+        scale = max(abs(found[0]), np.finfo(float).tiny)
+        return 1 + int(np.count_nonzero(np.diff(found) > 1e-9 * scale))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RiemannianFit(FitResult):
+    """A `FitResult` of a problem that may have several minima.
+
+    Attributes:
+        minima: What the starts led to.
+    """
+
+    minima: LocalMinima
+
+
+@dataclass(frozen=True, eq=False)
+class RiemannianSearch:
+    """A search for minima of ‖R x − r‖² + w (γ d(Φ, Φ⁰)² + prior information).
+
+    Attributes:
+        problem: What is to be fitted; its references are the prior Φ⁰.
+        coordinates: Its coordinates z.
+        region: Bounds and constraints on z.
+        equality: (k, p) rows of the constraints that are equalities, with their values (k,).
+        cost: The cost at w = 1.
+    """
+
+    problem: FitProblem
+    coordinates: Coordinates
+    region: Region
+    equality: tuple[Array, Array]
+    cost: LogCost
+
+    @classmethod
+    def of(cls, problem: FitProblem, prior: Array, gamma: float) -> RiemannianSearch:
+        """The search for a problem with a physical prior (nb, 10)."""
+        references = dict(zip(problem.inertia_blocks, prior, strict=True))
+        problem = replace(problem, reference=references)
+        coordinates = Coordinates.of(problem)
+        M, d = coordinates.data()
+        triangle = triangular_factor([np.column_stack([M, d])])[: problem.size]
+        root = coordinates.prior_root()
+        cost = LogCost(
+            triangle=triangle,
+            prior=root.T @ root,
+            starts=coordinates.starts,
+            blocks=np.array(problem.inertia_blocks, int),
+            gamma=gamma,
+            data=1.0,
+            weight=1.0,
+            size=gamma,
+        )
+        rows, lower, upper = _rows(coordinates)
+        fixed = lower == upper
+        matrix = np.vstack([rows[~fixed & (lower > -np.inf)], -rows[~fixed & (upper < np.inf)]])
+        limits = np.append(lower[~fixed & (lower > -np.inf)], -upper[~fixed & (upper < np.inf)])
+        region = Region.of(rows[fixed], matrix, limits)
+        return cls(problem, coordinates, region, (rows[fixed], lower[fixed]), cost)
+
+    def inside(self, solve: Callable[[FitProblem], FitResult]) -> FitResult:
+        """A convex fit strictly inside bounds and constraints, to start from.
+
+        Raises:
+            IdentificationError: There are no parameters inside them.
+        """
+        for margin in _MARGINS[:-1]:
+            try:
+                return solve(self._tightened(margin))
+            except IdentificationError:
+                continue
+        return solve(self._tightened(_MARGINS[-1]))
+
+    def start(self, x: Array) -> Array:
+        """Coordinates (p,) of parameters x (p,), put onto the equality constraints."""
+        z = self.coordinates.at(x)
+        E, e = self.equality
+        return z + np.linalg.lstsq(E, e - E @ z, rcond=None)[0] if len(E) else z
+
+    def is_inside(self, z: Array) -> bool:
+        """Whether coordinates z (p,) keep all constraints, the inequalities strictly."""
+        E, e = self.equality
+        on = np.allclose(E @ z, e, rtol=0.0, atol=1e-9)
+        return (
+            on
+            and bool((self.region.slacks(z) > 0.0).all())
+            and bool(np.isfinite(self.cost.value(z)))
+        )
+
+    def random_start(self, z: Array, random: np.random.Generator) -> Array:
+        """A point inside all constraints, as far as they allow on a random geodesic from z (p,)."""
+        L = np.linalg.cholesky(self.cost.matrices(z))
+        directions = random.normal(size=(len(L), len(SYMMETRIC_BASIS)))
+        rates, axes = np.linalg.eigh(np.einsum("bk,kij->bij", directions, SYMMETRIC_BASIS))
+        root = L @ axes * np.exp(0.5 * random.uniform(0.0, _FARTHEST) * rates)[:, None, :]
+        change = root @ np.swapaxes(root, 1, 2) - self.cost.matrices(np.zeros_like(z))
+        start = z.copy()
+        start[self.cost.inside] = np.einsum("bij,kij->bk", change, SYMMETRIC_BASIS)
+        start = self.start(self.coordinates.parameters(start))
+        while not self.is_inside(start):
+            start = 0.8 * start + 0.2 * z
+        return start
+
+    def minimum(self, z: Array, weight: float, *, warm: bool = False) -> Minimum:
+        """The minimum that z leads to with a weight w; inf leaves the data out."""
+        data, weight = (0.0, 1.0) if np.isinf(weight) else (1.0, weight)
+        cost = replace(self.cost, data=data, weight=weight)
+        cost = replace(cost, size=max(min(cost.value(z), cost.value(0.0 * z)), weight * cost.gamma))
+        return minimize(cost, self.region, z, barrier=_WARM if warm else 1e-2)
+
+    def meet_bound(self, z: Array, weight: float) -> tuple[Minimum, float]:
+        """A minimum, and in the point-to-set form the weight w for which it meets the bound.
+
+        Args:
+            z: (p,) where to start from.
+            weight: First guess of w; inf where the data are idle.
+
+        Raises:
+            IdentificationError: No minimum meets the bound: the residual jumps across it.
+        """
+        bound = self.problem.residual_bound
+        if bound is None:
+            return self.minimum(z, 1.0), 1.0
+        if np.isinf(weight):
+            nearest = self.minimum(z, np.inf)
+            if self.problem.residual(self.coordinates.parameters(nearest.z)) <= bound:
+                return nearest, np.inf
+            weight = 1.0
+        return self._root(z, weight, bound)
+
+    def _root(self, z: Array, weight: float, bound: float) -> tuple[Minimum, float]:
+        """Regula falsi (Illinois) on the logarithms of w and of the residual above its least."""
+        floor = self._floor
+        excess = bound - floor
+        found = self.minimum(z, weight)
+        low, high = None, None  # (log w, error)
+        at, side = float(np.log(weight)), 0
+        for _ in range(_MOST_TRIALS):
+            misfit = self.cost.misfit(found.z)
+            if abs(misfit - excess) <= _MEETS * min(bound, 1e3 * excess):
+                return found, float(np.exp(at))
+            error = float(np.log(max(misfit, np.finfo(float).tiny) / excess))
+            if error < 0:
+                low, high, side = (at, error), _halved(high, side == -1), -1
+            else:
+                low, high, side = _halved(low, side == 1), (at, error), 1
+            at = _next(low, high, at, error)
+            found = self.minimum(found.z, float(np.exp(at)), warm=True)
+        raise IdentificationError(
+            f"No local minimum has the residual {bound:.6g}: as gamma changes, it jumps from one "
+            f"minimum to another; the nearest found has {misfit + floor:.6g}.",
+            advice="Take another residual bound, or the entropic regularizer, which is convex.",
+            residual=misfit + floor,
+            gamma=float(np.exp(at)) * self.cost.gamma,
+        )
+
+    @property
+    def _floor(self) -> float:
+        """Least residual that any parameters reach."""
+        x = self.problem.prior_mean
+        return self.problem.residual(x) - self.cost.misfit(np.zeros(len(x)))
+
+    def _tightened(self, margin: float) -> FitProblem:
+        """The problem with less room between bounds and constraints."""
+        problem = self.problem
+        scale = np.diagonal(self.coordinates.transform)
+        lower, upper = _closer(problem.lower, problem.upper, margin * scale)
+        constraints = problem.constraints
+        if constraints is not None:
+            rows = np.linalg.norm(constraints.matrix @ self.coordinates.transform, axis=1)
+            limits = _closer(constraints.lower, constraints.upper, margin * rows)
+            constraints = LinearConstraints(
+                matrix=constraints.matrix, lower=limits[0], upper=limits[1]
+            )
+        return replace(problem, lower=lower, upper=upper, constraints=constraints)
+
+    def result(
+        self, best: Minimum, weight: float, minima: LocalMinima, elapsed: float
+    ) -> RiemannianFit:
+        """The result of a minimum."""
+        problem, T = self.problem, self.coordinates.transform
+        x = np.clip(self.coordinates.parameters(best.z), problem.lower, problem.upper)
+        inverse = np.linalg.inv(T)
+        information = 0.5 * inverse.T @ best.hessian @ inverse
+        at_bound = np.minimum(x - problem.lower, problem.upper - x) <= 1e-5 * np.diagonal(T)
+        near = self.coordinates.smallest_eigenvalues(x) < 2.0 * problem.margin
+        return RiemannianFit(
+            x=x,
+            information=0.5 * (information + information.T),
+            residual=problem.residual(x),
+            active_bounds=tuple(np.flatnonzero(at_bound).tolist()),
+            active_blocks=tuple(np.array(problem.inertia_blocks, int)[near].tolist()),
+            prior_weight=weight,
+            solver="interior point",
+            solve_time=elapsed,
+            minima=minima,
+        )
+
+    def compared(self, found: Mapping[str, Minimum | None], best: Minimum) -> LocalMinima:
+        """What several starts led to, against the best of them."""
+        S = self.cost.matrices(best.z)
+        root = np.linalg.inv(np.linalg.cholesky(S))
+        costs, distances = [], []
+        for minimum in found.values():
+            if minimum is None:
+                costs.append(np.inf)
+                distances.append(np.inf)
+                continue
+            ratio = root @ self.cost.matrices(minimum.z) @ np.swapaxes(root, -1, -2)
+            logs = np.log(np.linalg.eigvalsh(ratio))
+            costs.append(minimum.value)
+            distances.append(float(np.sqrt(np.square(logs).sum())))
+        return LocalMinima(tuple(found), np.array(costs), np.array(distances), best.strict)
+
+
+def _rows(coordinates: Coordinates) -> tuple[Array, Array, Array]:
+    """Bounds and constraints as rows of lower ≤ rows z ≤ upper, each of norm one."""
+    problem = coordinates.problem
+    lower, upper = coordinates.bounds()
+    bounded = np.isfinite(lower) | np.isfinite(upper)
+    rows, lower, upper = np.eye(problem.size)[bounded], lower[bounded], upper[bounded]
+    if problem.constraints is not None:
+        own = problem.constraints
+        matrix, begin = own.matrix @ coordinates.transform, own.matrix @ problem.prior_mean
+        norms = np.linalg.norm(matrix, axis=1)
+        norms = np.where(norms > 0, norms, 1.0)
+        rows = np.vstack([rows, matrix / norms[:, None]])
+        lower = np.append(lower, (own.lower - begin) / norms)
+        upper = np.append(upper, (own.upper - begin) / norms)
+    return rows, lower, upper
+
+
+def _closer(lower: Array, upper: Array, margin: Array) -> tuple[Array, Array]:
+    """Bounds moved towards each other, by a quarter of their distance at most."""
+    width = upper - lower
+    margin = np.minimum(margin, 0.25 * width)
+    return lower + margin, upper - margin
+
+
+def _halved(end: tuple[float, float] | None, again: bool) -> tuple[float, float] | None:
+    """An end of the bracket that was kept twice counts half, which speeds up regula falsi."""
+    return (end[0], 0.5 * end[1]) if end is not None and again else end
+
+
+def _next(
+    low: tuple[float, float] | None, high: tuple[float, float] | None, at: float, error: float
+) -> float:
+    """Next log w: outwards until the root is enclosed, then between its ends."""
+    if low is None or high is None:
+        return at - np.clip(1.2 * error, -3.0, 3.0) - 1e-3 * np.sign(error)
+    return (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])

@@ -1,0 +1,288 @@
+"""The Riemannian regularizer: derivatives, a second optimizer, invariance, and local minima."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag, expm
+from scipy.optimize import NonlinearConstraint, minimize
+from scipy.spatial.transform import Rotation
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification import BodyConstraints, Riemannian, identify
+from geodrake.identification.coordinates import SYMMETRIC_BASIS
+from geodrake.identification.interior_point import Region
+from geodrake.identification.interior_point import minimize as interior_point
+from geodrake.identification.log_distance import half_squared_logs, log_derivatives, log_metric
+from geodrake.inertia import (
+    change_frame,
+    from_mass_com_inertia,
+    is_physical,
+    pseudo_inertia,
+    pullback_metric,
+)
+
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
+)
+
+SIZES = np.repeat([1.0, 0.1, 0.02], [1, 3, 6])
+PRIOR_AND_FRICTION = np.append(PRIOR.ravel(), 0.0)
+
+
+def data(seed, *, rows=12, extra=0, noise=0.3, scale=(0.7, 1.4)):
+    """Regressor with fewer rows than parameters, and measurements of changed bodies."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    phi = PRIOR * rng.uniform(*scale, (2, 1))
+    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+
+
+def squared_distance(phi):
+    """½ Σ log² λ by generalized eigenvalues, one body at a time."""
+    total = 0.0
+    for body, prior in zip(phi, PRIOR, strict=True):
+        ratios = np.linalg.eigvals(np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(body)))
+        if ratios.real.min() <= 0:
+            return np.inf
+        total += 0.5 * np.sum(np.log(ratios.real) ** 2)
+    return total
+
+
+def cost(x, A, b, gamma):
+    """The cost as the source states it, without any of the package's coordinates; finite."""
+    if not is_physical(x[:20].reshape(2, 10)).all():
+        return 1e12
+    return np.sum((A @ x - b) ** 2) + gamma * squared_distance(x[:20].reshape(2, 10))
+
+
+def positive_matrices(seed, n=5, spread=1.0):
+    V = np.random.default_rng(seed).normal(size=(n, 4, 4)) * spread
+    return np.array([expm(0.5 * (v + v.T)) for v in V])
+
+
+@given(seed=st.integers(0, 10_000), spread=st.floats(1e-3, 1.5))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_derivatives_are_those_of_finite_differences(seed, spread):
+    S, h = positive_matrices(seed, spread=spread), 1e-5
+    gradient, hessian = log_derivatives(S)
+    for k, basis in enumerate(SYMMETRIC_BASIS):
+        size = h * np.linalg.eigvalsh(S)[:, 0, None]
+        step = size[..., None] * basis
+        slope = (half_squared_logs(S + step) - half_squared_logs(S - step)) / (2 * size[:, 0])
+        np.testing.assert_allclose(
+            gradient[:, k], slope, rtol=1e-6, atol=1e-6 * np.abs(gradient).max()
+        )
+        change = (log_derivatives(S + step)[0] - log_derivatives(S - step)[0]) / (2 * size)
+        np.testing.assert_allclose(hessian[:, k], change, atol=1e-6 * np.abs(hessian).max())
+
+
+def test_derivatives_at_equal_eigenvalues():
+    """Divided differences become derivatives, (1 − log λ)/λ²."""
+    for scale in (1.0, 0.2, 5.0):
+        gradient, hessian = log_derivatives(scale * np.eye(4))
+        curvature = (1.0 - np.log(scale)) / scale**2
+        np.testing.assert_allclose(hessian, curvature * np.eye(10), atol=1e-12)
+        trace = np.trace(SYMMETRIC_BASIS, axis1=1, axis2=2)
+        np.testing.assert_allclose(gradient, np.log(scale) / scale * trace, atol=1e-12)
+    np.testing.assert_allclose(log_metric(np.eye(4)), np.eye(10), atol=1e-14)
+
+
+def test_the_three_geometric_distances_agree_to_second_order():
+    rng = np.random.default_rng(0)
+    direction = PRIOR * rng.normal(size=PRIOR.shape)
+    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(PRIOR)))
+    relative = root @ pseudo_inertia(direction) @ np.swapaxes(root, 1, 2)
+    quadratic = 0.5 * np.sum(relative**2)
+    found = [Riemannian().divergence(PRIOR + h * direction, PRIOR) / h**2 for h in (1e-3, 1e-5)]
+    assert found[1] == pytest.approx(quadratic, rel=1e-3)
+    assert abs(found[1] - quadratic) < 0.1 * abs(found[0] - quadratic)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_another_optimizer_finds_the_same(seed):
+    """BFGS on the source's own cost, in the parameters themselves."""
+    A, b = data(seed, extra=1)
+    result = identify(A, b, PRIOR, regularizer="riemannian", gamma=0.3)
+    x = np.append(result.phi.ravel(), result.extra)
+    found = result.residual + 0.3 * result.divergence
+    assert found == pytest.approx(cost(x, A, b, 0.3), rel=1e-9)
+    root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(PRIOR))), [[1.0]])
+    other = minimize(
+        lambda y: cost(PRIOR_AND_FRICTION + root.T @ y, A, b, 0.3), np.zeros(21), method="BFGS"
+    )
+    assert found <= other.fun * (1 + 1e-9)
+    assert found == pytest.approx(other.fun, rel=1e-6)
+    assert is_physical(result.phi).all() and result.minima.strict
+
+
+def test_the_point_to_set_form_against_slsqp():
+    A, b = data(4)
+    first = identify(A, b, PRIOR, regularizer="riemannian", gamma=2.0)
+    bound = identify(A, b, PRIOR, regularizer="riemannian", residual_bound=first.residual)
+    assert bound.gamma == pytest.approx(2.0, rel=1e-6)
+    np.testing.assert_allclose(bound.phi, first.phi, rtol=1e-6, atol=1e-8)
+    root = block_diag(*np.linalg.inv(np.linalg.cholesky(pullback_metric(PRIOR)))).T
+    other = minimize(
+        lambda y: squared_distance((PRIOR.ravel() + root @ y).reshape(2, 10)),
+        np.zeros(20),
+        method="SLSQP",
+        constraints=NonlinearConstraint(
+            lambda y: np.sum((A @ (PRIOR.ravel() + root @ y) - b) ** 2), -np.inf, first.residual
+        ),
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    assert bound.divergence <= other.fun * (1 + 1e-6)
+    assert bound.divergence == pytest.approx(other.fun, rel=1e-5)
+
+
+def test_constraints_hold_and_are_optimal():
+    A, b = data(5, noise=2.0)
+    com = PRIOR[:, 1:4] / PRIOR[:, :1]
+    constraints = BodyConstraints(
+        total_mass=5.5,
+        mass_bounds=[[4.2, np.inf], [0.0, 2.0]],
+        com_bounds=np.stack([com - 0.02, com + 0.02], -1),
+    )
+    options = {"regularizer": "riemannian", "gamma": 0.2, "constraints": constraints}
+    result = identify(A, b, PRIOR, **options)
+    phi = result.phi
+    assert phi[:, 0].sum() == pytest.approx(5.5, rel=1e-9)
+    assert phi[0, 0] >= 4.2 and phi[1, 0] <= 2.0
+    assert (np.abs(phi[:, 1:4] / phi[:, :1] - com) <= 0.02 + 1e-12).all()
+    # Nothing nearby that keeps the constraints costs less.
+    rows = constraints.rows(PRIOR, 20)
+    best, random = cost(phi.ravel(), A, b, 0.2), np.random.default_rng(0)
+    slack = np.minimum(
+        rows.matrix @ phi.ravel() - rows.lower, rows.upper - rows.matrix @ phi.ravel()
+    )
+    assert (slack[rows.lower < rows.upper] < 1e-6).any(), "no inequality is active: a weak test"
+    tried = 0
+    for _ in range(4000):
+        step = random.normal(size=PRIOR.shape) * SIZES * 10.0 ** random.uniform(-6, -2)
+        step[1, 0] = -step[0, 0]
+        x = (phi + step).ravel()
+        values = rows.matrix @ x
+        if np.all(values >= rows.lower - 1e-12) and np.all(values <= rows.upper + 1e-12):
+            tried += 1
+            assert cost(x, A, b, 0.2) >= best * (1 - 1e-10)
+    assert tried > 0
+
+
+def test_interior_point_solves_a_quadratic_program_like_clarabel():
+    rng = np.random.default_rng(1)
+    root, g = rng.normal(size=(6, 6)), rng.normal(size=6)
+
+    class Quadratic:
+        size = 1.0
+
+        def value(self, z):
+            return 0.5 * z @ root.T @ root @ z + g @ z
+
+        def derivatives(self, z):
+            return root.T @ root @ z + g, root.T @ root
+
+        def metric(self, z):
+            return np.eye(6)
+
+    C = np.vstack([np.eye(6), rng.normal(size=(4, 6))])
+    lower = np.append(np.zeros(6), C[6:] @ np.ones(6) - 0.1)
+    E = np.ones((1, 6))
+    found = interior_point(Quadratic(), Region.of(E, C, lower), np.ones(6))
+    other = minimize(
+        Quadratic().value,
+        np.ones(6),
+        jac=lambda z: Quadratic().derivatives(z)[0],
+        method="SLSQP",
+        constraints=[
+            {"type": "ineq", "fun": lambda z: C @ z - lower},
+            {"type": "eq", "fun": lambda z: z.sum() - 6.0},
+        ],
+        options={"ftol": 1e-14},
+    )
+    assert found.value == pytest.approx(other.fun, rel=1e-8)
+    np.testing.assert_allclose(found.z, other.x, atol=1e-5)
+    assert (C @ found.z >= lower).all() and found.z.sum() == pytest.approx(6.0, abs=1e-12)
+
+
+@given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
+@settings(max_examples=8, deadline=None, derandomize=True)
+def test_invariance_under_frames_and_units(seed, length, mass):
+    """The same bodies to 1e-6, whatever frame and units their parameters are stated in."""
+    rng = np.random.default_rng(seed)
+    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
+    changes, prior = [], []
+    for phi in PRIOR:
+        R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 0.3
+        changes.append((change_frame(np.eye(10), R, p) * units).T)
+        prior.append(changes[-1] @ phi)
+    T = block_diag(*changes)
+    A, b = data(seed)
+    first = identify(A, b, PRIOR, regularizer="riemannian", gamma=0.3)
+    other = identify(A @ np.linalg.inv(T), b, prior, regularizer="riemannian", gamma=0.3)
+    back = np.linalg.solve(T, other.phi.ravel())
+    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(PRIOR)))
+    difference = root @ pseudo_inertia(back.reshape(2, 10) - first.phi) @ np.swapaxes(root, 1, 2)
+    assert np.abs(difference).max() < 1e-6
+    assert other.divergence == pytest.approx(first.divergence, rel=1e-6)
+
+
+def test_several_minima_are_found_and_reported():
+    """A mass measured weakly and far away: light near the prior, or heavy near the data.
+
+    Where the mass alone is measured, the nearest bodies differ in nothing else, and the cost is
+    one of the mass m alone.
+    """
+    prior = from_mass_com_inertia(1.0, np.zeros(3), 0.01 * np.eye(3))[None]
+    measured, sigma = 24.6, np.sqrt(120.0)
+    masses = np.exp(np.linspace(-3, 5, 200_001))
+    costs = ((masses - measured) / sigma) ** 2 + 0.5 * np.log(masses) ** 2
+    lowest = np.flatnonzero((costs[1:-1] < costs[:-2]) & (costs[1:-1] < costs[2:])) + 1
+    assert len(lowest) == 2
+    arguments = (np.eye(10)[:1], [measured], prior)
+    options = {"gamma": 1.0, "sigma": sigma}
+    result = identify(*arguments, regularizer=Riemannian(random_starts=4), **options)
+    best = lowest[np.argmin(costs[lowest])]
+    assert result.phi[0, 0] == pytest.approx(masses[best], rel=1e-3)
+    assert not result.minima.agree and result.minima.distinct == 2
+    np.testing.assert_allclose(
+        np.unique(result.minima.costs.round(6)), np.sort(costs[lowest]), rtol=1e-4
+    )
+    assert len(result.minima.starts) == 8
+
+
+def test_extra_parameters_keep_their_bounds():
+    A, b = data(6, extra=2)
+    result = identify(
+        A, b, PRIOR, regularizer="riemannian", gamma=0.3, extra_bounds=[[0.0, 1.5], [-np.inf, 9.0]]
+    )
+    assert 0 <= result.extra[0] <= 1.5
+    assert np.isfinite(result.fit.standard_deviations()).any()
+
+
+def test_a_generous_bound_gives_the_prior():
+    A, b = data(7)
+    generous = 2.0 * np.sum((A @ PRIOR.ravel() - b) ** 2)
+    result = identify(A, b, PRIOR, regularizer="riemannian", residual_bound=generous)
+    np.testing.assert_allclose(result.phi, PRIOR, atol=1e-7)
+    assert np.isinf(result.gamma)
+
+
+def test_bad_settings_and_contradictions():
+    with pytest.raises(ArgumentError, match="must begin with 'entropic'"):
+        Riemannian(starts=("prior",))
+    with pytest.raises(ArgumentError, match="random_starts"):
+        Riemannian(random_starts=-1)
+    A, b = data(8)
+    with pytest.raises(IdentificationError, match="contradict"):
+        identify(
+            A,
+            b,
+            PRIOR,
+            regularizer="riemannian",
+            gamma=1.0,
+            total_mass=1.0,
+            constraints=BodyConstraints(mass_bounds=[[4.0, 5.0], [0.0, 1.0]]),
+        )
