@@ -29,7 +29,7 @@ from geodrake.regressor import inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
 
-LARGEST_REGRESSOR = 20_000_000
+LARGEST_REGRESSOR = 5_000_000
 """Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
 
 

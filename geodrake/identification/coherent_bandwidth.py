@@ -22,7 +22,7 @@ _EXCESS = 25.0
 _ENOUGH = 400
 """Filtered samples of each joint that make folds of some fifty samples."""
 
-_SAMPLES = 200_000
+_SAMPLES = 100_000
 """Samples of a segment that are looked at."""
 
 

@@ -17,7 +17,7 @@ from geodrake.motion import Motion, Segment, Trajectory
 Array = NDArray[np.float64]
 
 _LEAST_BINS = 12
-_SAMPLES = 200_000  # of a segment that are looked at
+_SAMPLES = 100_000  # of a segment that are looked at
 
 
 def noise_floor(
