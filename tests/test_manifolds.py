@@ -1,18 +1,45 @@
 """The axioms of barrier-Hessian manifolds, on every manifold and on their product."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geodrake.ellipsoids import Ellipsoid, realizability_row
 from geodrake.errors import ArgumentError
-from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
-from geodrake.manifolds import Free, Interval, PhysicalInertia, Positive, Product
+from geodrake.inertia import (
+    change_frame,
+    change_units,
+    from_pseudo_inertia,
+    pseudo_inertia,
+)
+from geodrake.manifolds import (
+    ConstrainedInertia,
+    Free,
+    Interval,
+    PhysicalInertia,
+    Positive,
+    Product,
+)
 
 MIXED = Interval((0.0, -1.0, -np.inf, -np.inf), (np.inf, 2.0, 3.0, np.inf))
-PRODUCT = Product((PhysicalInertia(), MIXED, Positive()), (2.0, 0.5, 1.0))
-MANIFOLDS = [Positive(3), Interval((-1.0, 0.0), (1.0, 5.0)), Free(2), MIXED, PhysicalInertia()]
-MANIFOLDS = [*MANIFOLDS, PRODUCT]
+HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
+CONSTRAINED = ConstrainedInertia(  # inside of the hull, and lighter than 50 kg
+    np.stack([realizability_row(HULL.quadric), -np.eye(10)[0]]), np.array([0.0, -50.0]), 0.7
+)
+PRODUCT = Product((PhysicalInertia(), MIXED, Positive(), CONSTRAINED), (2.0, 0.5, 1.0, 3.0))
+MANIFOLDS = {
+    "positive": Positive(3),
+    "interval": Interval((-1.0, 0.0), (1.0, 5.0)),
+    "free": Free(2),
+    "mixed": MIXED,
+    "inertia": PhysicalInertia(),
+    "constrained": CONSTRAINED,
+    "product": PRODUCT,
+}
+on_every_manifold = pytest.mark.parametrize("manifold", MANIFOLDS.values(), ids=MANIFOLDS)
 
 
 def random_inertia(rng, size=()):
@@ -23,7 +50,7 @@ def random_inertia(rng, size=()):
 def random_point(manifold, rng, size=()):
     if isinstance(manifold, Product):
         return np.concatenate([random_point(m, rng, size) for m in manifold.manifolds], -1)
-    if isinstance(manifold, PhysicalInertia):
+    if isinstance(manifold, PhysicalInertia | ConstrainedInertia):
         return random_inertia(rng, size)
     lower = np.maximum(manifold.lower, np.minimum(np.subtract(manifold.upper, 5.0), -5.0))
     upper = np.minimum(manifold.upper, lower + 5.0)
@@ -36,7 +63,7 @@ def numerical_gradient(function, x, step=1e-5):
     )
 
 
-@pytest.mark.parametrize("manifold", MANIFOLDS, ids=repr)
+@on_every_manifold
 class TestAxioms:
     def test_gradient_and_metric_are_derivatives(self, manifold):
         x = random_point(manifold, np.random.default_rng(1))
@@ -78,6 +105,130 @@ class TestAxioms:
         assert manifold.metric(x).shape == (2, 3, n, n)
         assert manifold.inverse_metric_times(x, np.ones(n)).shape == (2, 3, n)
         assert manifold.divergence(x, x[0, 0]).shape == (2, 3)
+        assert manifold.longest_step(x, np.ones(n)).shape == (2, 3)
+        assert manifold.retract(x, np.ones(n)).shape == (2, 3, n)
+
+
+@on_every_manifold
+class TestSteps:
+    def test_longest_step_ends_at_the_edge(self, manifold):
+        rng = np.random.default_rng(6)
+        x, v = random_point(manifold, rng, (30,)), rng.normal(size=(30, manifold.dimension))
+        time = manifold.longest_step(x, v)
+        ends = np.isfinite(time)
+        assert ends.any() or np.isinf([manifold.lower, manifold.upper]).all()
+        before, after = np.where(ends, time, 1e9) * [[1 - 1e-6], [1 + 1e-6]]
+        assert manifold.contains(x + before[:, None] * v).all()
+        assert not manifold.contains(x + after[:, None] * v)[ends].any()
+
+    def test_barrier_and_divergence_grow_without_limit_at_the_edge(self, manifold):
+        rng = np.random.default_rng(7)
+        x, v = random_point(manifold, rng), rng.normal(size=manifold.dimension)
+        time = manifold.longest_step(x, v)
+        if np.isinf(time):
+            pytest.skip("has no edge")
+        near = x + (time * (1 - 10.0 ** -np.arange(3, 10)))[:, None] * v
+        weight = 0.5  # least weight of a logarithm of these manifolds, times log 10
+        assert (np.diff(manifold.barrier(near)) > weight).all()
+        assert (np.diff(manifold.divergence(near, x)) > weight).all()
+        assert (np.diff(manifold.divergence(x, near)) > 1e2).all()
+        norms = np.linalg.norm(manifold.gradient(near), axis=-1)
+        np.testing.assert_allclose(norms[1:] / norms[:-1], 10.0, rtol=0.2)
+
+    def test_retraction_stays_inside_however_long_the_step(self, manifold):
+        rng = np.random.default_rng(8)
+        x, v = random_point(manifold, rng, (40,)), rng.normal(size=(40, manifold.dimension))
+        for length in (1e-6, 1.0, 1e3, 1e6, 1e12):
+            assert manifold.contains(manifold.retract(x, length * v)).all()
+        for _ in range(20):  # again and again in one direction, which ends close to the edge
+            x = manifold.retract(x, v)
+            assert manifold.contains(x).all()
+            assert np.isfinite(manifold.barrier(x)).all()
+
+    def test_retraction_is_the_step_to_first_order(self, manifold):
+        rng = np.random.default_rng(9)
+        x, v = random_point(manifold, rng), rng.normal(size=manifold.dimension)
+        np.testing.assert_allclose(manifold.retract(x, 0 * v), x, rtol=1e-13)
+        errors = [
+            np.abs(manifold.retract(x, s * v) - x - s * v).max() / s for s in (1e-2, 1e-3, 1e-4)
+        ]
+        assert all(later <= 0.2 * earlier + 1e-9 for earlier, later in itertools.pairwise(errors))
+
+    def test_retraction_undone_by_itself_reversed_nearby(self, manifold):
+        rng = np.random.default_rng(10)
+        x, v = random_point(manifold, rng), 1e-5 * rng.normal(size=manifold.dimension)
+        there = manifold.retract(x, v)
+        np.testing.assert_allclose(manifold.retract(there, -v), x, atol=1e-7)
+
+
+def test_retraction_follows_geodesics():
+    """Of constant speed, and with the same end in one step as in many."""
+    rng = np.random.default_rng(11)
+    for manifold in (Positive(3), PhysicalInertia()):
+        x, v = random_point(manifold, rng), 0.3 * rng.normal(size=manifold.dimension)
+        times = np.linspace(0, 1, 201)
+        path = manifold.retract(x, times[:, None] * v)
+        steps, middles = np.diff(path, axis=0), 0.5 * (path[1:] + path[:-1])
+        speeds = np.sqrt(np.einsum("ki,kij,kj->k", steps, manifold.metric(middles), steps))
+        np.testing.assert_allclose(speeds, speeds.mean(), rtol=1e-3)
+        # No other path between the ends is shorter; here, the straight line.
+        line = x + times[:, None] * (path[-1] - x)
+        steps, middles = np.diff(line, axis=0), 0.5 * (line[1:] + line[:-1])
+        straight = np.sqrt(np.einsum("ki,kij,kj->k", steps, manifold.metric(middles), steps))
+        assert speeds.sum() < straight.sum()
+
+
+def moved_constraints(manifold, matrix):
+    """The same constraints on the changed parameters φ' = matrix φ."""
+    normals = manifold.normals @ np.linalg.inv(matrix)
+    return ConstrainedInertia(7.0 * normals, 7.0 * manifold.offsets, manifold.weight)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_nothing_about_inertias_knows_frame_or_units(seed, metre, kilogram):
+    rng = np.random.default_rng(seed)
+    R, p = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.uniform(-1, 1, 3)
+
+    def seen(phi):
+        return change_units(change_frame(phi, R, p), metre=metre, kilogram=kilogram)
+
+    matrix = seen(np.eye(10)).T
+    x, y, z = from_pseudo_inertia(np.eye(4) + 0.1 * pseudo_inertia(random_inertia(rng, (3,))))
+    v, b = y - z, rng.normal(size=10)
+    covector = np.linalg.solve(matrix.T, b)
+    for before, after in (
+        (PhysicalInertia(), PhysicalInertia()),
+        (CONSTRAINED, moved_constraints(CONSTRAINED, matrix)),
+    ):
+        assert_close = np.testing.assert_allclose
+        assert_close(after.divergence(seen(x), seen(y)), before.divergence(x, y), rtol=1e-8)
+        assert_close(after.longest_step(seen(x), seen(v)), before.longest_step(x, v), rtol=1e-8)
+        for then, now in (
+            (before.retract(x, v), after.retract(seen(x), seen(v))),
+            (
+                before.inverse_metric_times(x, b),
+                after.inverse_metric_times(seen(x), covector),
+            ),
+        ):
+            back = np.linalg.solve(matrix, now)
+            assert_close(back, then, rtol=0, atol=1e-8 * np.abs(then).max())
+
+
+def test_constraints_enter_by_woodbury_only():
+    """Without constraints the natural gradient is that of the bare inertia."""
+    rng = np.random.default_rng(12)
+    x, b = random_inertia(rng), rng.normal(size=10)
+    bare = ConstrainedInertia(np.zeros((0, 10)), np.zeros(0))
+    expected = PhysicalInertia().inverse_metric_times(x, b)
+    np.testing.assert_allclose(bare.inverse_metric_times(x, b), expected)
+    np.testing.assert_allclose(
+        bare.divergence(x, x + 0.01 * x), PhysicalInertia().divergence(x, x + 0.01 * x)
+    )
+    # At a constraint, the natural gradient turns along it.
+    a = CONSTRAINED.normals[1]
+    near = x * (50.0 - 1e-9) / x[0]
+    assert abs(a @ CONSTRAINED.inverse_metric_times(near, b)) < 1e-15
 
 
 @settings(max_examples=50, deadline=None)
@@ -121,5 +272,9 @@ def test_values_of_the_book():
 def test_bad_arguments():
     with pytest.raises(ArgumentError, match="upper bound"):
         Interval((1.0,), (1.0,))
+    with pytest.raises(ArgumentError, match=r"\(1, 9\)"):
+        ConstrainedInertia(np.ones((1, 9)), np.ones(1))
+    with pytest.raises(ArgumentError, match="above zero"):
+        ConstrainedInertia(np.ones((1, 10)), np.ones(1), 0.0)
     with pytest.raises(ArgumentError, match="positive weight"):
         Product((Free(), Free()), (1.0, -1.0))

@@ -1,0 +1,29 @@
+"""Barrier-Hessian manifolds: convex sets of parameters with the geometry of their log barrier.
+
+Parameters that only make sense inside an open convex set (a friction coefficient above zero, a
+pseudo inertia that is positive definite) get a strictly convex barrier h that grows without bound
+towards the edge ([Lee2019] §5.3). Its Hessian is a metric, Eq. (5.3.17), and its Bregman divergence
+a distance-like measure of error,
+
+    D(x‖y) = h(x) − h(y) − ∇h(y)ᵀ (x − y)                                          [Lee2019] (2.2.2)
+
+Both are free of the choice of units and frames, except for parameters without any bound.
+
+All methods broadcast over leading axes.
+"""
+
+from geodrake.manifolds.base import Manifold
+from geodrake.manifolds.constrained_inertia import ConstrainedInertia
+from geodrake.manifolds.inertia import PhysicalInertia
+from geodrake.manifolds.interval import Free, Interval, Positive
+from geodrake.manifolds.product import Product
+
+__all__ = [
+    "ConstrainedInertia",
+    "Free",
+    "Interval",
+    "Manifold",
+    "PhysicalInertia",
+    "Positive",
+    "Product",
+]

@@ -1,0 +1,89 @@
+"""Inertial parameters of one body, inside the cone of physical ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    dual,
+    from_pseudo_inertia,
+    is_physical,
+    pseudo_inertia,
+    pseudo_inertia_basis,
+)
+from geodrake.manifolds.base import Array, Manifold
+from geodrake.positive_definite import exponential, log_det_divergence, whitening
+
+_BASIS = pseudo_inertia_basis()
+_ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
+_LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
+
+
+@dataclass(frozen=True)
+class PhysicalInertia(Manifold):
+    """Inertial parameters φ of one body with P(φ) ≻ 0 and h = −log det P(φ), [Lee2019] §5.3.1.
+
+    The metric is the Hessian of h, [Lee2019] Eq. (5.3.24): twice the one of (B.1.7), so that one
+    adaptation gain means one speed for inertias and friction alike.
+    """
+
+    @property
+    def dimension(self) -> int:
+        """Ten."""
+        return PARAMETERS_PER_BODY
+
+    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Whether P(x) ≻ 0 (...)."""
+        return is_physical(x)
+
+    def barrier(self, x: ArrayLike) -> Array:
+        """−log det P(x), [Lee2019] Eq. (5.3.23)."""
+        return -np.linalg.slogdet(pseudo_inertia(x))[1]
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """−tr(P(x)⁻¹ P(eᵢ)), (..., 10)."""
+        return -np.einsum("...ab,iab->...i", np.linalg.inv(pseudo_inertia(x)), _BASIS)
+
+    def metric(self, x: ArrayLike) -> Array:
+        """tr(P⁻¹ P(eᵢ) P⁻¹ P(eⱼ)), (..., 10, 10), [Lee2019] Eq. (5.3.24)."""
+        solved = np.linalg.solve(pseudo_inertia(x)[..., None, :, :], _BASIS)
+        return np.einsum("...iab,...jba->...ij", solved, solved)
+
+    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+        """P⁻¹(P(x) X(b) P(x)), [Lee2019] Eq. (B.4.20) without its factor 2.
+
+        X(b) is the symmetric matrix with tr(P(φ) X(b)) = φᵀ b, [Lee2019] Eq. (B.1.8).
+        """
+        matrix = pseudo_inertia(x)
+        return from_pseudo_inertia(matrix @ dual(b) @ matrix)
+
+    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """D(x‖y) = −log det(P(y)⁻¹P(x)) + tr(P(y)⁻¹P(x)) − 4, [Lee2019] Eq. (5.3.25)."""
+        return log_det_divergence(pseudo_inertia(x), pseudo_inertia(y))
+
+    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+        """The time (...) at which P(x + t v) becomes singular."""
+        rates = self._rates(x, v)[..., 0]
+        falling = rates < 0
+        return np.where(falling, -1.0 / np.where(falling, rates, -1.0), np.inf)
+
+    def _retract(self, x: Array, v: Array) -> Array:
+        """The geodesic, [Lee2019] Eq. (2.2.9)."""
+        longest = np.abs(self._rates(x, v)).max(-1)
+        share = np.minimum(1.0, _LONGEST_GROWTH / np.where(longest > 0, longest, 1.0))
+        step = pseudo_inertia(share[..., None] * v)
+        return from_pseudo_inertia(exponential(pseudo_inertia(x), step))
+
+    def _well_inside(self, x: Array) -> NDArray[np.bool_]:
+        return is_physical(x, tolerance=_ROUNDING)
+
+    @staticmethod
+    def _rates(x: ArrayLike, v: ArrayLike) -> Array:
+        """Eigenvalues (..., 4) of P(x)⁻¹ P(v) in ascending order."""
+        _, root = whitening(pseudo_inertia(x))
+        whitened = root @ pseudo_inertia(v) @ np.swapaxes(root, -1, -2)
+        return np.asarray(np.linalg.eigvalsh(whitened), float)

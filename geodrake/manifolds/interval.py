@@ -1,0 +1,131 @@
+"""Parameters with bounds: positive ones, intervals, and free ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
+
+_LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
+_LEAST_SLACK = 1e-150  # whose inverse square is still a number
+
+
+@dataclass(frozen=True)
+class Interval(Manifold):
+    """Parameters with bounds of their own, lᵢ < xᵢ < uᵢ.
+
+    h = −Σ log(xᵢ − lᵢ) − Σ log(uᵢ − xᵢ), [Lee2019] Eq. (5.3.35). A bound may be infinite, and then
+    has no term; a parameter without any bound is flat instead, with the term ½ xᵢ².
+
+    Attributes:
+        lower: The n lower bounds l.
+        upper: The n upper bounds u.
+    """
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.lower) != len(self.upper) or not np.all(np.less(self.lower, self.upper)):
+            raise ArgumentError(
+                f"Every lower bound needs an upper bound above it; got {self.lower} and "
+                f"{self.upper}."
+            )
+
+    @property
+    def dimension(self) -> int:
+        """Number of parameters."""
+        return len(self.lower)
+
+    @cached_property
+    def _flat(self) -> NDArray[np.bool_]:
+        """Which parameters have no bound, (n,)."""
+        return np.isinf(self.lower) & np.isinf(self.upper)
+
+    def _slacks(self, x: Array) -> tuple[Array, Array]:
+        """Distances to the lower and the upper bounds."""
+        return x - np.array(self.lower), np.array(self.upper) - x
+
+    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Whether l < x < u in every parameter (...)."""
+        x = np.asarray(x, float)
+        below, above = self._slacks(x)
+        return (np.isfinite(x) & (below > 0) & (above > 0)).all(-1)
+
+    def barrier(self, x: ArrayLike) -> Array:
+        """h(x), [Lee2019] Eq. (5.3.35)."""
+        x = np.asarray(x, float)
+        logs = sum(np.log(np.where(np.isinf(slack), 1.0, slack)) for slack in self._slacks(x))
+        return (np.where(self._flat, 0.5 * x * x, 0.0) - logs).sum(-1)
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """∇h(x), (..., n)."""
+        x = np.asarray(x, float)
+        below, above = self._slacks(x)
+        return np.where(self._flat, x, 1.0 / above - 1.0 / below)
+
+    def _curvature(self, x: ArrayLike) -> Array:
+        below, above = self._slacks(np.asarray(x, float))
+        return np.where(self._flat, 1.0, below**-2.0 + above**-2.0)
+
+    def metric(self, x: ArrayLike) -> Array:
+        """The diagonal metric of [Lee2019] Eq. (5.3.36)."""
+        return self._curvature(x)[..., None] * np.eye(self.dimension)
+
+    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+        """g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
+        return np.asarray(b, float) / self._curvature(x)
+
+    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """D(x‖y), [Lee2019] Eq. (5.3.37)."""
+        x, y = np.asarray(x, float), np.asarray(y, float)
+        step = x - y
+        below, above = self._slacks(y)
+        terms = excess(step / below) + excess(-step / above)
+        return np.where(self._flat, 0.5 * step * step, terms).sum(-1)
+
+    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+        """The time (...) at which x + t v reaches a bound."""
+        v = np.asarray(v, float)
+        below, above = self._slacks(np.asarray(x, float))
+        toward = np.where(v > 0, above, below)
+        moving = v != 0
+        times = toward / np.where(moving, np.abs(v), 1.0)
+        return np.where(moving, times, np.inf).min(-1, initial=np.inf)
+
+    def _retract(self, x: Array, v: Array) -> Array:
+        """Each parameter by itself: geodesic with one bound, the slowed line with two."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        below, above = self._slacks(x)
+        bounded = np.isfinite(self.lower) ^ np.isfinite(self.upper)
+        sign = np.where(np.isinf(self.lower), -1.0, 1.0)  # away from the bound
+        slack = np.where(bounded, np.where(np.isinf(self.lower), above, below), 1.0)
+        growth = np.clip(sign * v / slack, -_LONGEST_GROWTH, _LONGEST_GROWTH)
+        change = np.where(bounded, np.maximum(slack * np.expm1(growth), _LEAST_SLACK - slack), 0.0)
+        geodesic = x + sign * change
+        edge = np.where(v > 0, above, below) / np.where(v == 0, 1.0, np.abs(v))
+        line = x + np.where(v == 0, 1.0, slowed_time(edge)) * v
+        point = np.where(bounded, geodesic, line)
+        # Rounding may put a point that is near a bound onto it.
+        least = np.maximum(np.nextafter(lower, np.inf), lower + _LEAST_SLACK)
+        most = np.minimum(np.nextafter(upper, -np.inf), upper - _LEAST_SLACK)
+        return np.clip(point, least, most)
+
+
+class Positive(Interval):
+    """n positive parameters with h = −Σ log xᵢ ([Lee2019] Eq. (5.3.31))."""
+
+    def __init__(self, dimension: int = 1) -> None:
+        super().__init__((0.0,) * dimension, (np.inf,) * dimension)
+
+
+class Free(Interval):
+    """n parameters without bounds: ℝⁿ with h = ½ ‖x‖², in the units that they are given in."""
+
+    def __init__(self, dimension: int = 1) -> None:
+        super().__init__((-np.inf,) * dimension, (np.inf,) * dimension)

@@ -1,0 +1,103 @@
+"""Several manifolds side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.manifolds.base import Array, Manifold
+
+
+@dataclass(frozen=True)
+class Product(Manifold):
+    """Several manifolds side by side, h = Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.41)–(5.3.44).
+
+    Attributes:
+        manifolds: The factors, in the order of their coordinates.
+        weights: Positive weights w; all 1 if empty.
+    """
+
+    manifolds: tuple[Manifold, ...]
+    weights: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.weights:
+            object.__setattr__(self, "weights", (1.0,) * len(self.manifolds))
+        if len(self.weights) != len(self.manifolds) or not all(w > 0 for w in self.weights):
+            raise ArgumentError(
+                f"Each of the {len(self.manifolds)} manifolds needs a positive weight; got "
+                f"{self.weights}."
+            )
+
+    @property
+    def dimension(self) -> int:
+        """Sum of the factors' dimensions."""
+        return sum(manifold.dimension for manifold in self.manifolds)
+
+    @cached_property
+    def _factors(self) -> tuple[tuple[Manifold, float, slice], ...]:
+        """Every factor with its weight and where its coordinates are."""
+        ends = np.cumsum([manifold.dimension for manifold in self.manifolds]).tolist()
+        slices = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+        return tuple(zip(self.manifolds, self.weights, slices, strict=True))
+
+    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Whether x is inside every factor (...)."""
+        x = np.asarray(x, float)
+        inside = [factor.contains(x[..., part]) for factor, _, part in self._factors]
+        return np.logical_and.reduce(inside)
+
+    def barrier(self, x: ArrayLike) -> Array:
+        """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
+        x = np.asarray(x, float)
+        return _sum(w * factor.barrier(x[..., part]) for factor, w, part in self._factors)
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """The factors' gradients times their weights, (..., n)."""
+        x = np.asarray(x, float)
+        parts = [w * factor.gradient(x[..., part]) for factor, w, part in self._factors]
+        return np.concatenate(parts, -1)
+
+    def metric(self, x: ArrayLike) -> Array:
+        """diag(wᵢ gᵢ(xᵢ)), [Lee2019] Eq. (5.3.43)."""
+        x = np.asarray(x, float)
+        metric = np.zeros((*x.shape, self.dimension))
+        for factor, w, part in self._factors:
+            metric[..., part, part] = w * factor.metric(x[..., part])
+        return metric
+
+    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+        """gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
+        x, b = np.asarray(x, float), np.asarray(b, float)
+        parts = [
+            factor.inverse_metric_times(x[..., part], b[..., part]) / w
+            for factor, w, part in self._factors
+        ]
+        return np.concatenate(parts, -1)
+
+    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
+        x, y = np.asarray(x, float), np.asarray(y, float)
+        return _sum(w * f.divergence(x[..., part], y[..., part]) for f, w, part in self._factors)
+
+    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+        """The least of the factors' times (...)."""
+        x, v = np.asarray(x, float), np.asarray(v, float)
+        times = [
+            factor.longest_step(x[..., part], v[..., part]) for factor, _, part in self._factors
+        ]
+        return np.minimum.reduce(times)
+
+    def _retract(self, x: Array, v: Array) -> Array:
+        """Each factor by itself."""
+        parts = [factor.retract(x[..., part], v[..., part]) for factor, _, part in self._factors]
+        return np.concatenate(parts, -1)
+
+
+def _sum(terms: Iterable[Array]) -> Array:
+    return np.asarray(sum(terms), float)
