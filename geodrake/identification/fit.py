@@ -12,6 +12,8 @@ from scipy.optimize import lsq_linear
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
+from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.newton_root import bounded_minimum, first_minimum
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
 from geodrake.identification.solvers import run_solver
@@ -92,13 +94,27 @@ def solve_fit(
             return fit_result(coordinates, x, 1.0, name, time.perf_counter() - begin)
     check_residual_bound(problem)
     # The first solution only says where and how to scale the program for the second.
-    rough = build_fit(problem)
-    x = _parameters(rough, run_solver(rough.program, solver, rough=True))
-    fit = build_fit(problem, centre=x)
+    fit = build_fit(problem, centre=_centre(problem, solver))
     solution = run_solver(fit.program, solver)
     x = _parameters(fit, solution)
     weight = _prior_weight(fit, solution, x)
     return fit_result(fit.coordinates, x, weight, solver, time.perf_counter() - begin)
+
+
+def _centre(problem: FitProblem, solver: str) -> Array:
+    """Parameters (p,) close to the solution: by Newton's method where it serves, as it is fast."""
+    if problem.inertia_blocks and len(problem.entropic) == len(problem.inertia_blocks):
+        program = NewtonProgram.of(problem)
+        bound = problem.residual_bound
+        try:
+            minimum = (
+                first_minimum(program, 1.0) if bound is None else bounded_minimum(program, bound)[0]
+            )
+            return program.coordinates.parameters(minimum.point.z)
+        except IdentificationError:
+            pass  # The conic solver says why.
+    rough = build_fit(problem)
+    return _parameters(rough, run_solver(rough.program, solver, rough=True))
 
 
 def _parameters(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
@@ -206,9 +222,11 @@ def fit_result(
     problem = coordinates.problem
     R = problem.factor[:, :-1]
     prior = problem.prior_information.copy()
-    for start, (_, gamma) in problem.entropic.items():
-        block = slice(start, start + 10)
-        prior[block, block] += gamma * pullback_metric(x[block])
+    if problem.entropic:
+        places = np.add.outer(np.array(list(problem.entropic)), np.arange(10))
+        gammas = np.array([gamma for _, gamma in problem.entropic.values()])
+        metric = gammas[:, None, None] * pullback_metric(x[places])
+        prior[places[:, :, None], places[:, None, :]] += metric
     information = prior if np.isinf(prior_weight) else R.T @ R + prior_weight * prior
     scale = np.diagonal(coordinates.transform)
     at_bound = np.minimum(x - problem.lower, problem.upper - x) <= _BOUNDARY * scale

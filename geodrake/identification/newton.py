@@ -9,23 +9,14 @@ from numpy.typing import ArrayLike
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
-from geodrake.identification.newton_path import (
-    Minimum,
-    cold_start,
-    continued,
-    minimize,
-    warm_start,
-)
+from geodrake.identification.newton_path import Minimum
 from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.newton_root import bounded_minimum, first_minimum, next_minimum
 from geodrake.identification.problem import FitProblem, checked
+from geodrake.inertia import is_physical
 
-_SAME_RESIDUAL = 1e-10
-"""Relative difference from the residual bound at which the root is found."""
-_LEAP = 6.0
-"""Largest change of log γ between two trials."""
-_IDLE, _RIGID = 1e10, 1e-12
-"""Weights, relative to the cost of the prior, at which data and prior no longer matter."""
-_TRIALS = 60
+_LEAST_EIGENVALUES = (1e-13, 1e-11, 1e-9)
+"""Eigenvalues of P(φ⁰)⁻¹ P(φ) that rounding leaves positive, to be tried in turn."""
 
 
 def solve_newton(problem: FitProblem, *, start: ArrayLike | None = None) -> FitResult:
@@ -50,10 +41,12 @@ def solve_newton(problem: FitProblem, *, start: ArrayLike | None = None) -> FitR
     begin = time.perf_counter()
     check_residual_bound(problem)
     program = NewtonProgram.of(problem)
+    if start is not None:
+        start = checked("start", start, (problem.size,))
     if problem.residual_bound is not None:
-        minimum, weight = _bounded(program, problem.residual_bound, start)
+        minimum, weight = bounded_minimum(program, problem.residual_bound, start)
     else:
-        minimum, weight = _first(program, 1.0, start), 1.0
+        minimum, weight = first_minimum(program, 1.0, start), 1.0
     return _result(minimum, weight, time.perf_counter() - begin)
 
 
@@ -85,91 +78,30 @@ def newton_sweep(problem: FitProblem, weights: ArrayLike) -> tuple[FitResult, ..
     results: list[FitResult] = []
     minimum: Minimum | None = None
     for weight in weights.tolist():
-        minimum = _first(program, weight, None) if minimum is None else _next(minimum, weight)
+        minimum = (
+            first_minimum(program, weight, None)
+            if minimum is None
+            else next_minimum(minimum, weight)
+        )
         now = time.perf_counter()
         results.append(_result(minimum, weight, now - begin))
         begin = now
     return tuple(results)
 
 
-def _first(program: NewtonProgram, weight: float, start: ArrayLike | None) -> Minimum:
-    weighted = program.weighted(weight)
-    if start is not None:
-        x = checked("start", start, (program.size,))
-        try:
-            return minimize(weighted, warm_start(weighted, program.coordinates.at(x)))
-        except IdentificationError:
-            # A start can be too close to a boundary; from the prior there is always a way.
-            pass
-    return minimize(weighted, cold_start(weighted))
-
-
-def _next(minimum: Minimum, weight: float) -> Minimum:
-    """The minimum for another weight, from the one before it."""
-    weighted = minimum.weighted.program.weighted(weight)
-    try:
-        return minimize(weighted, continued(minimum, weighted))
-    except IdentificationError:
-        return minimize(weighted, cold_start(weighted))
-
-
-def _bounded(
-    program: NewtonProgram, bound: float, start: ArrayLike | None
-) -> tuple[Minimum, float]:
-    """The minimum whose residual is the bound, and its weight; inf when the data are idle.
-
-    Newton's method on log(residual excess) as a function of log γ, kept inside a bracket: the
-    residual grows with γ.
-    """
-    wanted = bound - program.floor
-    scale = program.excess(cold_start(program.weighted(1.0)).z) + wanted
-    low, high = float(np.log(_RIGID * scale)), float(np.log(_IDLE * scale))
-    ends = (low, high)
-    u = float(np.log(wanted))
-    minimum = _first(program, float(np.exp(u)), start)
-    for _ in range(_TRIALS):
-        miss = minimum.excess - wanted
-        if abs(miss) <= _SAME_RESIDUAL * bound:
-            return minimum, minimum.weighted.weight
-        if miss > 0 and u <= ends[0]:
-            raise _out_of_reach(bound, program.floor + minimum.excess)
-        if miss < 0 and u >= ends[1]:
-            return minimum, np.inf
-        low, high = (u, high) if miss < 0 else (low, u)
-        trial = u + _leap(minimum, wanted)
-        if not low < trial < high:
-            # An end that was not tried yet is as good as any.
-            untried = (trial <= low == ends[0]) or (trial >= high == ends[1])
-            trial = float(np.clip(trial, low, high)) if untried else 0.5 * (low + high)
-        u = trial
-        minimum = _next(minimum, float(np.exp(u)))
-    raise IdentificationError(
-        f"newton found no weight of the prior with the residual {bound:.6g}; the last residual "
-        f"was {program.floor + minimum.excess:.6g}.",
-        advice="Check units and noise levels, or use the solver clarabel.",
-        solver="newton",
-    )
-
-
-def _leap(minimum: Minimum, wanted: float) -> float:
-    """Newton's change of log γ towards the wanted residual, of limited length."""
-    distance = float(np.log(wanted / minimum.excess))
-    slope = minimum.derivative() / minimum.excess
-    return float(np.clip(distance / slope if slope > 0 else distance, -_LEAP, _LEAP))
-
-
-def _out_of_reach(bound: float, minimum: float) -> ArgumentError:
-    return ArgumentError(
-        f"residual_bound is {bound:.6g}, but the least squared residual that physical bodies "
-        f"inside all constraints reach is {minimum:.6g}.",
-        advice="Take a bound above that.",
-        minimum=minimum,
-    )
-
-
 def _result(minimum: Minimum, weight: float, elapsed: float) -> FitResult:
+    """The result of a minimum; rounding alone can leave a tiny γ's bodies at the boundary."""
     coordinates = minimum.weighted.program.coordinates
     problem = coordinates.problem
-    x = coordinates.parameters(minimum.point.z)
-    x = np.clip(x, problem.lower, problem.upper)
-    return fit_result(coordinates, x, weight, "newton", elapsed)
+    for least in (0.0, *_LEAST_EIGENVALUES):
+        z = minimum.weighted.program.lifted(minimum.point.z, least)
+        x = np.clip(coordinates.parameters(z), problem.lower, problem.upper)
+        blocks = [x[start : start + 10] for start in problem.inertia_blocks]
+        if np.all(coordinates.smallest_eigenvalues(x) > 0) and np.all(is_physical(blocks)):
+            return fit_result(coordinates, x, weight, "newton", elapsed)
+    raise IdentificationError(
+        "Newton's parameters are not physical after rounding: a body of the prior is too flat for "
+        "double precision.",
+        advice="Check the units of the prior, or raise gamma.",
+        solver="newton",
+    )

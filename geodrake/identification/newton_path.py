@@ -11,20 +11,26 @@ from geodrake.identification.newton_program import IDENTITY, WeightedProgram, sv
 from geodrake.identification.newton_step import Iterate, Linearization
 from geodrake.inertia import Array
 
-_STEPS = 60
+_STEPS = 100
 _ROOM, _LEAST_ROOM = 0.02, 1e-5
 """Share of the way to the boundary that a step leaves, far from and close to the solution."""
+_PUSH, _SLACK = 10.0, 0.1
+"""Multipliers at the start, relative to the cost's slope, and least slack there."""
 _SHORT, _BACK = 0.4, 0.7
 """Length below which a step is bad, and the share of the excess that is kept to go back."""
 _FEASIBLE = 1e-9
-_EXACT = 1e-13
-"""Gap, relative to the smallest γ, at which parameters are exact to some seven digits."""
+_EXACT = 1e-11
+"""Gap, relative to the smallest γ, from which one more step is exact to rounding."""
 _QUADRATIC = 1e-4
 """Gap, relative to the smallest γ, below which Newton's method converges quadratically."""
 _ROUNDING = 1e-16
 """Gap, relative to the cost, below which there is only rounding."""
 _GOOD = 1e-9
 """Gap, relative to the cost, that will do when rounding leaves no way further."""
+_LEAST_EIGENVALUE = 1e-9
+"""Eigenvalue of P(φ⁰)⁻¹ P(φ) to which a warm start is lifted."""
+_WELL_INSIDE = 0.1
+"""Least product S Z of a warm start, relative to γ."""
 _LIFT = 1e-2
 """Share of the smallest weight to which a warm start lifts the products s λ."""
 
@@ -109,8 +115,8 @@ def _next(here: Linearization, point: Iterate) -> Iterate:
     reach = here.reach(step)
     if reach < _SHORT:
         # Second-order terms can mislead far from the path; go back towards it.
-        step = here.direction(_BACK * excess)
-        reach = here.reach(step)
+        back = here.direction(_BACK * excess)
+        step, reach = max((step, reach), (back, here.reach(back)), key=lambda pair: pair[1])
     # The closer to the solution, the closer to the boundary a step may end.
     room = min(_ROOM, max(ratio, _LEAST_ROOM))
     return point.moved(step.step, min(1.0, (1.0 - room) * reach))
@@ -125,21 +131,24 @@ def _feasible(here: Linearization, point: Iterate) -> bool:
 
 
 def cold_start(weighted: WeightedProgram) -> Iterate:
-    """The prior, with multipliers of the size of the cost's slope there."""
+    """The prior, with multipliers larger than all slopes of the cost there."""
     program = weighted.program
     z = np.zeros(program.size)
     z[program.blocks] = IDENTITY - svec(program.begin)
     slope = weighted.slope(z)
     slope[program.blocks] -= weighted.gamma[:, None] * IDENTITY
-    forces = np.linalg.norm(slope[program.blocks], axis=1)
-    Z = (weighted.gamma + forces)[:, None, None] * np.eye(4)
     G, h = program.inequalities
     slack = G @ z - h
-    push = float(np.linalg.norm(slope) / np.sqrt(len(slope)))
+    push = _PUSH * float(np.abs(slope).max(initial=0.0))
     if np.any(slack < 0):
         push = max(push, float(weighted.gamma.max(initial=0.0)))
     push = push or 1.0
-    slack = np.maximum(slack, 0.1)
+    # Columns of scalars have unit length, so a scalar moves about as far as the error is large.
+    error = np.linalg.norm(weighted.factor @ z - weighted.target)
+    scalars = np.ones(program.size)
+    scalars[program.blocks] = 0.0
+    slack = np.maximum(slack, _SLACK * (1.0 + error * np.linalg.norm(G * scalars, axis=1)))
+    Z = (weighted.gamma + push)[:, None, None] * np.eye(4)
     return Iterate(z, Z, slack, push / slack, np.zeros(len(program.equalities[1])))
 
 
@@ -147,29 +156,30 @@ def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
     """A start at coordinates (p,) near the minimum; their blocks may be at the boundary."""
     program = weighted.program
     cold = cold_start(weighted)
-    values, vectors = np.linalg.eigh(program.matrices(z))
-    values = np.maximum(values, 1e-12)
-    z = z.copy()
-    turned = np.swapaxes(vectors, 1, 2)
-    z[program.blocks] = svec(vectors * values[:, None, :] @ turned - program.begin)
-    Z = vectors * (weighted.gamma[:, None] / values)[:, None, :] @ turned
+    z = program.lifted(z, _LEAST_EIGENVALUE)
+    Z = weighted.gamma[:, None, None] * np.linalg.inv(program.matrices(z))
+    Z = 0.5 * (Z + np.swapaxes(Z, 1, 2))
     G, h = program.inequalities
     slack = np.maximum(G @ z - h, 1e-3)
-    push = _LIFT * weighted.gamma.min(initial=np.inf)
-    push = push if np.isfinite(push) else 1e-3
+    push = _LIFT * weighted.gamma.min(initial=1.0)
     return Iterate(z, Z, slack, push / slack, cold.forces)
 
 
 def continued(minimum: Minimum, weighted: WeightedProgram) -> Iterate:
     """A start from the minimum of the same program with another weight."""
-    point = minimum.point
+    point, before = minimum.point, minimum.weighted.gamma[:, None]
+    gamma = weighted.gamma[:, None]
+    # Z takes up the new slope of γ tr S, as long as it stays well inside: only S Z is then wrong.
+    values, vectors = np.linalg.eigh(weighted.program.matrices(point.z))
+    duals = np.maximum(before / values + gamma - before, _WELL_INSIDE * gamma / values)
+    Z = vectors * duals[:, None, :] @ np.swapaxes(vectors, 1, 2)
     push = _LIFT * weighted.gamma.min(initial=1.0)
     s, y = point.slack, point.multipliers
     # Products of nothing would hold the next steps at the boundary that is active here.
     active = s * weighted.gamma.max(initial=1.0) < y
     slack = np.where(active, np.maximum(s, push / y), s)
     multipliers = np.where(active, y, np.maximum(y, push / s))
-    return Iterate(point.z, point.Z, slack, multipliers, point.forces)
+    return Iterate(point.z, Z, slack, multipliers, point.forces)
 
 
 def _failure(weighted: WeightedProgram, point: Iterate) -> IdentificationError:

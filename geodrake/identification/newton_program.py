@@ -113,6 +113,17 @@ class NewtonProgram:
         """S_i of every block, (n, 4, 4), at z (p,)."""
         return self.begin + smat(z[self.blocks])
 
+    def lifted(self, z: Array, least: float) -> Array:
+        """Coordinates z (p,) with no eigenvalue of S below a least one."""
+        if least <= 0:
+            return z
+        values, vectors = np.linalg.eigh(self.matrices(z))
+        matrices = vectors * np.maximum(values, least)[:, None, :] @ np.swapaxes(vectors, 1, 2)
+        low = values[:, 0] < least
+        z = z.copy()
+        z[self.blocks[low]] = svec(matrices - self.begin)[low]
+        return z
+
     def weighted(self, weight: float) -> WeightedProgram:
         """The program with the prior's weight w in its factor."""
         p = self.size

@@ -7,7 +7,7 @@ With dual matrices Z_i and multipliers λ, the minimum of a `WeightedProgram` is
 so the entropic divergence is the point γ on the central path of S ⪰ 0, and a method that follows
 the path stops there: it needs as few steps for a tiny γ, which leaves S nearly singular, as for a
 large one. Steps are those of Nesterov and Todd with Mehrotra's predictor and corrector; S, Z, s
-and λ stay strictly positive. The Newton matrix is never formed: its triangular factor is.
+and λ stay strictly positive.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg.lapack import dtpqrt, dtrtrs
+from scipy.linalg.lapack import dtpmqrt, dtpqrt, dtrtrs
 
 from geodrake.identification.newton_program import WeightedProgram, smat, svec
 from geodrake.inertia import Array
@@ -71,8 +71,11 @@ class Direction:
 class Linearization:
     """The optimality conditions of a program linearized at a point, factored once.
 
+    With Newton's matrix FᵀF + KᵀK + Gᵀ(λ/s)G a step is the solution of a least squares problem
+    with the rows F, K and √(λ/s) G. It is solved as such: its right side in products like Fᵀ f
+    would lose a tiny γ next to strong data.
+
     Attributes:
-        dual_error: (p,) error of the stationarity.
         slack_error: (m,) error G z − h − s.
         equality_error: (l,) error E z − e.
         products: (n, 4) eigenvalues of S_i Z_i.
@@ -83,8 +86,6 @@ class Linearization:
         self._weighted, self._at = weighted, at
         G, h = program.inequalities
         E, e = program.equalities
-        self.dual_error = weighted.slope(at.z) - G.T @ at.multipliers - E.T @ at.forces
-        self.dual_error[program.blocks] -= svec(at.Z)
         self.slack_error = G @ at.z - h - at.slack
         self.equality_error = E @ at.z - e
         # Nesterov–Todd scaling: T⁻¹ S T⁻ᵀ = Tᵀ Z T = diag(d).
@@ -93,34 +94,64 @@ class Linearization:
         _, self._d, V = np.linalg.svd(np.swapaxes(root_Z, 1, 2) @ root_S)
         self.products = self._d**2
         T = root_S @ np.swapaxes(V, 1, 2) / np.sqrt(self._d)[:, None, :]
+        self._D = self._d[:, :, None] * np.eye(4)
+        self._prior_pull = weighted.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
         self._scaling = np.linalg.inv(T)
-        # K_i, the map from z_i to the scaled change of S_i: K_iᵀK_i is the curvature of S_i.
-        turned = np.swapaxes(self._scaling, 1, 2)[:, None]
-        self._K = np.swapaxes(svec(self._scaling[:, None] @ _BASIS @ turned), 1, 2)
+        self._errors = weighted.target - weighted.factor @ at.z
         self._stiffness = at.multipliers / at.slack
-        self._R = self._factor(G)
+        self._factor(T, G)
         self._spread = _solve(self._R, E.T, transposed=True)
 
-    def _factor(self, G: Array) -> Array:
-        """R with RᵀR = FᵀF + KᵀK + Gᵀ(λ/s)G."""
+    def _factor(self, T: Array, G: Array) -> None:
+        """QR of the rows F, K and √(λ/s) G; the reflectors are kept for right sides.
+
+        K_i takes z_i to the change of S_i scaled by U⁻¹ and U⁻ᵀ, where U Uᵀ = T Tᵀ is upper
+        triangular, which makes K_i upper triangular too.
+        """
         program = self._weighted.program
+        flipped = (T @ np.swapaxes(T, 1, 2))[:, ::-1, ::-1]
+        U = np.linalg.cholesky(flipped)[:, ::-1, ::-1]
+        self._turn = self._scaling @ U
+        inverse = np.triu(np.linalg.inv(U))[:, None]
+        K = np.swapaxes(svec(inverse @ _BASIS @ np.swapaxes(inverse, 2, 3)), 1, 2)
         rows = np.zeros_like(self._weighted.factor)
-        places = program.blocks
-        rows[places[:, :, None], places[:, None, :]] = np.triu(np.linalg.qr(self._K, mode="r"))
+        rows[program.blocks[:, :, None], program.blocks[:, None, :]] = K
         p = len(rows)
-        R, _, _, _ = dtpqrt(p, min(_PANEL, p), self._weighted.factor, rows, overwrite_b=True)
+        R, V, t, _ = dtpqrt(p, min(_PANEL, p), self._weighted.factor, rows, overwrite_b=True)
+        self._reflectors = [(p, V, t)]
         if len(G):
             stiff = np.asfortranarray(np.sqrt(self._stiffness)[:, None] * G)
-            R, _, _, _ = dtpqrt(0, min(_PANEL, p), R, stiff, overwrite_a=True, overwrite_b=True)
-        return R
+            R, V, t, _ = dtpqrt(0, min(_PANEL, p), R, stiff, overwrite_a=True, overwrite_b=True)
+            self._reflectors.append((0, V, t))
+        self._R = R
+
+    def _reduced(self, errors: Array, matrices: Array, rows: Array) -> Array:
+        """Right side (p,) of R x = … for right sides of F, of K as (n, 4, 4), and of √(λ/s) G."""
+        below = np.zeros(len(errors))
+        turned = np.swapaxes(self._turn, 1, 2) @ matrices @ self._turn
+        below[self._weighted.program.blocks] = svec(turned)
+        top = errors[:, None]
+        for (width, V, t), part in zip(self._reflectors, (below, rows), strict=False):
+            top, _, _ = dtpmqrt(width, V, t, top, part[:, None], side="L", trans="T")
+        return np.asarray(top[:, 0], float)
+
+    def _constrained(self, right: Array, equality: Array) -> tuple[Array, Array]:
+        """The x with R x = right + R⁻ᵀ Eᵀ ν and E x = equality, and ν."""
+        if not len(equality):
+            return _solve(self._R, right), np.empty(0)
+        spread = self._spread
+        forces = np.linalg.lstsq(spread.T @ spread, equality - spread.T @ right)[0]
+        return _solve(self._R, right + spread @ forces), forces
 
     def gap(self) -> float:
         """Distance of the cost from its minimum, to first order."""
-        gamma = self._weighted.gamma
+        at, gamma = self._at, self._weighted.gamma
         ratio = self.products / gamma[:, None]
         logs = (gamma[:, None] * (ratio - 1.0 - np.log(ratio))).sum()
-        error = _solve(self._R, self.dual_error, transposed=True)
-        return float(logs + self._at.slack @ self._at.multipliers + 0.5 * error @ error)
+        pull = self._D - self._prior_pull
+        error = self._reduced(self._errors, pull, np.sqrt(at.slack * at.multipliers))
+        error = error + self._spread @ at.forces
+        return float(logs + at.slack @ at.multipliers + 0.5 * error @ error)
 
     def direction(self, centre: float, predicted: Direction | None = None) -> Direction:
         """Step to S Z = (γ + centre) I and s λ = centre, with the predicted second order.
@@ -129,62 +160,40 @@ class Linearization:
             centre: How far from the solution on the path to stay.
             predicted: A first step, whose second-order terms are taken along.
         """
-        at, d = self._at, self._d
-        aim = self._weighted.gamma[:, None] + centre
-        wanted = (aim - self.products)[:, :, None] * np.eye(4)
-        slack_wanted = centre - at.slack * at.multipliers
+        at, d, G = self._at, self._d, self._weighted.program.inequalities[0]
+        wanted = (self._weighted.gamma[:, None] + centre - self.products)[:, :, None] * np.eye(4)
+        force = centre / at.slack
         if predicted is not None:
             product = predicted.primal @ predicted.dual
             wanted = wanted - 0.5 * (product + np.swapaxes(product, 1, 2))
-            slack_wanted = slack_wanted - predicted.step.slack * predicted.step.multipliers
-        return self._solved(
-            2.0 * wanted / (d[:, :, None] + d[:, None, :]), slack_wanted, self.dual_error
+            force = force - predicted.step.slack * predicted.step.multipliers / at.slack
+        force = force - self._stiffness * self.slack_error
+        M = 2.0 * wanted / (d[:, :, None] + d[:, None, :])
+        pull = M + self._D - self._prior_pull
+        right = self._reduced(self._errors, pull, force / np.sqrt(self._stiffness))
+        dz, forces = self._constrained(right, -self.equality_error)
+        change = smat(dz[self._weighted.program.blocks])
+        primal = self._scaling @ change @ np.swapaxes(self._scaling, 1, 2)
+        dual = M - primal
+        nearing = G @ dz
+        step = Iterate(
+            z=dz,
+            Z=np.swapaxes(self._scaling, 1, 2) @ dual @ self._scaling,
+            slack=nearing + self.slack_error,
+            multipliers=force - at.multipliers - self._stiffness * nearing,
+            forces=forces - at.forces,
         )
+        return Direction(step, primal, dual)
 
     def tangent(self) -> Array:
         """Change (p,) of the minimum with the logarithm of the prior's weight."""
         weighted, at = self._weighted, self._at
-        program = weighted.program
-        change = 2.0 * weighted.weight * (program.prior.T @ (program.prior @ at.z))
-        change[program.blocks] += weighted.gamma[:, None] * svec(np.eye(4))
-        wanted = weighted.gamma[:, None, None] * np.eye(4) / self._d[:, :, None]
-        right = self._right(wanted, np.zeros_like(at.slack)) - change
-        return self._constrained(right, np.zeros(len(program.equalities[1])))[0]
-
-    def _right(self, M: Array, forced: Array) -> Array:
-        """Right side of Newton's equation that M and a force on the inequalities make."""
-        program = self._weighted.program
-        right = program.inequalities[0].T @ forced
-        right[program.blocks] += (svec(M)[:, None, :] @ self._K)[:, 0]
-        return right
-
-    def _constrained(self, right: Array, equality: Array) -> tuple[Array, Array]:
-        """The x with H x − Eᵀ ν = right and E x = equality, and ν."""
-        half = _solve(self._R, right, transposed=True)
-        spread = self._spread
-        if not len(equality):
-            return _solve(self._R, half), np.empty(0)
-        forces = np.linalg.lstsq(spread.T @ spread, equality - spread.T @ half)[0]
-        return _solve(self._R, half + spread @ forces), forces
-
-    def _solved(self, M: Array, slack_wanted: Array, dual_error: Array) -> Direction:
-        at, program = self._at, self._weighted.program
-        G = program.inequalities[0]
-        forced = slack_wanted / at.slack - self._stiffness * self.slack_error
-        right = self._right(M, forced) - dual_error
-        dz, forces = self._constrained(right, -self.equality_error)
-        dS = smat((self._K @ dz[program.blocks][:, :, None])[:, :, 0])
-        dZ = M - dS
-        change = G @ dz
-        slack = change + self.slack_error
-        step = Iterate(
-            z=dz,
-            Z=np.swapaxes(self._scaling, 1, 2) @ dZ @ self._scaling,
-            slack=slack,
-            multipliers=forced - self._stiffness * change,
-            forces=forces,
-        )
-        return Direction(step, dS, dZ)
+        prior = weighted.program.prior
+        pull = (weighted.gamma[:, None] / self._d)[:, :, None] * np.eye(4) - self._prior_pull
+        right = self._reduced(np.zeros_like(at.z), pull, np.zeros_like(at.slack))
+        change = 2.0 * weighted.weight * (prior.T @ (prior @ at.z))
+        right = right - _solve(self._R, change, transposed=True)
+        return self._constrained(right, np.zeros_like(at.forces))[0]
 
     def reach(self, direction: Direction) -> float:
         """Length of a step at which S, Z, s or λ reach the boundary; inf if they never do."""
@@ -200,8 +209,7 @@ class Linearization:
 
     def excess(self, direction: Direction | None = None, length: float = 0.0) -> float:
         """Mean of what S Z has beyond γ and of s λ, after a length of a step."""
-        D = self._d[:, :, None] * np.eye(4)
-        S, Z, s, y = D, D, self._at.slack, self._at.multipliers
+        S, Z, s, y = self._D, self._D, self._at.slack, self._at.multipliers
         if direction is not None:
             S, Z = S + length * direction.primal, Z + length * direction.dual
             s, y = s + length * direction.step.slack, y + length * direction.step.multipliers
