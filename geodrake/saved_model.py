@@ -112,15 +112,15 @@ def save_model(model: RobotModel, path: str | Path) -> None:
     write_whole(path, yaml_dump_typed(saved, schema=SavedModel))
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a text file under a temporary name, then rename it.
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write a file under a temporary name, then rename it; text is written in UTF-8.
 
     Raises:
         OutputError: The target cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
         temporary.replace(path)
     except OSError as error:
         raise OutputError(

@@ -1,4 +1,4 @@
-"""The `geodrake` command: compare, diagnose, add, explain, demo."""
+"""The `geodrake` command: compare, diagnose, add, explain, identify, demo."""
 
 import sys
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geodrake.cli.options import AddOptions, DemoOptions, Options, taking
+from geodrake.cli.options import AddOptions, DemoOptions, IdentifyOptions, Options, taking
 from geodrake.cli.version import version
 
 if TYPE_CHECKING:
@@ -108,6 +108,15 @@ def add(options: AddOptions) -> None:
 def explain(options: Options) -> None:
     """Compare, diagnose and add, until only noise is left or nothing explains the rest."""
     _explain(options)
+
+
+@app.command()
+@taking(IdentifyOptions)
+def identify(options: IdentifyOptions) -> None:
+    """Fit the model's inertias, near what it says of them, and its effects; write them back."""
+    from geodrake.cli.identify import run_identify
+
+    run_identify(options)
 
 
 @app.command()

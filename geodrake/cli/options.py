@@ -70,6 +70,64 @@ class AddOptions(Options, _Addition):
 
 
 @dataclass(frozen=True, kw_only=True)
+class IdentifyOptions(Options):
+    """What identify is told."""
+
+    regularizer: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="What keeps inertias near the model's: entropic, pullback, riemannian, …; an "
+            "unknown name lists them.",
+        ),
+    ] = "entropic"
+    gamma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="GAMMA",
+            help="Weight of the regularizer: 100 holds inertias to about 1/√100 = 10 %. Chosen by "
+            "held-out error if absent.",
+        ),
+    ] = None
+    residual_bound: Annotated[
+        float | None,
+        typer.Option(
+            metavar="RATIO",
+            help="Instead of a weight: the RMS training residual allowed, relative to the least "
+            "possible, such as 1.01.",
+        ),
+    ] = None
+    effects: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="NAME,…|FILE.py",
+            help="Effects to fit beside the model's, such as viscous_friction,coulomb_friction "
+            "or payload@BODY; a FILE.py brings effects that may be named. Repeatable.",
+        ),
+    ] = None
+    compare: Annotated[
+        bool,
+        typer.Option("--compare", help="All regularizers at the same training residual."),
+    ] = False
+    export: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.urdf|.sdf|.xml",
+            help="Write the identified inertias into a copy of the model file; all else in it "
+            "stays as it is.",
+        ),
+    ] = None
+    ellipsoids: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Draw the bodies as ellipsoids before and after."),
+    ] = None
+    meshcat: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="The same as a page to turn around in a browser."),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class DemoOptions:
     """What demo is told."""
 
@@ -82,7 +140,7 @@ class DemoOptions:
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
 
 
-T = TypeVar("T", Options, AddOptions, DemoOptions)
+T = TypeVar("T", Options, AddOptions, IdentifyOptions, DemoOptions)
 
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -16,7 +16,6 @@ from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
 from geodrake.cli.wording import Wording
-from geodrake.diagnosis.results import Explanation
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
@@ -26,7 +25,8 @@ from geodrake.saved_model import load_model
 
 R = TypeVar("R")
 
-_FITTING = ("add", "explain")  # their results hold a model, which knows its units
+_WITH_UNITS = ("add", "explain")  # whose pages take units from the model in the result
+Maker = Callable[[], str | bytes]
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,10 @@ class Command(Generic[R]):
         numbers: The result as a dictionary.
         page: Name of the function of `geodrake.visualization` that makes the result HTML.
         show: Prints the result.
+        paged: The part of the result that the page shows.
+        more: Options of files that only this command writes, with their paths.
+        makers: What makes the contents of those.
+        check: Refuses a model before the long work.
     """
 
     name: str
@@ -67,6 +71,10 @@ class Command(Generic[R]):
     numbers: Callable[[R], Mapping[str, Any]]
     page: str
     show: Callable[[Console, R, Wording], None]
+    paged: Callable[[R], Any] = lambda result: result
+    more: Mapping[str, Path | None] = field(default_factory=dict)
+    makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
+    check: Callable[[RobotModel], None] = lambda model: None
 
 
 def run(command: Command[R], options: Options) -> None:
@@ -75,7 +83,7 @@ def run(command: Command[R], options: Options) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    targets = Targets(options.save, options.json, options.report)
+    targets = Targets(options.save, options.json, options.report, command.more)
     read = [options.model, *options.logs, *(options.effects or ())]
     targets.check(read)
     _check_logs(options.logs)
@@ -86,28 +94,28 @@ def run(command: Command[R], options: Options) -> None:
         extra = _own_effects(options.effects or ())
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([*read, model.path])  # a saved model reads another one
+        command.check(model)
         tell(command.working)
         result = command.work(Input(model, tuple(options.logs), extra, settings, tell))
-        fitted = result.model if isinstance(result, Explanation) else model
+        fitted = getattr(result, "model", model)
         tell("Writing")
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result)}
         )
         names = [path.name for path in options.logs]
         units = {}
-        if pages is not None and command.name not in _FITTING:
+        if pages is not None and command.name not in _WITH_UNITS:
             units["units"] = pages.Units.of(model)
-        targets.write(
-            fitted,
-            json=lambda: numbers,
-            report=lambda: getattr(pages, command.page)(
-                result,
-                title=f"{options.model.name}: {command.name}",
-                model_name=options.model.name,
-                log_names=names,
-                **units,
-            ),
-        )
+
+        def page() -> str:
+            render = getattr(pages, command.page)
+            title, shown = f"{options.model.name}: {command.name}", command.paged(result)
+            return str(
+                render(shown, title=title, model_name=options.model.name, log_names=names, **units)
+            )
+
+        makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
+        targets.write(fitted, {**makers, **command.makers(result)})
     if options.json == STDOUT:
         print(numbers, end="")
     console = make_console(stderr=options.json == STDOUT)

@@ -22,7 +22,14 @@ from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, Joint
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 _PLACES_WIDTH = 36
-_SAVED = {"save": "model", "json": "numbers", "report": "report"}
+_SAVED = {
+    "save": "model",
+    "json": "numbers",
+    "report": "report",
+    "export": "model file with the identified inertias",
+    "ellipsoids": "ellipsoids",
+    "meshcat": "page of ellipsoids",
+}
 
 
 def make_console(*, stderr: bool = False) -> Console:
@@ -36,9 +43,9 @@ def make_console(*, stderr: bool = False) -> Console:
 def show_comparison(console: Console, comparison: Comparison, wording: Wording) -> None:
     """Errors per joint, and where they are concentrated."""
     errors = comparison.errors
-    _head(console, f"Error of the model as it stands, {wording.effort_unit}")
-    table = _table(console, "joint")
-    _number_columns(table, "std", "RMS", "nrms", "noise", "removable")
+    head(console, f"Error of the model as it stands, {wording.effort_unit}")
+    table = table_of(console, "joint")
+    number_columns(table, "std", "RMS", "nrms", "noise", "removable")
     for joint in errors.joints:
         table.add_row(
             joint.joint,
@@ -49,9 +56,9 @@ def show_comparison(console: Console, comparison: Comparison, wording: Wording) 
             _removable(joint),
         )
     console.print(table)
-    _say(console, "Verdict", comparison_verdict(comparison))
-    _show_list(console, "Where it fails", [str(case) for case in comparison.failing])
-    _show_list(console, "Notes", comparison.notes)
+    say(console, "Verdict", comparison_verdict(comparison))
+    show_list(console, "Where it fails", [str(case) for case in comparison.failing])
+    show_list(console, "Notes", comparison.notes)
 
 
 def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> None:
@@ -59,9 +66,9 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> 
     start, refitted = diagnosis.start, diagnosis.refitted
     levels = f"nrms {start.nrms:.3f} as it stands, {refitted.nrms:.3f} with parameters refitted"
     if diagnosis.candidates:
-        _head(console, f"Missing effects; {levels}")
-        table = _table(console, "#", "effect", "where")
-        _number_columns(table, "before", "after", "evidence", "chance")
+        head(console, f"Missing effects; {levels}")
+        table = table_of(console, "#", "effect", "where")
+        number_columns(table, "before", "after", "evidence", "chance")
         for count, candidate in enumerate(diagnosis.candidates, 1):
             table.add_row(
                 "=" if candidate.tied and count > 1 else str(count),
@@ -74,31 +81,31 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> 
             )
         console.print(table)
     else:
-        _head(console, f"No effect found; {levels}")
-    _say(console, "Verdict", diagnosis_verdict(diagnosis, wording))
-    _show_list(console, "Notes", diagnosis.notes)
+        head(console, f"No effect found; {levels}")
+    say(console, "Verdict", diagnosis_verdict(diagnosis, wording))
+    show_list(console, "Notes", diagnosis.notes)
 
 
 def show_explanation(console: Console, explanation: Explanation, wording: Wording) -> None:
     """The steps with the error falling, the verdict, and errors per joint."""
     _show_steps(console, explanation, wording)
-    _say(console, "Verdict", explanation_verdict(explanation, wording))
+    say(console, "Verdict", explanation_verdict(explanation, wording))
     _show_change(console, explanation, wording)
 
 
 def show_addition(console: Console, explanation: Explanation, wording: Wording) -> None:
     """The same for an effect that was asked for, whatever the evidence for it."""
     _show_steps(console, explanation, wording)
-    _say(console, "Result", addition_verdict(explanation, wording))
+    say(console, "Result", addition_verdict(explanation, wording))
     _show_change(console, explanation, wording)
 
 
 def _show_change(console: Console, explanation: Explanation, wording: Wording) -> None:
     """Errors per joint from the start to the end, and the notes."""
     start, refitted, end = explanation.start, explanation.refitted, explanation.end
-    _head(console, f"Error of each joint, RMS in {wording.effort_unit}")
-    table = _table(console, "joint")
-    _number_columns(table, "std", "start", "refitted", "end", "noise", "removable")
+    head(console, f"Error of each joint, RMS in {wording.effort_unit}")
+    table = table_of(console, "joint")
+    number_columns(table, "std", "start", "refitted", "end", "noise", "removable")
     for before, middle, after in zip(start.joints, refitted.joints, end.joints, strict=True):
         values = (after.std, before.rms, middle.rms, after.rms, after.floor)
         table.add_row(after.joint, *map(number, values), _removable(after))
@@ -107,7 +114,7 @@ def _show_change(console: Console, explanation: Explanation, wording: Wording) -
         "nrms", "", *(f"{e.nrms:.3f}" for e in (start, refitted, end)), f"{end.floor_nrms:.3f}", ""
     )
     console.print(table)
-    _show_list(console, "Notes", explanation.notes)
+    show_list(console, "Notes", explanation.notes)
 
 
 def show_saved(console: Console, files: Mapping[str, object]) -> None:
@@ -119,9 +126,9 @@ def show_saved(console: Console, files: Mapping[str, object]) -> None:
 
 
 def _show_steps(console: Console, explanation: Explanation, wording: Wording) -> None:
-    _head(console, "Steps; nrms on held-out data, everything refitted")
-    table = _table(console, "#", "effect", "where, how much")
-    _number_columns(table, "before", "after")
+    head(console, "Steps; nrms on held-out data, everything refitted")
+    table = table_of(console, "#", "effect", "where, how much")
+    number_columns(table, "before", "after")
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
     table.add_row("", "as it stands", "", "", f"{start:.3f}")
     if explanation.steps:
@@ -140,7 +147,7 @@ def _show_steps(console: Console, explanation: Explanation, wording: Wording) ->
     console.print(table)
 
 
-def _table(console: Console, *columns: str) -> Table:
+def table_of(console: Console, *columns: str) -> Table:
     """A table with a rule under its head in a terminal, and without lines in a pipe."""
     table = Table(
         box=box.SIMPLE_HEAD if console.is_terminal else None,
@@ -154,28 +161,30 @@ def _table(console: Console, *columns: str) -> Table:
     return table
 
 
-def _number_columns(table: Table, *names: str) -> None:
+def number_columns(table: Table, *names: str) -> None:
+    """Adds columns of numbers to a table."""
     for name in names:
         table.add_column(name, justify="right", no_wrap=True)
 
 
-def _head(console: Console, words: str) -> None:
+def head(console: Console, words: str) -> None:
     """A heading after an empty line."""
     console.print()
     console.print(Text(words, "bold"), soft_wrap=True)
 
 
-def _say(console: Console, head: str, sentence: str) -> None:
+def say(console: Console, head: str, sentence: str) -> None:
     """A paragraph; in a pipe it stays one line."""
     text = Text.assemble((f"{head}: ", "bold"), sentence)
     console.print()
     console.print(text, soft_wrap=not console.is_terminal)
 
 
-def _show_list(console: Console, words: str, entries: Sequence[str]) -> None:
+def show_list(console: Console, words: str, entries: Sequence[str]) -> None:
+    """A heading with a list under it, or nothing."""
     if not entries:
         return
-    _head(console, words)
+    head(console, words)
     for entry in entries:
         if console.is_terminal:
             grid = Table.grid(padding=(0, 1))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from geodrake.model import RobotModel
 
 STDOUT = Path("-")
-_SUFFIXES = {"json": (".json",), "report": (".html", ".htm"), "save": (".yaml", ".yml")}
+_SUFFIXES = {
+    "json": (".json",),
+    "report": (".html", ".htm"),
+    "save": (".yaml", ".yml"),
+    "export": (".urdf", ".sdf", ".xml", ".mjcf", ".world"),
+    "ellipsoids": (".png", ".pdf", ".svg"),
+    "meshcat": (".html", ".htm"),
+}
 
 
 @dataclass(frozen=True)
@@ -26,16 +33,18 @@ class Targets:
         save: The model, YAML.
         json: The numbers, JSON; `-` is standard output.
         report: The page with the figures, HTML.
+        more: Option -> what else a command writes.
     """
 
     save: Path | None = None
     json: Path | None = None
     report: Path | None = None
+    more: Mapping[str, Path | None] = field(default_factory=dict)
 
     @property
     def files(self) -> dict[str, Path]:
         """Option -> file, those asked for."""
-        named = {"save": self.save, "json": self.json, "report": self.report}
+        named = {"save": self.save, "json": self.json, "report": self.report, **self.more}
         return {name: path for name, path in named.items() if path and path != STDOUT}
 
     def check(self, inputs: Iterable[Path]) -> None:
@@ -61,20 +70,21 @@ class Targets:
                 reason = f"cannot be written: {error.strerror or error}"
                 raise _refusal(name, path, reason, "Choose another place.") from error
 
-    def write(
-        self, model: RobotModel, *, json: Callable[[], str], report: Callable[[], str]
-    ) -> None:
-        """Write what was asked for, each file whole or not at all; the texts are made first.
+    def write(self, model: RobotModel, makers: Mapping[str, Callable[[], str | bytes]]) -> None:
+        """Write what was asked for, each file whole or not at all; contents are made first.
+
+        Args:
+            model: The model to save.
+            makers: Option -> makes the content of its file.
 
         Raises:
             OutputError: A file cannot be written after all.
         """
         from geodrake.saved_model import save_model, write_whole
 
-        makers = {"json": json, "report": report}
-        texts = {name: makers[name]() for name in self.files if name in makers}
-        for name, text in texts.items():
-            write_whole(self.files[name], text)
+        contents = {name: makers[name]() for name in self.files if name in makers}
+        for name, content in contents.items():
+            write_whole(self.files[name], content)
         if self.save:
             save_model(model, self.save)
 

@@ -107,7 +107,7 @@ class Wording:
 
     def _amount(self, step: Step, name: str, values: Mapping[str, float]) -> str:
         """Values of one parameter with their unit."""
-        unit = self._unit(step.effect, name, tuple(values))
+        unit = self.unit(step.effect, name, tuple(values))
         if name == "delay":
             values, unit = {place: 1e3 * value for place, value in values.items()}, "ms"
         if len(values) > _FEW:
@@ -120,7 +120,8 @@ class Wording:
             )
         return text if unit in ("", "1") else f"{text} {unit}"
 
-    def _unit(self, effect: str, name: str, places: Sequence[str]) -> str:
+    def unit(self, effect: str, name: str, places: Sequence[str]) -> str:
+        """Unit of a parameter of an effect at some places; "" for plain numbers."""
         try:
             parameters = effect_class(effect, self.extra).parameters
         except ArgumentError:  # wrong_inertia is found by loosening the prior; it is no class

@@ -43,6 +43,12 @@ class ModelText(abc.ABC):
                 self.held_back[name] = phi
                 self.set_inertia(name, None)
 
+    def stated_inertia(self, link: str) -> Array | None:
+        """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
+        if link in self.held_back or link not in self._links:
+            return self.held_back.get(link)
+        return self._inertia(self._links[link])
+
     def set_inertia(self, link: str, phi: Array | None) -> bool:
         """Gives a link inertial parameters (10,), or none; False if the link is not in the text."""
         if link not in self._links:

@@ -9,7 +9,7 @@ from geodrake.model_files.base import ModelText
 from geodrake.model_files.mjcf import MjcfText
 from geodrake.model_files.sdf import SdfText
 from geodrake.model_files.urdf import UrdfText
-from geodrake.model_files.xml_text import SUPPORTED_FORMATS, parse_xml
+from geodrake.model_files.xml_text import SUPPORTED_FORMATS, parse_xml_bytes
 
 
 def read_model_text(path: Path, scope: str | None = None) -> ModelText:
@@ -22,7 +22,16 @@ def read_model_text(path: Path, scope: str | None = None) -> ModelText:
     Raises:
         ModelError: The file is no XML, or its root is not that of a robot description.
     """
-    root = parse_xml(path)
+    return model_text_of(path.read_bytes(), path, scope)
+
+
+def model_text_of(data: bytes, path: Path, scope: str | None = None) -> ModelText:
+    """Reads and simplifies what is, or will be, in a file.
+
+    Raises:
+        ModelError: It is no XML, or its root is not that of a robot description.
+    """
+    root = parse_xml_bytes(data, path)
     for tag, kind in (("robot", UrdfText), ("sdf", SdfText), ("mujoco", MjcfText)):
         if root.tag == tag:
             return kind(root, path, scope)

@@ -17,6 +17,15 @@ def parse_xml(path: Path) -> Element:
     Raises:
         ModelError: The file is not XML.
     """
+    return parse_xml_bytes(path.read_bytes(), path)
+
+
+def parse_xml_bytes(data: bytes, path: Path) -> Element:
+    """The root element of what is, or will be, in a file.
+
+    Raises:
+        ModelError: It is not XML.
+    """
     # Without namespaces, unlike ElementTree.parse: Drake wants its prefix `drake:` kept as it is,
     # and many files use prefixes that they do not declare.
     builder, parser = TreeBuilder(), expat.ParserCreate()
@@ -24,7 +33,7 @@ def parse_xml(path: Path) -> Element:
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
     try:
-        parser.Parse(path.read_bytes(), True)
+        parser.Parse(data, True)
     except expat.ExpatError as error:
         raise ModelError(
             f"{path} is not a robot description: it is not valid XML ({error}).",

@@ -1,0 +1,210 @@
+"""The command `geodrake identify`: what it is given, what it writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from geodrake.cli.identify_tables import show_identification
+from geodrake.cli.options import IdentifyOptions
+from geodrake.cli.session import Command, Input, Maker, run
+from geodrake.effects import Effect, effect_class, make_effect
+from geodrake.errors import ArgumentError
+from geodrake.export import check_export, export_model
+from geodrake.inertia import PARAMETER_NAMES
+from geodrake.model import RobotModel
+from geodrake.model_identification import IdentifyOptions as Settings
+from geodrake.model_identification import ModelIdentification, identify_model
+
+
+def run_identify(options: IdentifyOptions) -> None:
+    """Run the command.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the targets, does not do.
+    """
+    given = options.effects or []
+    files = [path for path in given if path.suffix == ".py"]
+    names = [name for path in given if path not in files for name in str(path).split(",") if name]
+    settings = Settings(
+        regularizer=options.regularizer,
+        gamma=options.gamma,
+        residual_ratio=options.residual_bound,
+        compare=options.compare,
+        bandwidth=options.bandwidth,
+        blocks=options.blocks,
+    )
+
+    def identified(given: Input) -> ModelIdentification:
+        effects = named_effects(names, given.model, given.extra)
+        found = identify_model(given.model, given.logs, settings, effects=effects, tell=given.tell)
+        if options.export is None:
+            return found
+        return replace(found, notes=(*found.notes, *export_model(found.model).notes))
+
+    def check(model: RobotModel) -> None:
+        if options.export is not None:
+            check_export(model, options.export)
+
+    command = Command(
+        "identify",
+        "Identifying",
+        identified,
+        identification_dict,
+        "render_comparison",
+        show_identification,
+        paged=lambda found: replace(found.comparison, notes=found.notes),
+        more={
+            "export": options.export,
+            "ellipsoids": options.ellipsoids,
+            "meshcat": options.meshcat,
+        },
+        makers=lambda found: _makers(found, options),
+        check=check,
+    )
+    run(command, replace(options, effects=files))
+
+
+def named_effects(
+    names: Sequence[str], model: RobotModel, extra: Sequence[type[Effect]] = ()
+) -> tuple[Effect, ...]:
+    """Effects by name, at a place (`payload@hand`, `coupled_friction@j5+j6`) or at all places.
+
+    At all places that do not have it yet: joints of one degree of freedom, or pairs that follow
+    each other.
+
+    Args:
+        names: The names.
+        model: The robot.
+        extra: Effects of the user's own.
+
+    Raises:
+        ArgumentError: There is no such effect or place, or it cannot be made from its name.
+    """
+    taken = {(fitted.effect.name, fitted.effect.where) for fitted in model.effects}
+    found: dict[Effect, None] = {}
+    for name in names:
+        kind, _, place = name.strip().partition("@")
+        effect = effect_class(kind, extra)
+        if place:
+            places = [tuple(place.split("+"))]
+            _check_places(places[0], model, on_bodies=effect.places == "body")
+        elif effect.places == "joint":
+            places = [(joint,) for joint in model.single_joints]
+        elif effect.places == "joint_pair":
+            places = list(model.joint_pairs)
+        else:
+            where = f"{kind}@{model.bodies[-1]}" if effect.places == "body" else ""
+            raise ArgumentError(
+                f"{kind} cannot be everywhere.",
+                advice=f"Say on which body it is: {where}."
+                if where
+                else f"Let geodrake find it: geodrake add {kind} MODEL LOG --save model.yaml.",
+            )
+        try:
+            made = [make_effect(kind, where, extra=extra) for where in places]
+        except ArgumentError as error:
+            raise ArgumentError(
+                f"{kind} has a shape that must be found first.",
+                advice=f"Do so with geodrake add {kind} MODEL LOG --save model.yaml, and identify "
+                "model.yaml.",
+            ) from error
+        found |= dict.fromkeys(e for e in made if place or (e.name, e.where) not in taken)
+    return tuple(found)
+
+
+def identification_dict(found: ModelIdentification) -> dict[str, Any]:
+    """An identification as plain numbers, for JSON."""
+    names = [joint.joint for joint in found.after.joints]
+    model = found.model
+    return {
+        "regularizer": found.regularizer,
+        "gamma": found.gamma,
+        "sweep": [asdict(tried) for tried in found.sweep],
+        "residual": found.result.residual,
+        "divergence": found.result.divergence,
+        "solver": found.result.solver,
+        "error": {
+            "start": found.before.by_joint(),
+            "end": found.after.by_joint(),
+            "floor": dict(zip(names, (j.floor for j in found.after.joints), strict=True)),
+            "start_nrms": found.before.nrms,
+            "end_nrms": found.after.nrms,
+            "floor_nrms": found.after.floor_nrms,
+        },
+        "bodies": {
+            body.name: {
+                "mass": body.mass[1],
+                "mass_before": body.mass[0],
+                "mass_deviation": body.mass_deviation,
+                "com": body.com[1],
+                "com_before": body.com[0],
+                "com_deviation": body.com_deviation,
+                "at_boundary": body.at_boundary,
+            }
+            for body in found.bodies
+        },
+        "inertial_parameters": {
+            body: dict(zip(PARAMETER_NAMES, phi, strict=True))
+            for body, phi in zip(model.bodies, model.phi, strict=True)
+        },
+        "effects": [_effect_dict(fitted) for fitted in model.effects if len(fitted.parameters)],
+        "comparison": [
+            {
+                "regularizer": other.regularizer,
+                "gamma": other.gamma,
+                "residual": other.residual,
+                "nrms": other.errors.nrms,
+                "joints": other.errors.by_joint(),
+                "at_boundary": other.at_boundary,
+            }
+            for other in found.alternatives
+        ],
+        "notes": list(found.notes),
+    }
+
+
+def _effect_dict(fitted: Any) -> dict[str, Any]:
+    names = [parameter.name for parameter in fitted.effect.parameters]
+    deviations = [None] * len(names) if fitted.deviations is None else fitted.deviations
+    return {
+        "effect": fitted.effect.name,
+        "where": fitted.effect.where,
+        "parameters": dict(zip(names, fitted.parameters, strict=True)),
+        "deviations": dict(zip(names, deviations, strict=True)),
+    }
+
+
+def _check_places(places: Sequence[str], model: RobotModel, *, on_bodies: bool) -> None:
+    known = model.bodies if on_bodies else model.joints
+    for place in places:
+        if place not in known:
+            raise ArgumentError(
+                f"There is no {'body' if on_bodies else 'joint'} {place!r}.",
+                advice=f"There are: {', '.join(known)}.",
+            )
+
+
+def _makers(found: ModelIdentification, options: IdentifyOptions) -> Mapping[str, Maker]:
+    """What makes the files that only this command writes."""
+
+    def export() -> bytes:
+        return export_model(found.model).content
+
+    def figure() -> bytes:
+        from geodrake.visualization.ellipsoid_figure import ellipsoid_figure, figure_bytes
+        from geodrake.visualization.ellipsoids import identification_sets
+
+        sets = identification_sets(found)
+        kind = (options.ellipsoids or Path("a.png")).suffix.lower().lstrip(".")
+        return figure_bytes(ellipsoid_figure(found.model.plant, sets), kind)
+
+    def page() -> str:
+        from geodrake.visualization.ellipsoids import identification_sets
+        from geodrake.visualization.meshcat_ellipsoids import ellipsoid_page
+
+        return ellipsoid_page(found.model.plant, identification_sets(found))
+
+    return {"export": export, "ellipsoids": figure, "meshcat": page}

@@ -1,0 +1,18 @@
+"""Identify a robot model from logs: its inertias near their prior, its effects from the data."""
+
+from geodrake.model_identification.identify import identify_model, with_effects
+from geodrake.model_identification.results import (
+    Alternative,
+    BodyChange,
+    IdentifyOptions,
+    ModelIdentification,
+)
+
+__all__ = [
+    "Alternative",
+    "BodyChange",
+    "IdentifyOptions",
+    "ModelIdentification",
+    "identify_model",
+    "with_effects",
+]
