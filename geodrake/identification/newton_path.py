@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.newton_program import IDENTITY, WeightedProgram, svec
+from geodrake.identification.newton_program import IDENTITY, WeightedProgram, smat, svec
 from geodrake.identification.newton_step import Iterate, Linearization
 from geodrake.inertia import Array
 
-_STEPS = 100
+_STEPS, _PATIENCE, _HALVINGS = 100, 3, 8
 _ROOM, _LEAST_ROOM = 0.02, 1e-5
 """Share of the way to the boundary that a step leaves, far from and close to the solution."""
 _PUSH, _SLACK = 10.0, 0.1
@@ -27,6 +27,8 @@ _ROUNDING = 1e-16
 """Gap, relative to the cost, below which there is only rounding."""
 _GOOD = 1e-9
 """Gap, relative to the cost, that will do when rounding leaves no way further."""
+_ACTIVE = 1e-3
+"""Slack, relative to the coordinates, below which an inequality counts as active at a start."""
 _LEAST_EIGENVALUE = 1e-9
 """Eigenvalue of P(φ⁰)⁻¹ P(φ) to which a warm start is lifted."""
 _WELL_INSIDE = 0.1
@@ -77,26 +79,23 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
     """
     best: Minimum | None = None
     stalled = 0
-    point = start
+    here: Linearization | None = Linearization(weighted, start)
     for count in range(_STEPS):
-        try:
-            here = Linearization(weighted, point)
-        except np.linalg.LinAlgError:
+        if here is None:
             break
-        gap, cost = here.gap(), weighted.cost(point.z)
-        feasible = _feasible(here, point)
+        last, gap, cost = here.at, here.gap(), weighted.cost(here.at.z)
+        feasible = _feasible(here)
+        stalled += 1
         if feasible and (best is None or gap < best.gap):
-            stalled = 0 if best is None or gap < 0.5 * best.gap else stalled + 1
-            best = Minimum(weighted, point, count, gap, here)
-        elif best is not None:
-            stalled += 1
+            stalled = 0 if best is None or gap < 0.5 * best.gap else stalled
+            best = Minimum(weighted, here.at, count, gap, here)
         if feasible and gap <= max(_EXACT * weighted.gamma.min(initial=np.inf), _ROUNDING * cost):
             break
-        if best is not None and stalled > 2 and best.gap <= _GOOD * max(cost, 1e-300):
+        if best is not None and stalled > _PATIENCE and best.gap <= _GOOD * cost:
             break
-        point = _next(here, point)
+        here = _next(here)
     if best is None or best.gap > _GOOD * max(weighted.cost(best.point.z), weighted.gamma.sum()):
-        raise _failure(weighted, point)
+        raise _failure(weighted, last)
     if best.gap > _QUADRATIC * weighted.gamma.min(initial=np.inf):
         return best
     # One more step on the factor at hand, which nearly squares the error that is left.
@@ -105,8 +104,8 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
     return replace(best, point=best.point.moved(step.step, length))
 
 
-def _next(here: Linearization, point: Iterate) -> Iterate:
-    """The point after a predictor and a corrector."""
+def _next(here: Linearization) -> Linearization | None:
+    """The conditions after a predictor and a corrector; None where rounding leaves no way."""
     excess = here.excess()
     predictor = here.direction(0.0)
     length = min(1.0, (1.0 - _LEAST_ROOM) * here.reach(predictor))
@@ -119,11 +118,17 @@ def _next(here: Linearization, point: Iterate) -> Iterate:
         step, reach = max((step, reach), (back, here.reach(back)), key=lambda pair: pair[1])
     # The closer to the solution, the closer to the boundary a step may end.
     room = min(_ROOM, max(ratio, _LEAST_ROOM))
-    return point.moved(step.step, min(1.0, (1.0 - room) * reach))
+    length = min(1.0, (1.0 - room) * reach)
+    for _ in range(_HALVINGS):
+        try:
+            return Linearization(here.weighted, here.at.moved(step.step, length))
+        except np.linalg.LinAlgError:
+            length *= 0.5  # Rounding was more than the room.
+    return None
 
 
-def _feasible(here: Linearization, point: Iterate) -> bool:
-    scale = 1.0 + np.abs(point.z).max(initial=0.0)
+def _feasible(here: Linearization) -> bool:
+    scale = 1.0 + np.abs(here.at.z).max(initial=0.0)
     worst = max(
         np.abs(here.slack_error).max(initial=0.0), np.abs(here.equality_error).max(initial=0.0)
     )
@@ -155,14 +160,32 @@ def cold_start(weighted: WeightedProgram) -> Iterate:
 def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
     """A start at coordinates (p,) near the minimum; their blocks may be at the boundary."""
     program = weighted.program
-    cold = cold_start(weighted)
     z = program.lifted(z, _LEAST_EIGENVALUE)
-    Z = weighted.gamma[:, None, None] * np.linalg.inv(program.matrices(z))
-    Z = 0.5 * (Z + np.swapaxes(Z, 1, 2))
+    S, slope = program.matrices(z), weighted.slope(z)
     G, h = program.inequalities
-    slack = np.maximum(G @ z - h, 1e-3)
+    slack = G @ z - h
+    # What the slope has beyond γ S⁻¹ is for the active inequalities and the equalities.
+    rest = slope.copy()
+    rest[program.blocks] -= weighted.gamma[:, None] * svec(np.linalg.inv(S))
+    near = slack < _ACTIVE * (1.0 + np.abs(z).max(initial=0.0))
+    E = program.equalities[0]
+    known = np.linalg.lstsq(np.vstack([G[near], E]).T, rest)[0]
+    forces = known[np.count_nonzero(near) :]
     push = _LIFT * weighted.gamma.min(initial=1.0)
-    return Iterate(z, Z, slack, push / slack, cold.forces)
+    multipliers = np.zeros(len(slack))
+    multipliers[near] = known[: np.count_nonzero(near)]
+    slope = slope - G.T @ multipliers - E.T @ forces
+    held = np.maximum(multipliers, 0.0) > push / _ACTIVE
+    slack = np.where(held, push / np.where(held, multipliers, 1.0), np.maximum(slack, _ACTIVE))
+    multipliers = np.where(held, multipliers, push / slack)
+    # The slope that is left would be svec(Z) at the minimum; products S Z are kept positive.
+    root = np.linalg.cholesky(S)
+    turned = np.swapaxes(root, 1, 2)
+    values, vectors = np.linalg.eigh(turned @ smat(slope[program.blocks]) @ root)
+    products = np.maximum(values, _WELL_INSIDE * weighted.gamma[:, None])
+    half = np.linalg.solve(turned, vectors)
+    Z = half * products[:, None, :] @ np.swapaxes(half, 1, 2)
+    return Iterate(z, Z, slack, multipliers, forces)
 
 
 def continued(minimum: Minimum, weighted: WeightedProgram) -> Iterate:

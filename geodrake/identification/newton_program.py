@@ -20,7 +20,7 @@ IDENTITY = _SVEC @ np.eye(4).ravel()
 """Coordinates svec(I) of the 4×4 identity; shape (10,)."""
 
 _UNDETERMINED = 1e-11
-_HOLD = 1e-6
+_HOLD = 1e-5
 
 
 def smat(coordinates: Array) -> Array:

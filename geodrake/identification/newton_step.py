@@ -22,6 +22,8 @@ from geodrake.identification.newton_program import WeightedProgram, smat, svec
 from geodrake.inertia import Array
 
 _PANEL = 16
+_FLOOR = 1e-15
+"""Products S Z, relative to the misfit, below which rounding would make Z or S indefinite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,8 @@ class Linearization:
     would lose a tiny γ next to strong data.
 
     Attributes:
+        weighted: The program.
+        at: The point.
         slack_error: (m,) error G z − h − s.
         equality_error: (l,) error E z − e.
         products: (n, 4) eigenvalues of S_i Z_i.
@@ -83,7 +87,7 @@ class Linearization:
 
     def __init__(self, weighted: WeightedProgram, at: Iterate) -> None:
         program = weighted.program
-        self._weighted, self._at = weighted, at
+        self.weighted, self.at = weighted, at
         G, h = program.inequalities
         E, e = program.equalities
         self.slack_error = G @ at.z - h - at.slack
@@ -98,6 +102,7 @@ class Linearization:
         self._prior_pull = weighted.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
         self._scaling = np.linalg.inv(T)
         self._errors = weighted.target - weighted.factor @ at.z
+        self._aim = np.maximum(weighted.gamma, _FLOOR * float(self._errors @ self._errors))
         self._stiffness = at.multipliers / at.slack
         self._factor(T, G)
         self._spread = _solve(self._R, E.T, transposed=True)
@@ -108,16 +113,16 @@ class Linearization:
         K_i takes z_i to the change of S_i scaled by U⁻¹ and U⁻ᵀ, where U Uᵀ = T Tᵀ is upper
         triangular, which makes K_i upper triangular too.
         """
-        program = self._weighted.program
+        program = self.weighted.program
         flipped = (T @ np.swapaxes(T, 1, 2))[:, ::-1, ::-1]
         U = np.linalg.cholesky(flipped)[:, ::-1, ::-1]
         self._turn = self._scaling @ U
         inverse = np.triu(np.linalg.inv(U))[:, None]
         K = np.swapaxes(svec(inverse @ _BASIS @ np.swapaxes(inverse, 2, 3)), 1, 2)
-        rows = np.zeros_like(self._weighted.factor)
+        rows = np.zeros_like(self.weighted.factor)
         rows[program.blocks[:, :, None], program.blocks[:, None, :]] = K
         p = len(rows)
-        R, V, t, _ = dtpqrt(p, min(_PANEL, p), self._weighted.factor, rows, overwrite_b=True)
+        R, V, t, _ = dtpqrt(p, min(_PANEL, p), self.weighted.factor, rows, overwrite_b=True)
         self._reflectors = [(p, V, t)]
         if len(G):
             stiff = np.asfortranarray(np.sqrt(self._stiffness)[:, None] * G)
@@ -129,7 +134,7 @@ class Linearization:
         """Right side (p,) of R x = … for right sides of F, of K as (n, 4, 4), and of √(λ/s) G."""
         below = np.zeros(len(errors))
         turned = np.swapaxes(self._turn, 1, 2) @ matrices @ self._turn
-        below[self._weighted.program.blocks] = svec(turned)
+        below[self.weighted.program.blocks] = svec(turned)
         top = errors[:, None]
         for (width, V, t), part in zip(self._reflectors, (below, rows), strict=False):
             top, _, _ = dtpmqrt(width, V, t, top, part[:, None], side="L", trans="T")
@@ -145,9 +150,9 @@ class Linearization:
 
     def gap(self) -> float:
         """Distance of the cost from its minimum, to first order."""
-        at, gamma = self._at, self._weighted.gamma
-        ratio = self.products / gamma[:, None]
-        logs = (gamma[:, None] * (ratio - 1.0 - np.log(ratio))).sum()
+        at, aim = self.at, self._aim[:, None]
+        ratio = self.products / aim
+        logs = (aim * (ratio - 1.0 - np.log(ratio))).sum()
         pull = self._D - self._prior_pull
         error = self._reduced(self._errors, pull, np.sqrt(at.slack * at.multipliers))
         error = error + self._spread @ at.forces
@@ -160,8 +165,8 @@ class Linearization:
             centre: How far from the solution on the path to stay.
             predicted: A first step, whose second-order terms are taken along.
         """
-        at, d, G = self._at, self._d, self._weighted.program.inequalities[0]
-        wanted = (self._weighted.gamma[:, None] + centre - self.products)[:, :, None] * np.eye(4)
+        at, d, G = self.at, self._d, self.weighted.program.inequalities[0]
+        wanted = (self._aim[:, None] + centre - self.products)[:, :, None] * np.eye(4)
         force = centre / at.slack
         if predicted is not None:
             product = predicted.primal @ predicted.dual
@@ -172,7 +177,7 @@ class Linearization:
         pull = M + self._D - self._prior_pull
         right = self._reduced(self._errors, pull, force / np.sqrt(self._stiffness))
         dz, forces = self._constrained(right, -self.equality_error)
-        change = smat(dz[self._weighted.program.blocks])
+        change = smat(dz[self.weighted.program.blocks])
         primal = self._scaling @ change @ np.swapaxes(self._scaling, 1, 2)
         dual = M - primal
         nearing = G @ dz
@@ -187,7 +192,7 @@ class Linearization:
 
     def tangent(self) -> Array:
         """Change (p,) of the minimum with the logarithm of the prior's weight."""
-        weighted, at = self._weighted, self._at
+        weighted, at = self.weighted, self.at
         prior = weighted.program.prior
         pull = (weighted.gamma[:, None] / self._d)[:, :, None] * np.eye(4) - self._prior_pull
         right = self._reduced(np.zeros_like(at.z), pull, np.zeros_like(at.slack))
@@ -202,18 +207,18 @@ class Linearization:
         both = np.concatenate([direction.primal * scale, direction.dual * scale])
         falls = [
             -np.linalg.eigvalsh(both)[:, 0].min(initial=0.0),
-            -(direction.step.slack / self._at.slack).min(initial=0.0),
-            -(direction.step.multipliers / self._at.multipliers).min(initial=0.0),
+            -(direction.step.slack / self.at.slack).min(initial=0.0),
+            -(direction.step.multipliers / self.at.multipliers).min(initial=0.0),
         ]
         return 1.0 / max(falls) if max(falls) > 0 else np.inf
 
     def excess(self, direction: Direction | None = None, length: float = 0.0) -> float:
         """Mean of what S Z has beyond γ and of s λ, after a length of a step."""
-        S, Z, s, y = self._D, self._D, self._at.slack, self._at.multipliers
+        S, Z, s, y = self._D, self._D, self.at.slack, self.at.multipliers
         if direction is not None:
             S, Z = S + length * direction.primal, Z + length * direction.dual
             s, y = s + length * direction.step.slack, y + length * direction.step.multipliers
-        beyond = np.maximum((S * Z).sum((1, 2)) - 4.0 * self._weighted.gamma, 0.0)
+        beyond = np.maximum((S * Z).sum((1, 2)) - 4.0 * self._aim, 0.0)
         return float(beyond.sum() + max(s @ y, 0.0)) / max(self._d.size + len(s), 1)
 
 
