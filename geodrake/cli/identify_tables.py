@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 
 from geodrake.cli.tables import head, number_columns, say, show_list, table_of
-from geodrake.cli.wording import Wording, listed, number, with_deviation
+from geodrake.cli.wording import Wording, listed, number
 from geodrake.model_identification import BodyChange, ModelIdentification
 
 
@@ -63,7 +63,7 @@ def _show_bodies(console: Console, found: ModelIdentification) -> None:
         table.add_row(
             body.name,
             number(body.mass[0]),
-            f"{number(body.mass[1])} ± {body.mass_deviation:.2g}",
+            _with_deviation(body.mass[1], body.mass_deviation),
             _millimetres(body, 0),
             _millimetres(body, 1),
             "at the boundary" if body.at_boundary else "",
@@ -71,6 +71,10 @@ def _show_bodies(console: Console, found: ModelIdentification) -> None:
     table.add_section()
     table.add_row("total", *(number(sum(body.mass[k] for body in found.bodies)) for k in (0, 1)))
     console.print(table)
+
+
+def _with_deviation(value: float, deviation: float) -> str:
+    return f"{number(value)} ± {deviation:.2g}" if np.isfinite(deviation) else number(value)
 
 
 def _millimetres(body: BodyChange, at: int) -> str:
@@ -98,7 +102,7 @@ def _show_effects(console: Console, found: ModelIdentification, wording: Wording
                 fitted.effect.name if k == 0 else "",
                 ", ".join(fitted.effect.where) if k == 0 else "",
                 parameter.name,
-                with_deviation(float(fitted.parameters[k]), deviation),
+                _with_deviation(float(fitted.parameters[k]), deviation),
                 unit if unit != "1" else "",
             )
     console.print(table)

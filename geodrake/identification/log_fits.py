@@ -24,6 +24,7 @@ from geodrake.identification.unknowns import (
 )
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
 from geodrake.model import RobotModel
+from geodrake.model_files.description import drake_messages
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -107,15 +108,16 @@ class LogFits:
             without: The fold to leave out.
         """
         A, b = self.data(without)
-        return identify(
-            A,
-            b,
-            self.prior,
-            regularizer=regularizer,
-            gamma=gamma,
-            residual_bound=residual_bound,
-            extra_bounds=self.extra_bounds,
-        )
+        with drake_messages():  # an error says it all when a solver gives up
+            return identify(
+                A,
+                b,
+                self.prior,
+                regularizer=regularizer,
+                gamma=gamma,
+                residual_bound=residual_bound,
+                extra_bounds=self.extra_bounds,
+            )
 
     def data(self, without: int | None = None) -> tuple[Array, Array]:
         """Whitened A (k, p) and b (k,) as `identify` takes them: bodies first, then the effects.
