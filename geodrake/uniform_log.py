@@ -92,16 +92,22 @@ def make_uniform(log: JointLog) -> UniformLog:
 
 def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float, str | None]:
     """Rows between gaps and incomplete rows, the sampling period, and a note if they are many."""
-    rows = np.flatnonzero(complete)
-    steps = np.diff(time[rows])
+    rows: NDArray[np.intp] | range
+    holes: NDArray[np.bool_] | bool
+    if complete.all():
+        rows, steps, holes = range(len(time)), np.diff(time), False
+    else:
+        rows = np.flatnonzero(complete)
+        steps, holes = np.diff(time[rows]), np.diff(rows) > 1
     period = float(np.median(steps))
-    gap = (steps > max(_GAP_STEPS * period, _GAP_SECONDS)) | (np.diff(rows) > 1)
-    last = np.flatnonzero(gap)
-    starts, stops = rows[np.append(0, last + 1)], rows[np.append(last, len(rows) - 1)] + 1
-    runs = [slice(start, stop) for start, stop in zip(starts.tolist(), stops.tolist(), strict=True)]
-    if len(last) == 0:
+    last = np.flatnonzero((steps > max(_GAP_STEPS * period, _GAP_SECONDS)) | holes).tolist()
+    runs = [
+        slice(int(rows[before + 1]), int(rows[end]) + 1)
+        for before, end in pairwise([-1, *last, len(rows) - 1])
+    ]
+    if not last:
         return runs, period, None
-    longest = last[np.argmax(steps[last])]
+    longest = max(last, key=steps.__getitem__)
     return (
         runs,
         period,

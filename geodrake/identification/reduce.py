@@ -50,6 +50,9 @@ MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
 then be anything up to breakaway, and no model of the motion says what."""
 
+WORTHWHILE = 20
+"""Rows over columns at which it pays to fold rows into a triangular factor."""
+
 ROWS_KEPT = 4_000
 """Filtered rows kept of each fold and joint for autocorrelations and figures."""
 
@@ -188,7 +191,7 @@ class _Box:
         self.sums += effort.sum(), effort @ effort
         self.samples += len(effort)
         self.pending.append(np.hstack([rows.A, rows.b]))
-        if sum(map(len, self.pending)) > CHUNK:
+        if sum(map(len, self.pending)) > WORTHWHILE * self.width:
             self.finish()
 
     def finish(self) -> Array:
