@@ -328,6 +328,39 @@ def test_diagnose_says_that_nothing_is_missing(model):
     assert (found.verdict, found.candidates) == ("adequate", ())
 
 
+@pytest.mark.parametrize("seed", [2, 4, 8])
+def test_diagnose_names_the_simplest_that_does(model, seed):
+    """Friction that differs by direction fits as well as dry and viscous friction, and is more."""
+    log = pendulum_log(seed, friction((0.3, 0.15), (0.3, 0.12)))
+    first, *others = diagnose(model, [log], bandwidth=BANDWIDTH).candidates
+    assert set(first.effect.split(" + ")) == {"coulomb_friction", "viscous_friction"}
+    assert first.where == JOINTS
+    (asymmetric,) = [other for other in others if other.effect == "asymmetric_friction"]
+    assert asymmetric.tied
+    assert first.error_after < 1.02 * asymmetric.error_after
+    assert len({candidate.effect for candidate in (first, *others)}) == 1 + len(others)
+    step = explain(model, [log], bandwidth=BANDWIDTH).steps[-1]
+    assert first.error_after == pytest.approx(step.error_after, rel=0.02)
+
+
+def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
+    """A model whose lower link is 40 % too heavy: its frictions are not to blame."""
+    wrong = model.phi.copy()
+    wrong[-1] *= 1.4
+    wrong, log = replace(model, phi=wrong), pendulum_log(64)
+    found = diagnose(wrong, [log], bandwidth=BANDWIDTH)
+    (candidate,) = found.candidates
+    assert (found.verdict, candidate.effect) == ("explained", "wrong_inertia")
+    assert "lower_link" in candidate.where
+    assert candidate.error_before == found.start.nrms
+    assert candidate.error_after < 0.2 * found.start.nrms
+    assert candidate.false_alarm_probability < 0.01
+    # Whether something is missing shows in what is left once the bodies are refitted.
+    strict = diagnose(wrong, [log], bandwidth=BANDWIDTH, criteria=Criteria(reduction=1.0))
+    assert (strict.verdict, strict.candidates) == ("adequate", ())
+    assert strict.start.nrms > 2.0 * strict.start.floor_nrms
+
+
 def test_criteria_can_be_made_impossible(model, logs):
     found = explain(model, logs, bandwidth=BANDWIDTH, criteria=Criteria(reduction=1.0))
     assert found.steps == ()
@@ -389,6 +422,22 @@ def test_add_refuses_what_is_there(model, logs):
         add("coulomb_friction", present, logs[:1], where=["elbow"], bandwidth=BANDWIDTH)
     with pytest.raises(ArgumentError, match="can be added nowhere"):
         add("coulomb_friction", present, logs[:1], bandwidth=BANDWIDTH)
+
+
+def test_add_finds_a_shape_between_those_of_the_grid(model):
+    """The Stribeck velocity."""
+
+    def hidden(q, v, vd, load):
+        excess = 0.5 * np.exp(-np.abs(v[:, 1]) / 0.2) * np.sign(v[:, 1])
+        return HIDDEN(q, v, vd, load) + np.stack([np.zeros(len(q)), excess], 1)
+
+    log = pendulum_log(66, hidden)
+    found = add(
+        "stribeck_friction", with_friction(model), [log], where=["elbow"], bandwidth=BANDWIDTH
+    )
+    (step,) = found.steps
+    assert step.parameters["elbow"]["stribeck_velocity"] == pytest.approx(0.2, rel=0.1)
+    assert step.parameters["elbow"]["excess"] == pytest.approx(0.5, rel=0.1)
 
 
 def test_add_wrong_inertia_moves_the_bodies(model):

@@ -268,9 +268,29 @@ def test_laws_with_a_shape(name, seed):
     assert {step.effect for step in found.steps} == expected
     assert found.verdict == "explained"
     floor = floor_nrms(model_file("double_pendulum"), Recording(log, NOISE), found.end)
-    # The Stribeck velocity is one of a grid of four, and the error of that remains.
-    assert found.end.nrms < (1.25 if name == "stribeck" else MARGIN) * floor
+    assert found.end.nrms < MARGIN * floor
     for step in found.steps:
         if step.effect == "nonlinear_viscous_friction":
             assert step.parameters["shoulder"]["exponent"] == 2.0
             assert step.parameters["shoulder"]["viscous"] == pytest.approx(0.15, rel=0.03)
+        if step.effect == "stribeck_friction":
+            values = step.parameters["shoulder"]
+            assert values["stribeck_velocity"] == pytest.approx(0.25, rel=0.05)
+            assert values["excess"] == pytest.approx(0.35, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("exponent", [1.7, 2.4])
+def test_exponents_between_those_of_the_grid(exponent, seed):
+    """No further effect is drawn by what a wrong exponent would leave."""
+
+    def law(q, v, vd, load):
+        return SHOULDER * 0.3 * np.sign(v) * np.abs(v) ** exponent
+
+    log = pendulum_log(seed, law, seconds=60.0)
+    found = explain(model_file("double_pendulum"), [log])
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("nonlinear_viscous_friction", ("shoulder",))
+    assert step.parameters["shoulder"]["exponent"] == pytest.approx(exponent, rel=0.01)
+    floor = floor_nrms(model_file("double_pendulum"), Recording(log, NOISE), found.end)
+    assert found.end.nrms < MARGIN * floor

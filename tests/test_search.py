@@ -5,16 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
+from scipy.optimize import minimize_scalar
 
 from geodrake import load_model
 from geodrake.diagnosis.candidates import Package, kind_complexity, kinds
 from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.evidence import Criteria, effective_samples, log_likelihood_gain
+from geodrake.diagnosis.exact import searched
 from geodrake.diagnosis.forward import search, tuned
 from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
 from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
 from geodrake.diagnosis.refine import prune, simplify
 from geodrake.diagnosis.search import choose, convincing, gain_of, rank, try_package
+from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
@@ -30,6 +33,7 @@ from geodrake.effects import (
 )
 from geodrake.filtering import design_filter
 from geodrake.identification.model_fit import model_unknowns
+from geodrake.identification.reduce import reduce_logs
 
 CRITERIA = Criteria()
 COULOMB = tuple(CoulombFriction(joint) for joint in JOINTS)
@@ -225,6 +229,89 @@ def test_search_finds_what_is_missing(with_friction):
     assert errors == sorted(errors, reverse=True)
     floor = NOISE * design_filter(1 / 200.0, trail.end.dataset.bandwidth).noise_gain
     np.testing.assert_allclose(trail.end.held_out.rms, floor, rtol=0.15)
+
+
+def test_shape_is_free_where_a_grid_varies_one_number():
+    powers = NonlinearViscousFriction.candidates("elbow", 2.0)
+    name, values = free_shape(powers[1], [*COULOMB, *powers])
+    assert name == "exponent"
+    np.testing.assert_array_equal(values, [0.5, 1.5, 2.0, 3.0])
+    stribeck = StribeckFriction.candidates("elbow", 2.0)
+    assert free_shape(stribeck[0], stribeck)[0] == "stribeck_velocity"
+    springs = JointSpring.candidates("elbow", 2.0)
+    assert free_shape(springs[0], springs) is None  # an exponent of 1 or 3, nothing between
+    assert free_shape(COULOMB[0], COULOMB) is None
+    assert is_round(powers[1], powers)
+    assert not is_round(replace(powers[1], exponent=1.7), powers)
+    assert not is_round(COULOMB[0], COULOMB)
+
+
+def test_finer_grid_lies_around_a_shape():
+    grid = [StribeckFriction("elbow", v) for v in (0.01, 0.1, 1.0)]
+    found = sorted(e.stribeck_velocity for e in finer(grid[1], grid, 0.25))
+    np.testing.assert_allclose(found, 0.1 * 10.0 ** (np.arange(-2, 3) / 4))
+    off = StribeckFriction("elbow", 0.05)
+    found = sorted(e.stribeck_velocity for e in finer(off, grid, 0.1))
+    np.testing.assert_allclose(found, 0.05 * 10.0 ** (np.arange(-2, 3) / 10))
+    assert finer(COULOMB[0], COULOMB, 0.1) == (COULOMB[0],)
+
+
+def test_finer_grid_stays_away_from_viscous_friction():
+    grid = NonlinearViscousFriction.candidates("elbow", 2.0)
+    for effect in grid:
+        for share in (1.0, 1 / 3, 1 / 12):
+            for other in finer(effect, grid, share)[1:]:
+                assert abs(np.log(other.exponent)) >= np.log(1.25)
+                assert (other.exponent < 1.0) == (effect.exponent < 1.0)
+
+
+def test_no_peak_is_sought_beyond_a_grid(with_friction):
+    grid = [e for e in with_friction.dataset.effects if e.name == "stribeck_friction"]
+    edge = min((e for e in grid if e.where == ("elbow",)), key=lambda e: e.stribeck_velocity)
+    assert peak(with_friction.with_effects(COULOMB), COULOMB[0], COULOMB) == (COULOMB[0], 0.0)
+    assert peak(with_friction.with_effects([edge]), edge, grid) == (edge, 0.0)
+
+
+@pytest.mark.parametrize("power", [1.7, 2.6])
+def test_search_profiles_a_shape(model, power):
+    def hidden(q, v, vd, load):
+        return np.stack([np.zeros(len(q)), 0.2 * np.sign(v[:, 1]) * np.abs(v[:, 1]) ** power], 1)
+
+    case = open_case(model, [pendulum_log(9, hidden)], candidates=True, bandwidth=6.0)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    end_case, trail = searched(case, start, [], CRITERIA, tune=True)
+    (effect,) = trail.end.unknowns.effects
+    assert effect not in case.dataset.effects
+    assert effect.exponent == pytest.approx(power, rel=0.02)
+    assert trail.start.dataset is trail.end.dataset is end_case.dataset
+    # A golden section over full reductions finds the same exponent.
+    best = minimize_scalar(
+        lambda x: nrms_with(case, NonlinearViscousFriction("elbow", x), trail.end),
+        bracket=(power - 0.2, power, power + 0.2),
+        method="golden",
+        options={"xtol": 1e-3},
+    )
+    assert effect.exponent == pytest.approx(best.x, rel=0.01)
+
+
+def nrms_with(case, effect, hypothesis):
+    """Held-out error of a hypothesis with another effect in the place of its only one."""
+    effects = (*case.dataset.effects, effect)
+    dataset = reduce_logs(case.model, case.trajectories, case.folds, effects=effects)
+    bare = hypothesis.without(hypothesis.unknowns.effects).moved(dataset, delay=0)
+    return bare.with_effects([effect]).nrms
+
+
+def test_round_exponents_stay(model):
+    """The data cannot tell 2 from 2.001, and 2 it is."""
+
+    def hidden(q, v, vd, load):
+        return np.stack([np.zeros(len(q)), 0.2 * v[:, 1] * np.abs(v[:, 1])], 1)
+
+    case = open_case(model, [pendulum_log(9, hidden)], candidates=True, bandwidth=6.0)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    _, trail = searched(case, start, [], CRITERIA, tune=True)
+    assert trail.end.unknowns.effects == (NonlinearViscousFriction("elbow", 2.0),)
 
 
 def test_search_with_no_steps_left_stays(with_friction):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
+from geodrake.diagnosis.exact import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.forward import Trail, tuned
@@ -69,13 +70,16 @@ def add(
     if model.information is None:
         start = tuned(start)
     end = _with(effect, start, case, where)
-    after_case, fit, _ = final_fit(case, end)
+    trail, present = Trail(start, end, {}), set(start.unknowns.effects)
+    if to_profile(end, case.dataset.effects, present):
+        case, trail = with_exact_shapes(case, trail, case.dataset.effects, present)
+    after_case, fit, _ = final_fit(case, trail.end)
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
         verdict_of(after.errors, found=True),
-        steps_of(case, Trail(start, end, {}), fit),
+        steps_of(case, trail, fit),
         before.errors,
-        error_table(case.dataset, start.held_out),
+        error_table(case.dataset, trail.start.held_out),
         after.errors,
         fit.model,
         before,

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from geodrake.diagnosis.case import error_table, open_case
+from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
 from geodrake.diagnosis.explain import verdict_of
-from geodrake.diagnosis.forward import tuned
-from geodrake.diagnosis.hypothesis import first_hypothesis
+from geodrake.diagnosis.forward import Forward, next_step, tuned
+from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.results import Candidate, Diagnosis
-from geodrake.diagnosis.search import Ranked, choose, rank
+from geodrake.diagnosis.search import PENALTY, Ranked, gain_of
+from geodrake.diagnosis.steps import moved_bodies, refit_evidence
 from geodrake.effects.base import Effect
-from geodrake.identification.model_fit import model_unknowns
+from geodrake.identification.model_fit import as_it_stands, effects_of, model_unknowns
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 
@@ -39,30 +42,68 @@ def diagnose(
         criteria: When an effect counts as found.
 
     Returns:
-        Convincing candidates, each refitted with everything that may move. The first is the
-        simplest of those that the logs cannot tell from the best.
+        Convincing candidates, each refitted with everything that may move. The first is the step
+        that `explain` would take: the simplest of those that the logs cannot tell from the best,
+        with complex effects swapped for simpler ones wherever these stand within the criteria.
 
     Raises:
         LogError: A log cannot be used.
     """
     criteria = criteria or Criteria()
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
-    hypothesis = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
-    if model.information is None:
-        hypothesis = tuned(hypothesis)
-    ranked = rank(hypothesis, criteria)
-    if ranked:
-        chosen = choose(ranked)
-        ranked = [chosen, *(r for r in ranked if r is not chosen)]
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    hypothesis = tuned(start) if model.information is None else start
+    step = next_step(hypothesis, effects_of(model), criteria)
+    if step is not None:
+        first = _first(case, hypothesis, step)
+        others = [r for r in step.ranked if set(r.names) != set(first.names)]
+        candidates = [_candidate(r, hypothesis.nrms) for r in (first, *others)]
+    else:
+        candidates = _refitted(case, start, criteria)
+    refitted = error_table(case.dataset, hypothesis.held_out)
     before = comparison(case)
     return Diagnosis(
-        "explained" if ranked else verdict_of(before.errors, found=False),
-        tuple(_candidate(r, hypothesis.nrms) for r in ranked),
+        "explained" if candidates else verdict_of(refitted, found=False),
+        tuple(candidates),
         before.errors,
-        error_table(case.dataset, hypothesis.held_out),
+        refitted,
         before,
         case.notes,
     )
+
+
+def _first(case: Case, before: Hypothesis, step: Forward) -> Ranked:
+    """What a step added once it was simplified and pruned, the most frequent effect first."""
+    after = step.after
+    effects = [e for e in after.unknowns.effects if e not in before.unknowns.effects]
+    if not effects:  # a delay, a looser prior or a payload that was let go
+        return step.chosen
+    names = Counter(sorted(effect.name for effect in effects))
+    places = {place for effect in effects for place in effect.where}
+    gain = gain_of(before, after)
+    parameters = sum(Package((effect,), effect.where).parameters for effect in effects)
+    return Ranked(
+        tuple(name for name, _ in names.most_common()),
+        tuple(place for place in (*case.model.joints, *case.model.bodies) if place in places),
+        tuple(effects),
+        after,
+        gain,
+        parameters,
+        false_alarm_probability(gain, parameters, len(case.dataset.effects)),
+        tied=True,
+    )
+
+
+def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:
+    """The inertias alone, if refitting them within their prior is worth it."""
+    evidence = refit_evidence(case, start, criteria)
+    if evidence is None:
+        return []
+    (gain, alarm), nb = evidence, len(case.model.bodies)
+    moved = moved_bodies(case, start.cv.fit_all()[: case.model.phi.size].reshape(nb, -1))
+    standing = error_table(case.dataset, as_it_stands(case.dataset, case.model)).nrms
+    score = gain - 2 * PENALTY * nb
+    return [Candidate("wrong_inertia", tuple(moved), standing, start.nrms, score, alarm, tied=True)]
 
 
 def _candidate(ranked: Ranked, before: float) -> Candidate:

@@ -42,11 +42,7 @@ def final_fit(
     if delay:
         delays = [FittedEffect(EffortDelay(case.model.delay + delay), np.empty(0), np.empty(0))]
     reopened = _with_fitted_loads(case, end, delays, companions=criteria is not None)
-    columns = [np.arange(case.model.phi.size)]
-    columns += [reopened.dataset.effect_columns(effect) for effect in end.unknowns.effects]
-    unknowns = replace(end.unknowns, columns=np.concatenate(columns))
-    settled = replace(end, dataset=reopened.dataset, unknowns=unknowns, delay=0)
-    settled = settle(settled, iterations=_MOST_ITERATIONS)
+    settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     if criteria is not None:
         settled = prune(settled, effects_of(case.model), criteria)
         kept = settled.unknowns.effects

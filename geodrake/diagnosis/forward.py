@@ -39,7 +39,7 @@ def search(
     criteria: Criteria,
     *,
     tune: bool = False,
-    pause_at_delay: bool = False,
+    pause: Callable[[Hypothesis], bool] | None = None,
     max_steps: int = 20,
     progress: Progress | None = None,
 ) -> Trail:
@@ -50,30 +50,61 @@ def search(
         fixed: Effects that stay.
         criteria: When an effect counts as found.
         tune: Whether the data may say that the inertial prior is better than assumed.
-        pause_at_delay: Whether to return as soon as an effort delay was chosen.
+        pause: Whether to return with a hypothesis that a step led to, as it is.
         max_steps: Largest number of steps.
         progress: Told about each step.
     """
     hypothesis, rivals = tuned(start) if tune else start, dict[str, tuple[str, ...]]()
     for _ in range(max_steps):
-        ranked = rank(hypothesis, criteria)
-        better = None
-        while ranked and better is None:
-            chosen = choose([replace(r, tied=r.tied or r is ranked[0]) for r in ranked])
-            better = _refined(hypothesis, chosen, fixed, criteria)
-            if better is None:
-                ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
-        if better is None:
+        step = next_step(hypothesis, fixed, criteria)
+        if step is None:
             break
-        hypothesis = tuned(better) if tune else better
-        tied = {name for r in ranked if r.tied for name in r.names}
-        for name in chosen.names:
-            rivals.setdefault(name, tuple(sorted(tied.difference(chosen.names))))
+        hypothesis = tuned(step.after) if tune else step.after
+        names = step.chosen.names
+        tied = {name for r in step.ranked if r.tied for name in r.names}
+        for name in names:
+            rivals.setdefault(name, tuple(sorted(tied.difference(names))))
         if progress is not None:
-            progress(" and ".join(chosen.names), hypothesis.nrms)
-        if pause_at_delay and "effort_delay" in chosen.names:
+            progress(" and ".join(names), hypothesis.nrms)
+        if pause is not None and pause(hypothesis):
             return Trail(start, hypothesis, rivals)
     return Trail(start, _settled(hypothesis, fixed, criteria, tune=tune), rivals)
+
+
+@dataclass(frozen=True, eq=False)
+class Forward:
+    """One step forward.
+
+    Attributes:
+        ranked: What convinced, best first.
+        chosen: The one of these that was taken.
+        after: The hypothesis with it, simplified and pruned.
+    """
+
+    ranked: tuple[Ranked, ...]
+    chosen: Ranked
+    after: Hypothesis
+
+
+def next_step(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
+) -> Forward | None:
+    """The step that convinces most, simplified and pruned; None if nothing convinces.
+
+    Args:
+        hypothesis: Where to start from.
+        fixed: Effects that stay.
+        criteria: When an effect counts as found.
+    """
+    ranked = rank(hypothesis, criteria)
+    while ranked:
+        ranked[0] = replace(ranked[0], tied=True)
+        chosen = choose(ranked)
+        after = _refined(hypothesis, chosen, fixed, criteria)
+        if after is not None:
+            return Forward(tuple(ranked), chosen, after)
+        ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
+    return None
 
 
 def tuned(hypothesis: Hypothesis) -> Hypothesis:

@@ -13,6 +13,7 @@ from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import Unknowns, effect_prior
+from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -89,6 +90,20 @@ class Hypothesis:
     def delayed(self, delay: int) -> Hypothesis:
         """This hypothesis against the effort with another delay."""
         return settle(replace(self, delay=delay))
+
+    def moved(self, dataset: Dataset, *, delay: int, iterations: int = 2) -> Hypothesis:
+        """This hypothesis on another dataset of the same bodies that has its effects, refitted.
+
+        Args:
+            dataset: The dataset.
+            delay: Index of the delay among those of the dataset.
+            iterations: Most refits.
+        """
+        columns = [np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)]
+        columns += [dataset.effect_columns(effect) for effect in self.unknowns.effects]
+        unknowns = replace(self.unknowns, columns=np.concatenate(columns))
+        moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delay)
+        return settle(moved, iterations=iterations)
 
 
 def residual_blocks(

@@ -59,8 +59,16 @@ def stands_out(hypothesis: Hypothesis, effect: Effect) -> bool:
     return bool(np.any(np.abs(x[span]) > 3.0 * deviations[span]))
 
 
-def reshape(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> Hypothesis:
-    """Choose shape parameters anew: what fitted best before other effects came may not now."""
+def reshape(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], *, least: float = PENALTY
+) -> Hypothesis:
+    """Choose shape parameters anew: what fitted best before other effects came may not now.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        least: Gain from which on another shape is taken.
+    """
     for effect in hypothesis.unknowns.effects:
         variants = [
             other
@@ -71,7 +79,7 @@ def reshape(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> Hypothesis:
             reduced = hypothesis.without([effect])
             others = [reduced.with_effects([variant]) for variant in variants]
             best = max(others, key=lambda other: gain_of(hypothesis, other))
-            if gain_of(hypothesis, best) > PENALTY:
+            if gain_of(hypothesis, best) > least:
                 hypothesis = best
     return hypothesis
 

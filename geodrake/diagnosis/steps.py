@@ -112,17 +112,12 @@ def refit_step(
         fit: The final fit, with no effect added.
         criteria: When a step counts.
     """
-    before = as_it_stands(case.dataset, case.model)
-    gain = float(log_likelihood_gain(before.mse, start.held_out.mse, start.effective).sum())
-    alarm = false_alarm_probability(gain, 2 * len(case.model.bodies), 1)
-    loss = (before.sse / case.dataset.effort_std**2).sum(1)
-    reduction = 1.0 - start.loss().sum() / loss.sum()
-    agreement = fold_agreement(loss, start.loss())
-    convinces = reduction >= criteria.reduction and agreement >= criteria.agreement
-    if alarm > criteria.alarm or not convinces:
+    evidence = refit_evidence(case, start, criteria)
+    if evidence is None:
         return ()
+    before = as_it_stands(case.dataset, case.model)
     was, now = error_table(case.dataset, before), error_table(case.dataset, fit.held_out)
-    moved = _moved_bodies(case, fit)
+    moved = moved_bodies(case, fit.model.phi)
     return (
         Step(
             "wrong_inertia",
@@ -132,11 +127,33 @@ def refit_step(
             _inertias(moved, fit),
             {},
             (),
-            alarm,
+            evidence[1],
             was.by_joint(),
             now.by_joint(),
         ),
     )
+
+
+def refit_evidence(case: Case, start: Hypothesis, criteria: Criteria) -> tuple[float, float] | None:
+    """Evidence that refitting the inertias alone is worth it.
+
+    Args:
+        case: The case.
+        start: The model refitted within its prior.
+        criteria: When a step counts.
+
+    Returns:
+        Twice the held-out log-likelihood ratio and the probability of a false alarm, or None where
+        they do not convince.
+    """
+    before = as_it_stands(case.dataset, case.model)
+    gain = float(log_likelihood_gain(before.mse, start.held_out.mse, start.effective).sum())
+    alarm = false_alarm_probability(gain, 2 * len(case.model.bodies), 1)
+    loss = (before.sse / case.dataset.effort_std**2).sum(1)
+    reduction = 1.0 - start.loss().sum() / loss.sum()
+    agreement = fold_agreement(loss, start.loss())
+    convinces = reduction >= criteria.reduction and agreement >= criteria.agreement
+    return (gain, alarm) if convinces and alarm <= criteria.alarm else None
 
 
 def _groups(trail: Trail) -> list[_Group]:
@@ -163,15 +180,15 @@ def _rivals(trail: Trail, name: str) -> tuple[str, ...]:
 
 def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:
     if group.looseness is not None:
-        return tuple(_moved_bodies(case, fit))
+        return tuple(moved_bodies(case, fit.model.phi))
     places = dict.fromkeys(place for effect in group.effects for place in effect.where)
     order = {name: i for i, name in enumerate((*case.model.joints, *case.model.bodies))}
     return tuple(sorted(places, key=lambda place: order.get(place, 0)))
 
 
-def _moved_bodies(case: Case, fit: ModelFit) -> Mapping[str, float]:
-    """Bodies that the fit moved farthest from their prior, with the geometric distance."""
-    step = fit.model.phi - case.model.phi
+def moved_bodies(case: Case, phi: Array) -> Mapping[str, float]:
+    """Bodies that a fit (nb, 10) moved farthest from their prior, with the geometric distance."""
+    step = phi - case.model.phi
     distance = np.sqrt(np.einsum("bi,bij,bj->b", step, pullback_metric(case.model.phi), step))
     far = distance >= max(0.5 * distance.max(), 1e-9)
     return {b: float(d) for b, d, f in zip(case.model.bodies, distance, far, strict=True) if f}
@@ -181,7 +198,7 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
     values: Values = {}
     deviations: Values = {}
     if group.looseness is not None:
-        return _inertias(_moved_bodies(case, fit), fit), deviations
+        return _inertias(moved_bodies(case, fit.model.phi), fit), deviations
     if group.delay is not None:
         delay = next(f.effect for f in fit.model.effects if isinstance(f.effect, EffortDelay))
         _, deviation = fine_delay(trail.end)

@@ -163,6 +163,11 @@ class Effect(abc.ABC):
         place = {"joint", "joints", "body"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
+    @property
+    def distinct(self) -> bool:
+        """Whether the shape keeps the effect apart from simpler ones, so that it may be chosen."""
+        return True
+
     @classmethod
     def candidates(cls, *args: Any, **kwargs: Any) -> Iterable[Effect]:
         """Instances a diagnosis should try at a place: one, unless the effect has shapes to try.
@@ -223,8 +228,7 @@ class JointEffect(Effect):
                 f"{count} samples: {error}.",
                 advice="Let columns() return arrays of the shape of joint.q, or numbers.",
             ) from error
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
+        if len(bad := np.flatnonzero(~np.isfinite(values))):
             raise ArgumentError(
                 f"{self.name} of {self.joint} gives {values[bad[0]]} in {len(bad)} of {count} "
                 "samples.",

@@ -10,6 +10,7 @@ import numpy as np
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
 
 _EXPONENTS = (0.5, 1.5, 2.0, 3.0)
+_LEAST_RATIO = 1.25  # of the exponent to that of viscous friction
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,11 @@ class NonlinearViscousFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|v|^α sgn v]."""
         return [np.abs(joint.v) ** self.exponent * joint.sign_v]
+
+    @property
+    def distinct(self) -> bool:
+        """Whether the exponent is far enough from 1, at which this is viscous friction."""
+        return bool(abs(np.log(self.exponent)) >= np.log(_LEAST_RATIO))
 
     @classmethod
     def candidates(cls, joint: str, peak_speed: float) -> tuple[NonlinearViscousFriction, ...]:
