@@ -44,8 +44,8 @@ URDF = """<?xml version="1.0" ?>
     </inertial>
     <visual><origin xyz="0 0 0"/><geometry><sphere radius="0.1"/></geometry></visual>
   </link>
-  <link name="two"> <inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01"/></inertial>
-  </link>
+  <link name="two"> <inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01"/>
+    </inertial></link>
   <link name="three">
     <visual><geometry><box size="1 1 1"/></geometry></visual>
   </link>

@@ -15,8 +15,11 @@ from geodrake.errors import ArgumentError
 from geodrake.export import check_export, export_model
 from geodrake.inertia import PARAMETER_NAMES
 from geodrake.model import RobotModel
-from geodrake.model_identification import IdentifyOptions as Settings
-from geodrake.model_identification import ModelIdentification, identify_model
+from geodrake.model_identification import (
+    IdentificationSettings,
+    ModelIdentification,
+    identify_model,
+)
 
 
 def run_identify(options: IdentifyOptions) -> None:
@@ -28,7 +31,7 @@ def run_identify(options: IdentifyOptions) -> None:
     given = options.effects or []
     files = [path for path in given if path.suffix == ".py"]
     names = [name for path in given if path not in files for name in str(path).split(",") if name]
-    settings = Settings(
+    settings = IdentificationSettings(
         regularizer=options.regularizer,
         gamma=options.gamma,
         residual_ratio=options.residual_bound,

@@ -4,14 +4,14 @@ from geodrake.model_identification.identify import identify_model, with_effects
 from geodrake.model_identification.results import (
     Alternative,
     BodyChange,
-    IdentifyOptions,
+    IdentificationSettings,
     ModelIdentification,
 )
 
 __all__ = [
     "Alternative",
     "BodyChange",
-    "IdentifyOptions",
+    "IdentificationSettings",
     "ModelIdentification",
     "identify_model",
     "with_effects",

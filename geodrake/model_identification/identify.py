@@ -10,7 +10,7 @@ import numpy as np
 
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.hypothesis import first_hypothesis
+from geodrake.diagnosis.hypothesis import first_hypothesis, settle
 from geodrake.effects import Effect, EffortDelay
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import REGULARIZERS, IdentificationResult
@@ -22,10 +22,13 @@ from geodrake.model import FittedEffect, RobotModel
 from geodrake.model_identification.results import (
     Alternative,
     BodyChange,
-    IdentifyOptions,
+    IdentificationSettings,
     ModelIdentification,
 )
 from geodrake.motion import JointLog
+
+_MOST_ITERATIONS = 10
+"""Refits until the weights of the joints stay."""
 
 _NOTABLY = 0.95
 """Ratio of held-out errors below which a weaker weight is worth a word."""
@@ -40,7 +43,7 @@ FRICTIONS = ("viscous_friction", "coulomb_friction")
 def identify_model(
     model: RobotModel,
     logs: Sequence[JointLog | str | Path],
-    options: IdentifyOptions | None = None,
+    settings: IdentificationSettings | None = None,
     *,
     effects: Sequence[Effect] = (),
     tell: Callable[[str], None] = lambda words: None,
@@ -54,7 +57,7 @@ def identify_model(
     Args:
         model: The model as it stands, which is the prior.
         logs: Logs or their files.
-        options: Regularizer, its weight, and how logs are prepared.
+        settings: Regularizer, its weight, and how logs are prepared.
         effects: Effects to fit beside those of the model.
         tell: Called with what is going on, in words.
 
@@ -66,32 +69,34 @@ def identify_model(
         LogError: A log cannot be used.
         IdentificationError: No physical parameters reach the residual bound.
     """
-    options = options or IdentifyOptions()
+    settings = settings or IdentificationSettings()
     prior = with_effects(model, effects)
-    settings = {"bandwidth": options.bandwidth, "blocks": options.blocks}
-    case = open_case(prior, logs, candidates=False, **settings)  # type: ignore[arg-type]
+    case = open_case(
+        prior, logs, candidates=False, bandwidth=settings.bandwidth, blocks=settings.blocks
+    )
     unknowns = log_unknowns(case.dataset, prior)
-    fits = LogFits(case.dataset, unknowns, first_hypothesis(case.dataset, unknowns).weights)
-    gamma, sweep = options.gamma, tuple[Weighing, ...]()
-    if options.residual_ratio is not None:
-        result, folds = _bounded(fits, options)
+    settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
+    fits = LogFits(case.dataset, unknowns, settled.weights)
+    gamma, sweep = settings.gamma, tuple[Weighing, ...]()
+    if settings.residual_ratio is not None:
+        result, folds = _bounded(fits, settings)
     else:
         if gamma is None:
-            tell(f"Choosing the weight of the {options.regularizer} regularizer")
-            gamma, sweep = weigh(fits, options.regularizer)
-        result = fits.solve(options.regularizer, gamma=gamma)
-        folds = [fits.solve(options.regularizer, gamma=gamma, without=f) for f in fits.folds]
+            tell(f"Choosing the weight of the {settings.regularizer} regularizer")
+            gamma, sweep = weigh(fits, settings.regularizer)
+        result = fits.solve(settings.regularizer, gamma=gamma)
+        folds = [fits.solve(settings.regularizer, gamma=gamma, without=f) for f in fits.folds]
     alternatives: tuple[Alternative, ...] = ()
-    if options.compare:
+    if settings.compare:
         tell("Comparing regularizers")
-        alternatives = _alternatives(fits, options.regularizer, result, folds)
+        alternatives = _alternatives(fits, settings.regularizer, result, folds)
     held_out = fits.held_out(folds)
     stands = np.tile(_as_it_came(fits, prior), (len(fits.folds), 1))
     fitted = _fitted(fits, result, held_out, prior, case)
     return ModelIdentification(
         fitted,
         model,
-        options.regularizer,
+        settings.regularizer,
         result.gamma,
         sweep,
         error_table(case.dataset, hold_out(case.dataset, unknowns.columns, stands)),
@@ -134,14 +139,14 @@ def _as_it_came(fits: LogFits, prior: RobotModel) -> Array:
 
 
 def _bounded(
-    fits: LogFits, options: IdentifyOptions
+    fits: LogFits, settings: IdentificationSettings
 ) -> tuple[IdentificationResult, list[IdentificationResult]]:
     """The fits to all and to all but each fold, each at its own bound."""
-    ratio = options.residual_ratio or 1.0
+    ratio = settings.residual_ratio or 1.0
 
     def solve(without: int | None) -> IdentificationResult:
         bound = ratio**2 * fits.least_residual(without)
-        return fits.solve(options.regularizer, residual_bound=bound, without=without)
+        return fits.solve(settings.regularizer, residual_bound=bound, without=without)
 
     try:
         return solve(None), [solve(f) for f in fits.folds]

@@ -96,7 +96,7 @@ class ModelIdentification:
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions:
+class IdentificationSettings:
     """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself.
 
     Attributes:

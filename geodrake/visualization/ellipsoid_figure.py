@@ -200,4 +200,4 @@ def _frame(ax: Axes3D, center: Array, reach: Array, view: tuple[float, float]) -
         getattr(ax, f"{axis}axis")._axinfo["grid"].update(color=style.RULE, linewidth=0.4)
     ax.view_init(*view)
     ax.locator_params(nbins=4)
-    ax.tick_params(labelsize=6.5, labelcolor=style.QUIET, pad=-2)
+    ax.tick_params(labelsize=6.5, labelcolor=style.QUIET, pad=-1)
