@@ -1,0 +1,205 @@
+"""How fast identification is: Newton's method, Drake's conic programs, and the same in CVXPY.
+
+Two fits, as in [Lee2019] §3.6: an arm of ten bodies with seven motors, from 4,100 samples of all
+torques (107 parameters, made here), and a human of sixteen bodies in bounding ellipsoids (measured,
+990 rows). Times are CPU times, medians of repeats, of everything from regressors to result unless
+said otherwise. Peak memory is that of a process of its own.
+
+    OMP_NUM_THREADS=1 python diagrams/identification_speed.py --json speed.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fit_cases.cases import Case, arm_case, human_case
+from fit_cases.in_cvxpy import cost, cvxpy_solution, has_cvxpy
+from rich.progress import track
+
+from geodrake.identification import solve_fit
+from geodrake.identification.newton import newton_sweep, solve_newton
+
+SHARED = Path(__file__).parents[2] / "shared"
+
+
+def whole_times(case: Case, repeats: int) -> dict[str, float]:
+    """CPU seconds from regressors to result."""
+    methods = {
+        "pullback, Clarabel": ("pullback", "clarabel"),
+        "entropic, Clarabel": ("entropic", "clarabel"),
+        "entropic, Newton": ("entropic", "newton"),
+    }
+    work = {name: lambda m=method: case.identified(*m) for name, method in methods.items()}
+    return cpu_times(work, repeats)
+
+
+def solver_ratios(case: Case, *, repeats: int) -> dict[str, Any]:
+    """Newton against Drake's program and CVXPY's on the same triangular factor, one cold solve."""
+    problem = case.problem(case.gamma)
+    solutions: dict[str, np.ndarray] = {}
+
+    def keep(name: str, x: np.ndarray) -> None:
+        solutions[name] = x
+
+    methods: dict[str, Callable[[], None]] = {
+        "newton": lambda: keep("newton", solve_newton(problem).x),
+        "drake": lambda: keep("drake", solve_fit(problem).x),
+    }
+    if has_cvxpy():
+        methods["cvxpy"] = lambda: keep("cvxpy", cvxpy_solution(problem))
+    times = cpu_times(methods, repeats)
+    least = cost(problem, solutions["newton"])
+    table: dict[str, Any] = {
+        "seconds": times,
+        "newton / drake": times["newton"] / times["drake"],
+        "cost difference, drake": cost(problem, solutions["drake"]) / least - 1.0,
+    }
+    if "cvxpy" in times:
+        table |= {
+            "newton / cvxpy": times["newton"] / times["cvxpy"],
+            "drake / cvxpy": times["drake"] / times["cvxpy"],
+            "cost difference, cvxpy": cost(problem, solutions["cvxpy"]) / least - 1.0,
+        }
+    return table
+
+
+def sweep_ratio(case: Case, *, repeats: int) -> dict[str, Any]:
+    """One warm-started Newton sweep over 20 γ against 20 cold solves of Drake's program."""
+    gammas = case.gamma * np.logspace(1.0, -4.0, 20)
+    problem = case.problem(1.0)
+    problems = [case.problem(gamma) for gamma in gammas]
+    costs: dict[str, np.ndarray] = {}
+
+    def keep(name: str, results: Any) -> None:
+        pairs = zip(problems, results, strict=True)
+        costs[name] = np.array([cost(problem, result.x) for problem, result in pairs])
+
+    newton, drake = [], []
+    for _ in range(repeats):
+        newton.append(cpu_time(lambda: newton_sweep(problem, gammas)))
+        drake.append(cpu_time(lambda: [solve_fit(single) for single in problems]))
+    keep("newton", newton_sweep(problem, gammas))
+    keep("drake", [solve_fit(single) for single in problems])
+    return {
+        "gammas": [float(gammas[0]), float(gammas[-1]), len(gammas)],
+        "seconds": {"newton": float(np.median(newton)), "drake": float(np.median(drake))},
+        "drake / newton": float(np.median(np.divide(drake, newton))),
+        "largest cost difference": float(np.abs(costs["drake"] / costs["newton"] - 1.0).max()),
+    }
+
+
+def cpu_time(work: Callable[[], object]) -> float:
+    """CPU time of a call, s."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def cpu_times(methods: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Median CPU times in s, after one call each to warm up; the methods take turns."""
+    times = {name: [cpu_time(work)] for name, work in methods.items()}
+    for _ in range(repeats):
+        for name, work in methods.items():
+            times[name].append(cpu_time(work))
+    return {name: float(np.median(own[1:])) for name, own in times.items()}
+
+
+def peak_memory(case: Case, solver: str, arguments: list[str]) -> dict[str, float]:
+    """Largest memory of a process that only makes a case, and of one that solves it, MB."""
+    table = {}
+    for name, what in (("made", "none"), ("solved", f"entropic,{solver}")):
+        command = [sys.executable, __file__, "--peak", f"{case.name},{what}", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        table[name] = float(done.stdout)
+    return table
+
+
+def print_peak(case: Case | None, what: str) -> None:
+    """Solve a case, and print the largest memory of this process, MB."""
+    if case is not None and what != "none":
+        case.identified(*what.split(","))
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+
+
+def draw(table: dict[str, Any], path: Path) -> None:
+    """Bars of the CPU time from regressors to result."""
+    from matplotlib.figure import Figure
+
+    cases = [name for name in ("arm", "human") if name in table]
+    figure = Figure(figsize=(3.6 * len(cases) + 0.6, 3.4), layout="constrained")
+    for axes, name in zip(np.ravel(figure.subplots(1, len(cases))), cases, strict=True):
+        times = {key.replace(", ", ",\n"): 1e3 * t for key, t in table[name]["whole"].items()}
+        axes.bar_label(axes.bar(list(times), list(times.values()), width=0.6), fmt="%.0f")
+        axes.set_ylabel("CPU time, ms")
+        size = table[name]["size"]
+        axes.set_title(f"{name}: {size[0]} rows, {size[1]} parameters", fontsize=10)
+        axes.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+
+
+def measured(case: Case, *, repeats: int, arguments: list[str]) -> dict[str, Any]:
+    """All numbers of one case."""
+    return {
+        "size": list(case.A.shape),
+        "gamma": case.gamma,
+        "whole": whole_times(case, repeats),
+        "from the factor": solver_ratios(case, repeats=repeats),
+        "sweep": sweep_ratio(case, repeats=max(1, repeats // 3)),
+        "memory, MB": {
+            solver: peak_memory(case, solver, arguments) for solver in ("clarabel", "newton")
+        },
+    }
+
+
+def main() -> None:
+    """Measures, prints, and writes what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer samples and repeats")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for the figure")
+    parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the measurements")
+    parser.add_argument("--peak", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    samples, repeats = (300, 1) if options.quick else (4100, 9)
+
+    makers: dict[str, Callable[[], Case | None]] = {
+        "arm": lambda: arm_case(samples=samples, seed=options.seed),
+        "human": lambda: human_case(options.shared),
+    }
+    if options.peak:
+        name, what = options.peak.split(",", 1)
+        case = makers[name]()
+        print_peak(case, what)
+        return
+    if not has_cvxpy():
+        print("CVXPY is not installed (pip install geodrake[bench]): no comparison with it.")
+    arguments = ["--seed", str(options.seed), "--shared", str(options.shared)]
+    arguments += ["--quick"] if options.quick else []
+    table: dict[str, Any] = {"cvxpy": has_cvxpy()}
+    for name, make in track(makers.items(), description="measuring"):
+        case = make()
+        if case is None:
+            print(f"There are no measurements in {options.shared / 'data'}: no {name}.")
+            continue
+        table[name] = measured(case, repeats=repeats, arguments=arguments)
+    print(json.dumps(table, indent=2))
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(table, indent=2) + "\n")
+    if options.figures:
+        draw(table, options.figures / "identification_speed.png")
+
+
+if __name__ == "__main__":
+    main()
