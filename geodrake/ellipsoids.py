@@ -55,6 +55,11 @@ class Ellipsoid:
         error = self.rotation @ np.swapaxes(self.rotation, -1, -2) - np.eye(3)
         if np.abs(error).max() > 1e-6:
             raise ArgumentError(f"Not a rotation: {self.rotation.tolist()}.")
+        shape = np.broadcast_shapes(
+            self.center.shape[:-1], self.semi_axes.shape[:-1], self.rotation.shape[:-2]
+        )
+        for name, end in (("center", (3,)), ("semi_axes", (3,)), ("rotation", (3, 3))):
+            object.__setattr__(self, name, np.broadcast_to(getattr(self, name), (*shape, *end)))
 
     @property
     def volume(self) -> Array:
@@ -87,10 +92,11 @@ class Ellipsoid:
     def uniform_body(self, mass: ArrayLike) -> Array:
         """Inertial parameters (..., 10) of this ellipsoid filled evenly with a mass (...), kg."""
         mass = np.asarray(mass, float)
+        mass = np.broadcast_to(mass, np.broadcast_shapes(mass.shape, self.center.shape[:-1]))
         squares = self.semi_axes**2
         moments = 0.2 * mass[..., None] * (squares.sum(-1, keepdims=True) - squares)
         turned = (self.rotation * moments[..., None, :]) @ np.swapaxes(self.rotation, -1, -2)
-        return from_mass_com_inertia(mass, self.center, turned)
+        return from_mass_com_inertia(mass, np.broadcast_to(self.center, (*mass.shape, 3)), turned)
 
     def random_points(self, rng: np.random.Generator, size: tuple[int, ...]) -> Array:
         """Points (*size, 3), m, evenly distributed over one ellipsoid or several of shape size."""

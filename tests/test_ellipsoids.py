@@ -125,6 +125,10 @@ def test_several_at_once():
     np.testing.assert_allclose(like.quadric[0], one.quadric, rtol=1e-7, atol=1e-7)
     assert is_realizable(both.uniform_body([1.0, 2.0]), both.quadric).all()
     np.testing.assert_allclose(ellipsoid_of_quadric(both.quadric).center, both.center)
+    # One shape at two places, and one ellipsoid of two masses.
+    places = Ellipsoid(both.center, one.semi_axes, one.rotation)
+    assert places.rotation.shape == (2, 3, 3)
+    assert places.uniform_body(1.0).shape == one.uniform_body([1.0, 2.0]).shape == (2, 10)
 
 
 class TestBounding:
