@@ -16,7 +16,7 @@ from geodrake.inertia import (
     pseudo_inertia_basis,
 )
 from geodrake.manifolds.base import Array, Manifold
-from geodrake.positive_definite import exponential, log_det_divergence, whitening
+from geodrake.positive_definite import log_det_divergence, whitening
 
 _BASIS = pseudo_inertia_basis()
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
@@ -73,10 +73,12 @@ class PhysicalInertia(Manifold):
 
     def _retract(self, x: Array, v: Array) -> Array:
         """The geodesic, [Lee2019] Eq. (2.2.9)."""
-        longest = np.abs(self._rates(x, v)).max(-1)
-        share = np.minimum(1.0, _LONGEST_GROWTH / np.where(longest > 0, longest, 1.0))
-        step = pseudo_inertia(share[..., None] * v)
-        return from_pseudo_inertia(exponential(pseudo_inertia(x), step))
+        L, root = whitening(pseudo_inertia(x))
+        rates, axes = np.linalg.eigh(root @ pseudo_inertia(v) @ np.swapaxes(root, -1, -2))
+        longest = np.abs(rates).max(-1, keepdims=True)
+        half = 0.5 * rates * (_LONGEST_GROWTH / np.maximum(longest, _LONGEST_GROWTH))
+        side = (L @ axes) * np.exp(half)[..., None, :]
+        return from_pseudo_inertia(side @ np.swapaxes(side, -1, -2))
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         return is_physical(x, tolerance=_ROUNDING)

@@ -93,8 +93,9 @@ class Product(Manifold):
         ]
         return np.minimum.reduce(times)
 
-    def _retract(self, x: Array, v: Array) -> Array:
+    def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """Each factor by itself."""
+        x, v = np.broadcast_arrays(np.asarray(x, float), np.asarray(v, float))
         parts = [factor.retract(x[..., part], v[..., part]) for factor, _, part in self._factors]
         return np.concatenate(parts, -1)
 
