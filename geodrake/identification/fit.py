@@ -16,7 +16,7 @@ from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.newton_root import bounded_minimum, first_minimum
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
-from geodrake.identification.solvers import run_solver
+from geodrake.identification.solvers import cone_multiplier, run_solver
 from geodrake.inertia import Array, pullback_metric
 from geodrake.reduction import triangular_factor
 
@@ -203,7 +203,7 @@ def _prior_weight(fit: FitProgram, solution: MathematicalProgramResult, x: Array
         return 1.0
     if fit.problem.residual(x) < bound * (1.0 - 1e-6):
         return np.inf
-    multiplier = abs(float(solution.GetDualSolution(fit.residual_cone)[0])) * fit.cost_scale
+    multiplier = cone_multiplier(solution, fit.residual_cone) * fit.cost_scale
     return 2.0 * fit.residual_scale**2 / multiplier if multiplier else np.inf
 
 

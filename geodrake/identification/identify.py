@@ -13,11 +13,11 @@ from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.euclidean import Euclidean
 from geodrake.identification.fit import FitResult
+from geodrake.identification.local_minima import LocalMinima, RiemannianFit
 from geodrake.identification.problem import FitProblem, checked, whitened_factor
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.riemannian import Riemannian
-from geodrake.identification.riemannian_fit import LocalMinima, RiemannianFit
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.repairs import nearest_physical
 
@@ -104,7 +104,8 @@ def identify(  # noqa: PLR0913 - the stable interface
         extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
         constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
             too instead.
-        solver: A name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+        solver: A name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel. Or "newton",
+            which is faster, with the entropic regularizer.
 
     Returns:
         The parameters and how they were found.
@@ -123,11 +124,10 @@ def identify(  # noqa: PLR0913 - the stable interface
     if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
         raise ArgumentError(f"gamma must be positive; got {gamma:g}.")
     prior = physical_prior(prior)
-    factor = whitened_factor(A, b, sigma=sigma)
-    problem = _problem(factor, prior, extra_bounds)
     bodies = _merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass)
-    rows = bodies.rows(prior, problem.size)
-    problem = replace(problem, constraints=rows, residual_bound=residual_bound)
+    factor = whitened_factor(A, b, sigma=sigma)
+    problem = build_problem(factor, prior, constraints=bodies, extra_bounds=extra_bounds)
+    problem = replace(problem, residual_bound=residual_bound)
     fit = kind.solve(problem, prior, 1.0 if gamma is None else gamma, solver)
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
     return IdentificationResult(
@@ -187,7 +187,24 @@ def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraint
     return replace(constraints, **{k: v for k, v in given.items() if v is not None})
 
 
-def _problem(factor: Array, prior: Array, extra_bounds: ArrayLike | None) -> FitProblem:
+def build_problem(
+    factor: Array,
+    prior: Array,
+    *,
+    constraints: BodyConstraints | None = None,
+    extra_bounds: ArrayLike | None = None,
+) -> FitProblem:
+    """The fit of bodies and extra parameters to data, without a regularizer.
+
+    Args:
+        factor: (k, 10·nb + extra + 1) factor of the data, as of `whitened_factor`.
+        prior: (nb, 10) physical prior.
+        constraints: Constraints on the bodies.
+        extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
+
+    Raises:
+        ArgumentError: Shapes do not match, or a constraint is impossible.
+    """
     p = factor.shape[1] - 1
     extra = p - prior.size
     if extra < 0:
@@ -204,6 +221,7 @@ def _problem(factor: Array, prior: Array, extra_bounds: ArrayLike | None) -> Fit
         inertia_blocks=tuple(range(0, prior.size, PARAMETERS_PER_BODY)),
         prior_mean=np.append(prior.ravel(), np.zeros(extra)),
         prior_information=np.zeros((p, p)),
+        constraints=(constraints or BodyConstraints()).rows(prior, p),
         margin=_MARGIN,
         **limits,
     )

@@ -28,6 +28,11 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
     Raises:
         ArgumentError: Shapes do not match, or there is a non-finite or non-positive value.
     """
+    return triangular_factor([whitened(A, b, sigma=sigma)])
+
+
+def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
+    """The rows [A | b]/σ, (m, p + 1); arguments and errors as of `whitened_factor`."""
     A = checked("A", A, (None, None))
     b = checked("b", b, (len(A),))
     data = np.column_stack([A, b])
@@ -41,7 +46,7 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
                 advice="Give standard deviations in the units of b, all above zero.",
             )
         data = data / np.broadcast_to(deviations, b.shape)[:, None]
-    return triangular_factor([data])
+    return data
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

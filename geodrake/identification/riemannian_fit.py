@@ -11,6 +11,7 @@ from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
 from geodrake.identification.fit import FitResult
 from geodrake.identification.interior_point import Minimum, Region, minimize
+from geodrake.identification.local_minima import LocalMinima, RiemannianFit
 from geodrake.identification.log_distance import LogCost
 from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.inertia import Array
@@ -20,59 +21,12 @@ _MARGINS = (1e-4, 1e-6, 1e-8)
 """Shares of a constraint's scale by which a start is kept inside it; the first feasible one."""
 
 _WARM = 1e-6
-_SAME = 1e-4
-"""Geodesic distance within which two minima count as one."""
-
 _MEETS = 1e-9
 """Relative difference of the residual from its bound."""
 
 _MOST_TRIALS = 60
 _FARTHEST = 1.5
 """Standard deviation of the logarithms of mass and moments in random starts, at most."""
-
-
-@dataclass(frozen=True, eq=False)
-class LocalMinima:
-    """Where the starts led to.
-
-    Attributes:
-        starts: Names of the starts.
-        costs: (n,) cost reached from each start, at the γ of the solution; inf where the search
-            failed.
-        distances: (n,) geodesic distance of what each start led to from the best.
-        strict: Whether the best is a strict local minimum: its Hessian is positive definite.
-    """
-
-    starts: tuple[str, ...]
-    costs: Array
-    distances: Array
-    strict: bool
-
-    @property
-    def agree(self) -> bool:
-        """Whether all starts led to the same minimum."""
-        return bool((self.distances < _SAME).all())
-
-    @property
-    def distinct(self) -> int:
-        """Number of different minima that were found, told apart by their costs."""
-        found = np.sort(self.costs[np.isfinite(self.costs)])
-        apart = self.distances[np.isfinite(self.costs)]
-        if (apart < _SAME).all():
-            return 1
-        scale = max(abs(found[0]), np.finfo(float).tiny)
-        return 1 + int(np.count_nonzero(np.diff(found) > 1e-9 * scale))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RiemannianFit(FitResult):
-    """A `FitResult` of a problem that may have several minima.
-
-    Attributes:
-        minima: What the starts led to.
-    """
-
-    minima: LocalMinima
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from pydrake.solvers import (
     ClarabelSolver,
+    CsdpSolver,
     MathematicalProgram,
     MathematicalProgramResult,
+    MosekSolver,
     ScsSolver,
     SolutionResult,
     SolverInterface,
@@ -17,7 +22,10 @@ from geodrake.errors import ArgumentError, IdentificationError
 SOLVERS: dict[str, type[SolverInterface]] = {
     "clarabel": ClarabelSolver,
     "scs": ScsSolver,
+    "csdp": CsdpSolver,
+    "mosek": MosekSolver,
 }
+"""SCS and CSDP are there to cross-check; CSDP takes no exponential cones, so no entropic fits."""
 
 _EXACT: dict[str, dict[str, float | int]] = {
     "clarabel": {
@@ -89,7 +97,18 @@ def run_solver(
     """
     usable = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
     if solver not in usable:
-        raise ArgumentError(f"No solver '{solver}' here; there are {', '.join(usable)}.")
+        reason = " MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
+        raise ArgumentError(
+            f"No solver '{solver}' here; there are {', '.join(usable)}.", advice=reason.strip()
+        )
+    if solver == "csdp":
+        program = _without_squares(program)
+    if not SOLVERS[solver]().AreProgramAttributesSatisfied(program):
+        raise ArgumentError(
+            f"{solver} cannot solve this kind of program: "
+            f"{SOLVERS[solver]().ExplainUnsatisfiedProgramAttributes(program)}",
+            advice="Use clarabel, or scs as a cross-check.",
+        )
     # The last digits may be out of reach of rounding; a little less is good enough then.
     for tolerances in (_ROUGH,) if rough else (_EXACT, _GOOD):
         options = SolverOptions()
@@ -108,3 +127,36 @@ def run_solver(
         solver=solver,
         status=status.name,
     )
+
+
+def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
+    """Multiplier of a Lorentz cone's bound, of which residual bounds need one for their γ.
+
+    Raises:
+        ArgumentError: The solver gives none.
+    """
+    try:
+        return abs(float(result.GetDualSolution(cone)[0]))
+    except ValueError:
+        raise ArgumentError(
+            f"{result.get_solver_id().name()} gives no multipliers, which a residual bound needs.",
+            advice="Use gamma with this solver, or clarabel with residual_bound.",
+        ) from None
+
+
+def _without_squares(program: MathematicalProgram) -> MathematicalProgram:
+    """The same program with a cone t ≥ ½ zᵀQz and the cost t for each quadratic cost."""
+    program = program.Clone()
+    for binding in program.quadratic_costs():
+        cost, z = binding.evaluator(), binding.variables()
+        values, vectors = np.linalg.eigh(cost.Q())
+        root = vectors[:, values > 0] * np.sqrt(values[values > 0])
+        t = program.NewContinuousVariables(1, "t")
+        # (t, 1, u/√2) in the rotated cone means t ≥ ½ uᵀu.
+        matrix = np.zeros((2 + root.shape[1], len(z) + 1))
+        matrix[0, -1], matrix[2:, :-1] = 1.0, np.sqrt(0.5) * root.T
+        offset = np.eye(len(matrix))[1]
+        program.AddRotatedLorentzConeConstraint(matrix, offset, np.append(z, t))
+        program.AddLinearCost(np.append(cost.b(), 1.0), cost.c(), np.append(z, t))
+        program.RemoveCost(binding)
+    return program

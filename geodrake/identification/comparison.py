@@ -1,0 +1,105 @@
+"""Regularizers compared fairly: all of them with the same residual ([Lee2019] §3.5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypedDict, Unpack
+
+from numpy.typing import ArrayLike
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.constraints import BodyConstraints
+from geodrake.identification.identify import (
+    REGULARIZERS,
+    IdentificationResult,
+    identify,
+    regularizer_of,
+)
+from geodrake.identification.regularizer import Regularizer
+
+EQUAL = 1e-5
+"""Greatest relative difference of two residuals that counts as none."""
+
+
+class IdentifyOptions(TypedDict, total=False):
+    """Arguments of `identify` that are the same for all regularizers."""
+
+    sigma: ArrayLike | None
+    ellipsoids: ArrayLike | None
+    total_mass: float | None
+    extra_bounds: ArrayLike | None
+    constraints: BodyConstraints | None
+    solver: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RegularizerComparison:
+    """Solutions of equal residual.
+
+    Attributes:
+        results: Name of the regularizer -> its solution, in the order asked for.
+        reference: Name of the regularizer whose γ was given.
+        gamma: That γ.
+        residual: The residual that all have, to 1e-5.
+    """
+
+    results: Mapping[str, IdentificationResult]
+    reference: str
+    gamma: float
+    residual: float
+
+
+def compare_regularizers(
+    A: ArrayLike,
+    b: ArrayLike,
+    prior: ArrayLike,
+    *,
+    gamma: float,
+    reference: str | Regularizer = "entropic",
+    regularizers: Sequence[str | Regularizer] = tuple(REGULARIZERS),
+    **options: Unpack[IdentifyOptions],
+) -> RegularizerComparison:
+    """Solve with one regularizer and its γ, and with the others for the same residual.
+
+    The same γ would not be fair, as distances differ in size. Solutions of the same residual fit
+    the training data equally well, and differ in what they take from the prior (Proposition A.5).
+    The Riemannian one is not convex: its γ is one for which a local minimum has that residual.
+
+    Args:
+        A: (m, 10·nb + extra) regressor.
+        b: (m,) measurements.
+        prior: (nb, 10) physical inertial parameters.
+        gamma: γ > 0 of the reference.
+        reference: The regularizer that γ belongs to.
+        regularizers: Names or regularizers to compare, such as `PointMassKL(points)`.
+        **options: Further arguments of `identify`, the same for all.
+
+    Raises:
+        ArgumentError: An argument is wrong, or two regularizers have the same name.
+        IdentificationError: A solver failed, or a residual differs by more than 1e-5.
+    """
+    kinds = [regularizer_of(regularizer) for regularizer in regularizers]
+    names = [kind.name for kind in kinds]
+    if len(set(names)) < len(names):
+        raise ArgumentError(f"Each regularizer can be compared once; got {', '.join(names)}.")
+    first_kind = regularizer_of(reference)
+    first = identify(A, b, prior, regularizer=first_kind, gamma=gamma, **options)
+    results = {}
+    for kind in kinds:
+        result = first
+        if kind.name != first_kind.name:
+            bound = first.residual
+            result = identify(A, b, prior, regularizer=kind, residual_bound=bound, **options)
+        if abs(result.residual - first.residual) > EQUAL * first.residual:
+            raise IdentificationError(
+                f"{kind.name} has the residual {result.residual:.6g} instead of "
+                f"{first.residual:.6g}: its closest parameters to the prior already fit better.",
+                advice="Lower gamma: with so strong a prior there is nothing to compare.",
+                residual=result.residual,
+                reference=first.residual,
+            )
+        results[kind.name] = result
+    return RegularizerComparison(
+        results=results, reference=first_kind.name, gamma=gamma, residual=first.residual
+    )

@@ -1,0 +1,138 @@
+"""Geodesic projections of bodies onto hyperplanes aᵀΦ = b ([Lee2019] Proposition 3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import lambertw
+
+from geodrake.inertia import Array, pseudo_inertia_basis
+
+_ROOT = 1e-14
+_MOST_STEPS = 200
+_BRANCH = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Projections:
+    """Projections of one set of bodies onto m hyperplanes.
+
+    Attributes:
+        exists: (m,) whether there is one within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
+        velocities: (m, nb, 4, 4) symmetric matrices Q with P̂ = L exp(Q) Lᵀ, where P = L Lᵀ; zero
+            where there is no projection.
+        normals: (m, nb, 4, 4) matrices Lᵀ X L, the gradients of tr(P X).
+    """
+
+    exists: NDArray[np.bool_]
+    velocities: Array
+    normals: Array
+
+    @property
+    def half_squared_distances(self) -> Array:
+        """½ d², (m,)."""
+        return 0.5 * np.square(self.velocities).sum((1, 2, 3))
+
+
+def covectors(A: Array) -> Array:
+    """Symmetric X with aᵀ Φ = Σ_j tr(P(φ_j) X_j) for rows a of A (m, 10·nb); (m, nb, 4, 4).
+
+    [Lee2019] Eq. (B.1.8).
+    """
+    basis = pseudo_inertia_basis()
+    gram = np.einsum("iab,jab->ij", basis, basis)
+    dual = np.einsum("ij,jab->iab", np.linalg.inv(gram), basis)
+    return np.asarray(np.einsum("mbi,ijk->mbjk", A.reshape(len(A), -1, len(basis)), dual))
+
+
+def project(roots: Array, X: Array, b: Array) -> Projections:
+    """Projections of bodies P_j = L_j L_jᵀ onto the hyperplanes Σ_j tr(P_j X_ij) = b_i.
+
+    Args:
+        roots: (nb, 4, 4) matrices L.
+        X: (m, nb, 4, 4) symmetric matrices, as of `covectors`.
+        b: (m,) values.
+    """
+    normals = np.swapaxes(roots, -1, -2) @ X @ roots
+    values, axes = np.linalg.eigh(normals)
+    sigma = values.reshape(len(b), -1)
+    multiplier, exists = _multipliers(sigma, b)
+    rates = -_lambert(multiplier[:, None] * sigma).reshape(values.shape)
+    rates[~exists] = 0.0
+    velocities = (axes * rates[..., None, :]) @ np.swapaxes(axes, -1, -2)
+    return Projections(exists, velocities, normals)
+
+
+def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Roots λ (m,) of C(λ) = Σ_k σ_k exp(−W(λ σ_k)) − b, and whether there are any.
+
+    [Lee2019] Eq. (3.4.40): C decreases from one end of the interval where all λ σ_k ≥ −1/e to the
+    other, so that its values there tell whether it has a root. Newton's method, kept in a bracket.
+    """
+    scale = np.abs(sigma).max(1)
+    usable = scale > 0
+    safe = np.where(usable, scale, 1.0)
+    sigma, b = sigma / safe[:, None], b / safe
+    low, high = -_limit(sigma.max(1)), _limit(-sigma.min(1))
+    ends = [
+        np.where(np.isfinite(end), _excess(sigma, b, np.where(np.isfinite(end), end, 0.0)), -b)
+        for end in (low, high)
+    ]
+    # At an infinite end C comes close to −b, but does not reach it.
+    above = np.where(np.isfinite(low), ends[0] >= 0, ends[0] > 0)
+    below = np.where(np.isfinite(high), ends[1] <= 0, ends[1] < 0)
+    exists = usable & above & below
+    at = (sigma.sum(1) - b) / np.where(usable, np.square(sigma).sum(1), 1.0)
+    at = np.where((at > low) & (at < high), at, _middle(low, high))
+    active, last = exists.copy(), np.full(len(b), np.inf)
+    for _ in range(_MOST_STEPS):
+        rows = np.flatnonzero(active)
+        if not len(rows):
+            break
+        s, x = sigma[rows], at[rows]
+        decay = np.exp(-_lambert(x[:, None] * s))
+        error = (s * decay).sum(1) - b[rows]
+        low[rows] = np.where(error > 0, x, low[rows])
+        high[rows] = np.where(error > 0, high[rows], x)
+        slope = (np.square(s * decay) / np.maximum(1.0 - np.log(decay), 1e-12)).sum(1)
+        following = x + error / slope
+        # At the ends C falls so steeply that Newton's steps are short: halve instead.
+        poor = (following <= low[rows]) | (following >= high[rows])
+        poor |= np.abs(error) > 0.5 * last[rows]
+        last[rows] = np.abs(error)
+        met = np.abs(error) <= _ROOT * (1.0 + np.abs(b[rows]))
+        narrow = high[rows] - low[rows] <= _ROOT * np.abs(x)
+        active[rows] = ~(met | narrow)
+        following = np.where(poor, _middle(low[rows], high[rows]), following)
+        at[rows] = np.where(met | narrow, x, following)
+    return np.where(exists, at, 0.0) / safe, exists
+
+
+def _limit(sigma: Array) -> Array:
+    """g(σ) of [Lee2019] Proposition 3.2."""
+    positive = sigma > 0
+    return np.where(positive, 1.0 / (np.e * np.where(positive, sigma, 1.0)), np.inf)
+
+
+def _middle(low: Array, high: Array) -> Array:
+    """A point between ends that may be infinite."""
+    bounded = np.isfinite(low) & np.isfinite(high)
+    inner = 0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0))
+    upwards = 2.0 * np.where(np.isfinite(low), low, 0.0) + 1.0
+    downwards = 2.0 * np.where(np.isfinite(high), high, 0.0) - 1.0
+    return np.where(bounded, inner, np.where(np.isfinite(low), upwards, downwards))
+
+
+def _excess(sigma: Array, b: Array, at: Array) -> Array:
+    return (sigma * np.exp(-_lambert(at[:, None] * sigma))).sum(1) - b
+
+
+def _lambert(x: Array) -> Array:
+    """W(x) ≥ −1 with W eᵂ = x ≥ −1/e; by a series close to −1/e, where SciPy's is not a number."""
+    beyond = np.maximum(1.0 + np.e * x, 0.0)
+    near = beyond < _BRANCH
+    p = np.sqrt(2.0 * np.where(near, beyond, 0.0))
+    series = -1.0 + p * (1.0 - p * (1.0 / 3.0 - p * (11.0 / 72.0 - p * 43.0 / 540.0)))
+    return np.where(near, series, lambertw(np.where(near, 0.0, x)).real)

@@ -1,0 +1,165 @@
+"""Least squares without a regularizer, where the data alone must tell all parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import qr, solve_triangular
+
+from geodrake.errors import IdentificationError
+from geodrake.identification.constraints import BodyConstraints
+from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.identify import build_problem, physical_prior
+from geodrake.identification.problem import whitened_factor
+from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
+
+_RANK = 1e-10
+_NAMED, _MOST_PARTS = 4, 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LeastSquaresResult:
+    """A solution of ‖A x − b‖²_{Σ⁻¹} → min.
+
+    Attributes:
+        x: (p,) parameters; not all of them may be physical.
+        residual: Their squared residual, the least there is.
+        rank: Number of parameters or combinations that the data tell.
+        directions: (p − rank, p) directions that leave A x as it is.
+    """
+
+    x: Array
+    residual: float
+    rank: int
+    directions: Array
+
+
+def least_squares(
+    A: ArrayLike,
+    b: ArrayLike,
+    *,
+    sigma: ArrayLike | None = None,
+    bodies: int = 0,
+    minimum_norm: bool = False,
+) -> LeastSquaresResult:
+    """Unconstrained least squares ([Lee2019] Eq. (3.2.15)).
+
+    Args:
+        A: (m, p) regressor.
+        b: (m,) measurements.
+        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
+        bodies: Number of bodies whose 10 parameters come first, to name directions by.
+        minimum_norm: Whether to take the x of least norm where the data do not tell x; the norm
+            depends on units and frames.
+
+    Raises:
+        ArgumentError: A shape or value is wrong.
+        IdentificationError: The data do not tell x; `directions` of its evidence holds what they
+            leave open, a row each.
+    """
+    factor = whitened_factor(A, b, sigma=sigma)
+    directions = open_directions(factor)
+    if len(directions) and not minimum_norm:
+        raise _undetermined(directions, bodies)
+    R, r = factor[:, :-1], factor[:, -1]
+    norms = np.linalg.norm(R, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    x = np.linalg.lstsq(R / scale, r, rcond=_RANK)[0] / scale
+    if len(directions):
+        # Of all solutions the one without a part in the open directions.
+        basis = np.linalg.qr(directions.T)[0]
+        x = x - basis @ (basis.T @ x)
+    errors = R @ x - r
+    rank = R.shape[1] - len(directions)
+    return LeastSquaresResult(
+        x=x, residual=float(errors @ errors), rank=rank, directions=directions
+    )
+
+
+def physical_least_squares(
+    A: ArrayLike,
+    b: ArrayLike,
+    prior: ArrayLike,
+    *,
+    sigma: ArrayLike | None = None,
+    extra_bounds: ArrayLike | None = None,
+    constraints: BodyConstraints | None = None,
+    solver: str = "clarabel",
+) -> FitResult:
+    """Least squares over physical bodies only, with P(φ) ≻ 0 and nothing else known.
+
+    [Lee2019] §3.2.2: the solution often lies at the boundary of physical bodies (`active_blocks`).
+
+    Args:
+        A: (m, 10·nb + extra) regressor.
+        b: (m,) measurements.
+        prior: (nb, 10) physical bodies of about the right size, that the program is scaled by.
+        sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
+        extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
+        constraints: Constraints on the bodies.
+        solver: A name of `SOLVERS`.
+
+    Raises:
+        ArgumentError: A shape or value is wrong.
+        IdentificationError: The data do not tell all parameters, or the solver failed.
+    """
+    prior = physical_prior(prior)
+    factor = whitened_factor(A, b, sigma=sigma)
+    problem = build_problem(factor, prior, constraints=constraints, extra_bounds=extra_bounds)
+    directions = open_directions(factor)
+    if len(directions):
+        raise _undetermined(directions, len(prior))
+    return solve_fit(problem, solver=solver)
+
+
+def open_directions(factor: Array) -> Array:
+    """Directions (k, p) that leave ‖R x − r‖ as it is, each as few parameters as can be.
+
+    Args:
+        factor: (n, p + 1) factor [R r] of the data.
+
+    Returns:
+        Rows of greatest value 1; none if the data tell all parameters.
+    """
+    R = factor[:, :-1]
+    p = R.shape[1]
+    norms = np.linalg.norm(R, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    _, triangle, order = qr(R / scale, mode="economic", pivoting=True)
+    diagonal = np.abs(np.diagonal(triangle))
+    rank = int(np.count_nonzero(diagonal > _RANK * max(diagonal.max(initial=0.0), _RANK)))
+    directions = np.zeros((p - rank, p))
+    directions[range(p - rank), order[rank:]] = 1.0
+    if 0 < rank < p:
+        shares = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:])
+        directions[:, order[:rank]] = -np.where(np.abs(shares) > 1e-9, shares, 0.0).T
+    directions /= scale
+    return np.asarray(directions / np.abs(directions).max(1, initial=0.0, keepdims=True))
+
+
+def _undetermined(directions: Array, bodies: int) -> IdentificationError:
+    count, p = directions.shape
+    named = "; ".join(_described(direction, bodies) for direction in directions[:_NAMED])
+    more = f"; and {count - _NAMED} more" if count > _NAMED else ""
+    return IdentificationError(
+        f"The data do not tell {count} of {p} directions of the parameters: {named}{more}.",
+        advice="Use a regularizer, which takes them from the prior, or richer motion; "
+        "minimum_norm=True of `least_squares` sets them to zero.",
+        directions=directions,
+    )
+
+
+def _described(direction: Array, bodies: int) -> str:
+    """The greatest parts of a direction, by name."""
+    order = np.argsort(-np.abs(direction), kind="stable")
+    parts = [i for i in order if abs(direction[i]) > 1e-6]
+    text = " ".join(f"{direction[i]:+.2g} {_name(int(i), bodies)}" for i in parts[:_MOST_PARTS])
+    return f"{text} …" if len(parts) > _MOST_PARTS else text
+
+
+def _name(column: int, bodies: int) -> str:
+    if column >= PARAMETERS_PER_BODY * bodies:
+        return f"x[{column}]"
+    return f"{PARAMETER_NAMES[column % PARAMETERS_PER_BODY]}[{column // PARAMETERS_PER_BODY}]"

@@ -1,0 +1,179 @@
+"""Regularizers of point masses: the distance of their masses from the prior ones."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from pydrake.solvers import MathematicalProgram
+from scipy.special import rel_entr
+
+from geodrake.errors import ArgumentError
+from geodrake.identification.coordinates import Coordinates
+from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
+from geodrake.identification.point_mass import PointMasses
+from geodrake.identification.point_mass_program import PointMassProgram
+from geodrake.identification.problem import FitProblem, LinearConstraints
+from geodrake.identification.regularizer import Regularizer
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+
+_SAME_PRIOR = 1e-6
+_SPENT = 1e-5
+"""Share of its prior below which a point mass cannot get any less."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointMassFit(FitResult):
+    """A `FitResult` with the masses behind its inertial parameters.
+
+    Attributes:
+        masses: (N,) masses μ, kg, of all bodies in a row.
+    """
+
+    masses: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PointMassRegularizer(Regularizer):
+    """A distance of masses μ ≥ 0 from their prior ones, with Φ = R μ.
+
+    The prior of `identify` must be `points.parameters()`. Masses are kept above a millionth of
+    their prior, so that every body is strictly physical.
+
+    Attributes:
+        points: The points and their prior masses.
+    """
+
+    points: PointMasses
+
+    @abstractmethod
+    def distance(self, masses: Array) -> float:
+        """d(μ, ⁰μ)² of masses (N,)."""
+
+    @abstractmethod
+    def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
+        """Adds weight · d² of μ = shares ∘ ⁰μ, as a convex cost.
+
+        Args:
+            program: The program.
+            shares: (N,) its variables μ / ⁰μ.
+            weight: Weight of the cost.
+        """
+
+    @abstractmethod
+    def mobility(self, masses: Array) -> Array:
+        """(N,) inverse of half the second derivatives of d² at masses (N,)."""
+
+    def divergence(self, phi: Array, prior: Array) -> float:
+        """The least d² of masses with the inertial parameters Φ (nb, 10)."""
+        p = phi.size
+        problem = FitProblem(
+            factor=np.zeros((1, p + 1)),
+            inertia_blocks=tuple(range(0, p, PARAMETERS_PER_BODY)),
+            prior_mean=prior.ravel(),
+            prior_information=np.zeros((p, p)),
+            constraints=LinearConstraints(matrix=np.eye(p), lower=phi.ravel(), upper=phi.ravel()),
+        )
+        return self.distance(self.solve(problem, prior, 1.0, "clarabel").masses)
+
+    def divergence_of(self, fit: FitResult, prior: Array) -> float:
+        """d² at a solution of `solve`."""
+        if isinstance(fit, PointMassFit):
+            return self.distance(fit.masses)
+        return super().divergence_of(fit, prior)
+
+    def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
+        """The problem with γ d² to second order around the prior; `solve` is exact."""
+        return self._informed(problem, gamma, self.points.prior)
+
+    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> PointMassFit:
+        """The masses that fit best, by Drake's conic solver of that name.
+
+        Raises:
+            ArgumentError: The prior is not that of the points, or no masses reach the residual.
+            IdentificationError: The solver found no solution.
+        """
+        begin = time.perf_counter()
+        self._check(prior)
+        check_residual_bound(problem)
+        program = PointMassProgram.of(self.points, problem)
+        # The first solution only says how to scale the cost for the second.
+        scale = 1e-2 * gamma * self.distance(0.0 * self.points.prior)
+        for rough in (True, False):
+            v, weight = program.solve(self.add_cost, solver, gamma, scale, rough=rough)
+            masses = program.masses(v)
+            cost = gamma * self.distance(masses)
+            cost += program.excess(v) if problem.residual_bound is None else 0.0
+            scale = max(cost, 1e-4 * scale)
+        x = np.clip(program.parameters(v), problem.lower, problem.upper)
+        coordinates = Coordinates.of(self._informed(problem, gamma, masses))
+        fit = fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
+        return PointMassFit(**vars(fit), masses=masses)
+
+    def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
+        """With (R M Rᵀ)⁻¹ as information, for mobilities M of masses that are not spent."""
+        R = self.points.matrix()
+        free = self.mobility(masses) * (masses > _SPENT * self.points.prior)
+        information = problem.prior_information.copy()
+        information[: len(R), : len(R)] += gamma * np.linalg.pinv((R * free) @ R.T, hermitian=True)
+        return replace(problem, prior_information=information)
+
+    def _check(self, prior: Array) -> None:
+        own = self.points.parameters()
+        if own.shape != prior.shape or not np.allclose(
+            own, prior, rtol=_SAME_PRIOR, atol=_SAME_PRIOR * float(np.abs(prior).max())
+        ):
+            raise ArgumentError(
+                f"The prior of shape {prior.shape} is not that of the point masses, whose shape is "
+                f"{own.shape}.",
+                advice="Pass points.parameters() as the prior, or make points that have this one "
+                "with PointMasses.of_bodies(prior).",
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class PointMassEuclidean(PointMassRegularizer):
+    """d² = ‖μ − ⁰μ‖² ([Lee2019] Eq. (3.5.54)), in kg²."""
+
+    name: ClassVar[str] = "point_mass_euclidean"
+
+    def distance(self, masses: Array) -> float:
+        """d(μ, ⁰μ)² of masses (N,)."""
+        return float(np.square(masses - self.points.prior).sum())
+
+    def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
+        """Adds weight · d² of μ = shares ∘ ⁰μ."""
+        squares = 2.0 * weight * self.points.prior**2
+        program.AddQuadraticCost(np.diag(squares), -squares, 0.5 * squares.sum(), shares, True)
+
+    def mobility(self, masses: Array) -> Array:
+        """(N,) inverse of half the second derivatives of d²."""
+        return np.ones_like(masses)
+
+
+@dataclass(frozen=True, eq=False)
+class PointMassKL(PointMassRegularizer):
+    """d² = Σ μ log(μ/⁰μ) + ⁰μ − μ, the generalized KL divergence, in kg ([Lee2019] (3.7.87))."""
+
+    name: ClassVar[str] = "point_mass_kl"
+
+    def distance(self, masses: Array) -> float:
+        """d(μ ‖ ⁰μ)² of masses (N,)."""
+        prior = self.points.prior
+        return float((rel_entr(masses, prior) + prior - masses).sum())
+
+    def add_cost(self, program: MathematicalProgram, shares: Any, weight: float) -> None:
+        """Adds weight · d² of μ = shares ∘ ⁰μ: t ≥ s log s just when 1 ≥ s exp(−t/s)."""
+        t = program.NewContinuousVariables(len(shares), "t")
+        cone, offset = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]]), np.array([1.0, 0.0, 0.0])
+        for pair in zip(shares, t, strict=True):
+            program.AddExponentialConeConstraint(cone, offset, np.array(pair))
+        weights = weight * self.points.prior
+        program.AddLinearCost(np.append(weights, -weights), weights.sum(), np.append(t, shares))
+
+    def mobility(self, masses: Array) -> Array:
+        """(N,) inverse of half the second derivatives of d²."""
+        return 2.0 * masses

@@ -1,0 +1,122 @@
+"""Point masses: exact priors, both regularizers against scipy, both forms, and what is refused."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize, nnls
+
+from geodrake.errors import ArgumentError
+from geodrake.identification import (
+    BodyConstraints,
+    PointMasses,
+    PointMassEuclidean,
+    PointMassKL,
+    identify,
+)
+from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia
+
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
+)
+POINTS = PointMasses.of_bodies(PRIOR, [40, 25])
+KINDS = [PointMassEuclidean, PointMassKL]
+
+
+def data(seed, *, rows=15, extra=0, noise=0.1):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    phi = PRIOR * rng.uniform(0.6, 1.5, (2, 1))
+    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+
+
+def test_points_have_the_bodies_parameters():
+    np.testing.assert_allclose(POINTS.parameters(), PRIOR, rtol=1e-12, atol=1e-14)
+    # R is the sum of point masses as the definition of P has it.
+    mu = np.random.default_rng(0).uniform(0.0, 1.0, 65)
+    phi = POINTS.parameters(mu)
+    for body, places, part in zip(phi, POINTS.positions, np.split(mu, [40]), strict=True):
+        homogeneous = np.column_stack([places, np.ones(len(places))])
+        expected = np.einsum("n,ni,nj->ij", part, homogeneous, homogeneous)
+        np.testing.assert_allclose(pseudo_inertia(body), expected, rtol=1e-12, atol=1e-15)
+    # They fill the uniform ellipsoid, whose semi-axes are √(5 λ(Σᶜ)/m), and little beyond.
+    com = PRIOR[0, 1:4] / PRIOR[0, 0]
+    spread = pseudo_inertia(PRIOR[0])[:3, :3] / PRIOR[0, 0] - np.outer(com, com)
+    radius = np.linalg.norm(
+        np.linalg.solve(np.linalg.cholesky(spread), (POINTS.positions[0] - com).T), axis=0
+    ) / np.sqrt(5.0)
+    assert radius.max() < 1.15 and radius.min() < 0.5
+
+
+def test_euclidean_masses_are_those_of_nonnegative_least_squares():
+    A, b = data(1)
+    gamma = 0.05
+    result = identify(A, b, PRIOR, regularizer=PointMassEuclidean(POINTS), gamma=gamma)
+    root = np.sqrt(gamma)
+    stacked = np.vstack([A @ POINTS.matrix(), root * np.eye(65)])
+    mu, norm = nnls(stacked, np.append(b, root * POINTS.prior))
+    assert result.residual + gamma * result.divergence == pytest.approx(norm**2, rel=1e-6)
+    assert (mu == 0).any(), "no mass is spent: a weak test"
+    np.testing.assert_allclose(result.fit.masses, mu, atol=1e-5)
+    np.testing.assert_allclose(result.phi, POINTS.parameters(mu), atol=1e-4)
+
+
+def test_kl_masses_are_those_of_the_dual_problem():
+    """μ = ⁰μ exp(−Rᵀ Aᵀ y/γ), where y maximizes the concave dual: an independent derivation."""
+    A, b = data(2)
+    gamma, B = 0.3, A @ POINTS.matrix()
+
+    def dual(y):
+        mu = POINTS.prior * np.exp(-B.T @ y / gamma)
+        value = gamma * mu.sum() + 0.25 * y @ y + y @ b
+        return value, 0.5 * y + b - B @ mu
+
+    y = minimize(dual, np.zeros(len(b)), jac=True, method="BFGS", options={"gtol": 1e-10}).x
+    mu = POINTS.prior * np.exp(-B.T @ y / gamma)
+    result = identify(A, b, PRIOR, regularizer=PointMassKL(POINTS), gamma=gamma)
+    np.testing.assert_allclose(result.fit.masses, mu, rtol=1e-4, atol=1e-7)
+    kl = np.sum(mu * np.log(mu / POINTS.prior) + POINTS.prior - mu)
+    assert result.divergence == pytest.approx(kl, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_point_to_set_is_the_regularized_form_of_its_gamma(kind):
+    A, b = data(3, extra=1)
+    options = {"regularizer": kind(POINTS), "extra_bounds": [[0.0, np.inf]], "sigma": 0.5}
+    first = identify(A, b, PRIOR, gamma=0.7, **options)
+    bound = identify(A, b, PRIOR, residual_bound=first.residual, **options)
+    assert bound.residual == pytest.approx(first.residual, rel=1e-6)
+    assert bound.gamma == pytest.approx(0.7, rel=1e-3)
+    np.testing.assert_allclose(bound.phi, first.phi, atol=1e-4)
+    assert is_physical(bound.phi).all() and bound.extra[0] >= 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_divergence_of_parameters_is_the_least_of_any_masses(kind):
+    A, b = data(4)
+    result = identify(A, b, PRIOR, regularizer=kind(POINTS), gamma=0.5)
+    again = kind(POINTS).divergence(result.phi, PRIOR)
+    assert again == pytest.approx(result.divergence, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_constraints_hold(kind):
+    A, b = data(5)
+    bounds = BodyConstraints(mass_bounds=[[4.2, 4.3], [0.0, 2.0]], total_mass=5.0)
+    result = identify(A, b, PRIOR, regularizer=kind(POINTS), gamma=0.5, constraints=bounds)
+    assert result.phi[:, 0].sum() == pytest.approx(5.0, rel=1e-7)
+    assert 4.2 - 1e-6 <= result.phi[0, 0] <= 4.3 + 1e-6
+
+
+def test_bad_points_are_refused():
+    A, b = data(6)
+    with pytest.raises(ArgumentError, match="counts must be at least 10"):
+        PointMasses.of_bodies(PRIOR, 5)
+    with pytest.raises(ArgumentError, match=r"Bodies \[1\] have no points, or prior masses"):
+        PointMasses(POINTS.positions, (POINTS.masses[0], -POINTS.masses[1]))
+    with pytest.raises(ArgumentError, match=r"masses\[1\] must have shape \(25\); got \(40,\)"):
+        PointMasses(POINTS.positions, (POINTS.masses[0], POINTS.masses[0]))
+    with pytest.raises(ArgumentError, match="Masses are needed for each of the 2"):
+        PointMasses(POINTS.positions, POINTS.masses[:1])
+    with pytest.raises(ArgumentError, match=r"points\.parameters\(\) as the prior"):
+        identify(A, b, 1.1 * PRIOR, regularizer=PointMassKL(POINTS), gamma=1.0)

@@ -1,0 +1,43 @@
+"""The human study: the source's residual, equal for all, and bodies that stay bodies."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = ROOT / "diagrams" / "human_identification.py"
+DATA = ROOT.parent / "shared" / "data" / "human_force_plate.npz"
+
+
+def run(*arguments):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
+    command = [sys.executable, str(SCRIPT), *map(str, arguments)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="the human's measurements are not here")
+def test_residuals_and_bodies(tmp_path):
+    done = run("--quick", "--json", tmp_path / "table.json", "--figures", tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "table.json").read_text(encoding="utf-8"))
+    assert len(rows) == 8
+    for row in rows:
+        assert abs(row["mismatch"]) < 1e-5
+        if row["alpha"] == 0.01:
+            assert row["residual"] == pytest.approx(1331878.41, rel=1e-6)
+        if row["regularizer"] == "euclidean":
+            assert len(row["degenerate"]) >= 8  # as in figure 3.13
+        else:
+            assert not row["degenerate"] and row["least"] > 0.1
+        assert row["starts_agree"] in ((True,) if row["regularizer"] == "riemannian" else (None,))
+    assert len(list(tmp_path.glob("human_*.png"))) == 3
+
+
+def test_absent_measurements_are_said_clearly(tmp_path):
+    done = run("--data", tmp_path / "nothing.npz")
+    assert done.returncode == 2
+    assert "no measurements of a human" in done.stderr and "Traceback" not in done.stderr
