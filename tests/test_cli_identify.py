@@ -254,6 +254,7 @@ def test_effects_by_name():
         (("--gamma", "nan"), "gamma must be positive"),
         (("--gamma", "1", "--residual-bound", "1.1"), "Give one of them"),
         (("--residual-bound", "0.9"), "must be above 1"),
+        (("--total-mass", "-1"), "total mass must be positive, in kg; got -1"),
         (("--effects", "friction"), "Did you mean"),
         (("--effects", "payload"), "payload cannot be everywhere. Say on which body it is"),
         (("--effects", "payload@hand"), "no body 'hand'"),
@@ -282,6 +283,36 @@ def test_an_unreachable_residual_is_refused(log, monkeypatch):
     monkeypatch.setattr("geodrake.identification.log_fits.identify", failing)
     message = refused(MODEL, log, "--residual-bound", "1.0001")
     assert "Raise the bound, or give gamma instead" in message
+
+
+def test_too_small_a_weight_names_the_body(log, monkeypatch):
+    def failing(*_arguments, **_settings):
+        raise IdentificationError("The solver's parameters are not physical.", columns=[10])
+
+    monkeypatch.setattr("geodrake.identification.log_fits.identify", failing)
+    message = refused(MODEL, log, "--gamma", "1e-9")
+    assert "(lower_link)" in message
+    assert "larger gamma" in message
+
+
+def test_a_prior_that_is_no_body_is_named(log):
+    model = load_model(MODEL)
+    phi = model.phi.copy()
+    phi[1, 4:] *= -1.0
+    with pytest.raises(
+        ArgumentError, match="parameters of lower_link are those of no body"
+    ) as caught:
+        identify_model(replace(model, phi=phi), [log])
+    assert is_physical(caught.value.evidence["nearest"]).all()
+
+
+def test_a_known_total_mass_is_met(log):
+    model = load_model(MODEL)
+    settings = IdentificationSettings(gamma=10.0, total_mass=1.6)
+    found = identify_model(
+        model, [log], settings, effects=named_effects(FRICTIONS.split(","), model)
+    )
+    assert found.model.phi[:, 0].sum() == pytest.approx(1.6, rel=1e-6)
 
 
 def test_a_write_that_fails_leaves_nothing(log, tmp_path, monkeypatch):

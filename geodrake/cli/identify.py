@@ -35,6 +35,7 @@ def run_identify(options: IdentifyOptions) -> None:
         regularizer=options.regularizer,
         gamma=options.gamma,
         residual_ratio=options.residual_bound,
+        total_mass=options.total_mass,
         compare=options.compare,
         bandwidth=options.bandwidth,
         blocks=options.blocks,

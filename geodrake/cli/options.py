@@ -97,6 +97,10 @@ class IdentifyOptions(Options):
             "possible, such as 1.01.",
         ),
     ] = None
+    total_mass: Annotated[
+        float | None,
+        typer.Option(metavar="KG", help="Mass of all that moves, if it is known from a scale."),
+    ] = None
     effects: Annotated[
         list[Path] | None,
         typer.Option(

@@ -75,11 +75,13 @@ class LogFits:
         unknowns: What the fits move; its means are the prior.
         weights: (nv,) weight of a squared residual of each joint, so that the weighted squared
             residual counts effective samples.
+        total_mass: Mass of all bodies and payloads together, kg; None if it is not known.
     """
 
     dataset: Dataset
     unknowns: Unknowns
     weights: Array
+    total_mass: float | None = None
 
     @property
     def prior(self) -> Array:
@@ -117,6 +119,7 @@ class LogFits:
                 gamma=gamma,
                 residual_bound=residual_bound,
                 extra_bounds=self.extra_bounds,
+                total_mass=self.total_mass,
             )
 
     def data(self, without: int | None = None) -> tuple[Array, Array]:

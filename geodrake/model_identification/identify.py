@@ -17,27 +17,26 @@ from geodrake.identification import REGULARIZERS, IdentificationResult
 from geodrake.identification.cross_validation import HeldOut, hold_out
 from geodrake.identification.log_fits import LogFits, log_unknowns
 from geodrake.identification.weighing import Weighing, weigh
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_mass_com_inertia
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.model import FittedEffect, RobotModel
+from geodrake.model_identification.bodies import (
+    block_names,
+    body_changes,
+    boundary_blocks,
+    covariance_of,
+    model_notes,
+    sweep_notes,
+)
 from geodrake.model_identification.results import (
     Alternative,
-    BodyChange,
     IdentificationSettings,
     ModelIdentification,
 )
 from geodrake.motion import JointLog
+from geodrake.repairs import nearest_physical
 
 _MOST_ITERATIONS = 10
 """Refits until the weights of the joints stay."""
-
-_NOTABLY = 0.95
-"""Ratio of held-out errors below which a weaker weight is worth a word."""
-
-_FAR = 2.0
-"""Factor of a mass from which on a body's change is worth a word."""
-
-FRICTIONS = ("viscous_friction", "coulomb_friction")
-"""Effects that a real robot is hardly without; inertias that lack them stand in for them."""
 
 
 def identify_model(
@@ -65,18 +64,19 @@ def identify_model(
         The fitted model, held-out errors before and after, and what became of every body.
 
     Raises:
-        ArgumentError: The model has one of the effects already.
+        ArgumentError: The model has one of the effects already, or a body of it cannot exist.
         LogError: A log cannot be used.
         IdentificationError: No physical parameters reach the residual bound.
     """
     settings = settings or IdentificationSettings()
+    _check_prior(model)
     prior = with_effects(model, effects)
     case = open_case(
         prior, logs, candidates=False, bandwidth=settings.bandwidth, blocks=settings.blocks
     )
     unknowns = log_unknowns(case.dataset, prior)
     settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
-    fits = LogFits(case.dataset, unknowns, settled.weights)
+    fits = LogFits(case.dataset, unknowns, settled.weights, settings.total_mass)
     gamma, sweep = settings.gamma, tuple[Weighing, ...]()
     if settings.residual_ratio is not None:
         result, folds = _bounded(fits, settings)
@@ -84,8 +84,7 @@ def identify_model(
         if gamma is None:
             tell(f"Choosing the weight of the {settings.regularizer} regularizer")
             gamma, sweep = weigh(fits, settings.regularizer)
-        result = fits.solve(settings.regularizer, gamma=gamma)
-        folds = [fits.solve(settings.regularizer, gamma=gamma, without=f) for f in fits.folds]
+        result, folds = _weighted(fits, settings.regularizer, gamma)
     alternatives: tuple[Alternative, ...] = ()
     if settings.compare:
         tell("Comparing regularizers")
@@ -101,11 +100,11 @@ def identify_model(
         sweep,
         error_table(case.dataset, hold_out(case.dataset, unknowns.columns, stands)),
         error_table(case.dataset, held_out),
-        _bodies(fits, result),
+        body_changes(fits, result),
         result,
         comparison(case, unknowns, held_out),
         alternatives,
-        (*case.notes, *_notes(fitted, _bodies(fits, result)), *_sweep_notes(gamma, sweep)),
+        (*case.notes, *model_notes(fitted, body_changes(fits, result)), *sweep_notes(gamma, sweep)),
     )
 
 
@@ -150,12 +149,54 @@ def _bounded(
 
     try:
         return solve(None), [solve(f) for f in fits.folds]
-    except IdentificationError as error:
+    except (IdentificationError, ArgumentError) as error:
+        least = error.evidence.get("minimum")
+        words = ""
+        if least is not None:
+            reached = np.sqrt(least / fits.least_residual())
+            words = f" Physical bodies reach about {reached:.4g}."
         raise IdentificationError(
             f"No physical parameters have an RMS residual within {ratio:g} times the least that "
-            "any parameters reach.",
+            f"any parameters reach.{words}",
             advice="Raise the bound, or give gamma instead.",
         ) from error
+
+
+def _weighted(
+    fits: LogFits, regularizer: str, gamma: float
+) -> tuple[IdentificationResult, list[IdentificationResult]]:
+    """The fits to all and to all but each fold, with one γ."""
+    try:
+        folds = [fits.solve(regularizer, gamma=gamma, without=f) for f in fits.folds]
+        return fits.solve(regularizer, gamma=gamma), folds
+    except IdentificationError as error:
+        blocks = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
+        where = f" ({', '.join(block_names(fits)[k] for k in blocks)})" if blocks else ""
+        raise IdentificationError(
+            f"The {regularizer} regularizer with gamma {gamma:g} leads to no solution that can be "
+            f"trusted{where}.",
+            advice="Give a larger gamma; check the total mass if one is given.",
+        ) from error
+
+
+def _check_prior(model: RobotModel) -> None:
+    wrong = [name for name, ok in zip(model.bodies, is_physical(model.phi), strict=True) if not ok]
+    if wrong:
+        spare = 1e-3 * max(float(model.phi[:, 0].sum()), 1.0)
+        nearest = np.array(
+            [
+                phi if ok else nearest_physical(phi, points=np.zeros((1, 3)), spare_mass=spare)
+                for phi, ok in zip(model.phi, is_physical(model.phi), strict=True)
+            ]
+        )
+        raise ArgumentError(
+            f"The model's inertial parameters of {', '.join(wrong)} are those of no body, so they "
+            "cannot be a prior.",
+            advice="Load the model from its URDF, SDF or MJCF file, which repairs them; "
+            "evidence['nearest'] of this error has the nearest ones.",
+            bodies=wrong,
+            nearest=nearest,
+        )
 
 
 def _alternatives(
@@ -172,8 +213,8 @@ def _alternatives(
             own = fits.solve_at(name, result.residual)
             parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
         errors = error_table(fits.dataset, fits.held_out(parts))
-        names = _block_names(fits)
-        boundary = tuple(names[k] for k in _boundary_blocks(own))
+        names = block_names(fits)
+        boundary = tuple(names[k] for k in boundary_blocks(own))
         nb = len(fits.dataset.bodies)
         return Alternative(name, own.gamma, own.residual, errors, own.phi[:nb], boundary)
 
@@ -189,7 +230,7 @@ def _fitted(
 ) -> RobotModel:
     """The model with the result in it."""
     x, information = fits.parameters(result), fits.information(result)
-    deviations = np.sqrt(np.diagonal(_covariance(information)))
+    deviations = np.sqrt(np.diagonal(covariance_of(information)))
     effects = [
         FittedEffect(e, x[fits.unknowns.span(e)], deviations[fits.unknowns.span(e)])
         for e in fits.unknowns.effects
@@ -203,74 +244,3 @@ def _fitted(
     )
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
     return replace(fitted, fitted_to=seen)
-
-
-def _bodies(fits: LogFits, result: IdentificationResult) -> tuple[BodyChange, ...]:
-    covariance = _covariance(result.fit.information)
-    boundary = _boundary_blocks(result)
-    changes = []
-    for k, (name, before, after) in enumerate(
-        zip(_block_names(fits), fits.prior, result.phi, strict=True)
-    ):
-        start = k * PARAMETERS_PER_BODY
-        block = covariance[start : start + 4, start : start + 4]
-        (m0, m1), com, _ = to_mass_com_inertia(np.stack([before, after]))
-        jacobian = np.hstack([-com[1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
-        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
-        deviation = float(np.sqrt(block[0, 0]))
-        changes.append(
-            BodyChange(name, (float(m0), float(m1)), com, deviation, spread, k in boundary)
-        )
-    return tuple(changes)
-
-
-def _covariance(information: Array) -> Array:
-    """Inverse of an information matrix, whatever the units of its parameters."""
-    size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
-    values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    values = np.maximum(values, np.finfo(float).eps * values[-1])
-    return np.asarray((vectors / values) @ vectors.T / np.outer(size, size))
-
-
-def _block_names(fits: LogFits) -> tuple[str, ...]:
-    payloads = [e for e in fits.unknowns.effects if e.name == "payload"]
-    return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
-
-
-def _boundary_blocks(result: IdentificationResult) -> set[int]:
-    return {start // PARAMETERS_PER_BODY for start in result.fit.active_blocks}
-
-
-def _notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
-    notes = []
-    if not any("friction" in fitted.effect.name for fitted in model.effects):
-        notes.append(
-            "the model has no friction, so inertias stand in for it as far as they can: fit some "
-            f"beside them (--effects {','.join(FRICTIONS)}), or let geodrake explain find which"
-        )
-    far = [
-        f"{body.name} {body.mass[0]:.3g} → {body.mass[1]:.3g} kg"
-        for body in bodies
-        if not 1 / _FAR < body.mass[1] / body.mass[0] < _FAR
-    ]
-    if far:
-        notes.append(
-            f"masses far from the prior ({', '.join(far)}): unless the prior is that wrong, the "
-            "model lacks an effect that inertias stand in for, which geodrake diagnose looks for; "
-            "a larger gamma holds them"
-        )
-    return notes
-
-
-def _sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
-    """That a weaker weight than one is let choose would fit better."""
-    chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
-    weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]
-    best = min(weaker, key=lambda tried: tried.nrms, default=None)
-    if best is None or not chosen or best.nrms > _NOTABLY * chosen[0]:
-        return []
-    return [
-        f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, by inertias "
-        "that lie further from the prior than a model file usually errs: the model more likely "
-        "lacks an effect, which geodrake diagnose looks for"
-    ]

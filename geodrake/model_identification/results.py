@@ -104,6 +104,7 @@ class IdentificationSettings:
         gamma: Weight γ > 0 of the regularizer against effective samples.
         residual_ratio: RMS of the training residual that is allowed, relative to the least that
             any parameters reach; above 1.
+        total_mass: Mass of all moving bodies together, payloads included, kg, if it is known.
         compare: Whether to solve with all regularizers at the same training residual too.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
         blocks: Blocks into which every log is cut for validation.
@@ -115,6 +116,7 @@ class IdentificationSettings:
     regularizer: str = "entropic"
     gamma: float | None = None
     residual_ratio: float | None = None
+    total_mass: float | None = None
     compare: bool = False
     bandwidth: float | None = None
     blocks: int | None = None
@@ -130,6 +132,9 @@ class IdentificationSettings:
             raise ArgumentError("A γ and a residual bound are given.", advice="Give one of them.")
         if self.gamma is not None and not (np.isfinite(self.gamma) and self.gamma > 0):
             raise ArgumentError(f"gamma must be positive; got {self.gamma:g}.")
+        mass = self.total_mass
+        if mass is not None and not (np.isfinite(mass) and mass > 0):
+            raise ArgumentError(f"The total mass must be positive, in kg; got {mass:g}.")
         ratio = self.residual_ratio
         if ratio is not None and not 1.0 < ratio < np.inf:
             raise ArgumentError(
