@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from pydrake.solvers import MosekSolver
+from pydrake.solvers import MathematicalProgram, MosekSolver
 
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import (
@@ -14,6 +14,7 @@ from geodrake.identification import (
     least_squares,
     physical_least_squares,
 )
+from geodrake.identification.solvers import cone_multiplier, run_solver
 from geodrake.inertia import from_mass_com_inertia, is_physical
 
 PRIOR = from_mass_com_inertia(
@@ -143,8 +144,22 @@ def test_solvers_say_what_they_cannot_do():
     A, b = data(8)
     with pytest.raises(ArgumentError, match="csdp cannot solve this kind of program"):
         identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="csdp")
+    program = MathematicalProgram()
+    x = program.NewContinuousVariables(2)
+    cone = program.AddLorentzConeConstraint(np.eye(3)[:, 1:], np.eye(3)[0], x)
+    program.AddLinearCost(x[0])
     with pytest.raises(ArgumentError, match="CSDP gives no multipliers"):
-        identify(A, b, PRIOR, regularizer="pullback", residual_bound=1.0, solver="csdp")
+        cone_multiplier(run_solver(program, "csdp"), cone)
+    assert cone_multiplier(run_solver(program, "clarabel"), cone) == pytest.approx(1.0, rel=1e-6)
     if not MosekSolver().enabled():
         with pytest.raises(ArgumentError, match="MOSEK needs a licence"):
             identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="mosek")
+
+
+def test_bodies_flat_to_the_solvers_accuracy_are_solved_with_a_wider_margin():
+    A, b = data(0, extra=1)
+    options = {"sigma": 0.3, "extra_bounds": [[0.0, np.inf]]}
+    bound = identify(A, b, PRIOR, regularizer="entropic", gamma=0.8, **options).residual
+    result = identify(A, b, PRIOR, regularizer="euclidean", residual_bound=bound, **options)
+    assert is_physical(result.phi).all()
+    assert result.residual == pytest.approx(bound, rel=1e-6)

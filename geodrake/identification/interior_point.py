@@ -172,7 +172,7 @@ def _line_search(
     towards = change < 0
     length = min(1.0, _TO_BOUNDARY * float(np.min(s[towards] / -change[towards], initial=np.inf)))
     begin = objective.value(z)
-    rounding = 1e-15 * max(abs(begin), objective.size)
+    rounding = 1e-13 * max(abs(begin), objective.size)
     for _ in range(_MOST_HALVINGS):
         barrier = t * float(np.log1p(length * change / s).sum())
         decrease = begin - objective.value(z + length * step) + barrier

@@ -8,9 +8,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from geodrake.errors import IdentificationError
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
+
+_MARGINS = (1.0, 10.0, 100.0)
 
 
 class Regularizer(ABC):
@@ -46,8 +49,20 @@ class Regularizer(ABC):
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
     def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
-        """Solve the fit with γ d(Φ, Φ⁰)² added, by Drake's conic solver of that name."""
-        return solve_fit(self.regularize(problem, prior, gamma), solver=solver)
+        """Solve the fit with γ d(Φ, Φ⁰)² added, by Drake's conic solver of that name.
+
+        Where the solver is not exact enough to keep bodies physical at the problem's margin, it
+        tries ten and a hundred times that margin.
+        """
+        regularized = self.regularize(problem, prior, gamma)
+        for factor in _MARGINS[:-1]:
+            try:
+                wider = replace(regularized, margin=factor * problem.margin)
+                return solve_fit(wider, solver=solver)
+            except IdentificationError as error:
+                if "columns" not in error.evidence:
+                    raise
+        return solve_fit(replace(regularized, margin=_MARGINS[-1] * problem.margin), solver=solver)
 
 
 class QuadraticRegularizer(Regularizer):
