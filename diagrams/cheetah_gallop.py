@@ -1,0 +1,183 @@
+"""The leg's bodies, identified with the base fixed, in a gallop of the whole robot.
+
+As in [Lee2019] §3.6.2.2 and figure 3.12: random true legs, torques without noise from the gallop's
+motion of one leg on a fixed base, next to no regularization, equal residuals; then the errors of
+joint torques and of the force and moment on the trunk while the whole robot gallops. Robot and
+motion are ours, see `models/cheetah.dmd.yaml` and `diagrams/cheetah/gallop.py`.
+
+    python diagrams/cheetah_gallop.py --json cheetah_gallop.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from cheetah.fits import COLORS, Condensed, fit, fit_to_residual
+from cheetah.gallop import GEARS, PHASES, STRIDE, gallop, leg_motion, quantities, whole_robot
+from cheetah.leg import Array, Leg, load_leg
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from geodrake.base_parameters import base_parameters
+from geodrake.ellipsoids import ellipsoid_of_quadric
+from geodrake.inertia import pseudo_inertia
+from geodrake.perturbation import perturb
+from geodrake.visualization import style
+
+ALPHA = 1e-11
+"""The Euclidean γ over tr(AᵀA)."""
+DELTA, POINTS = 0.5, 10
+"""Greatest share of the mass that is added or taken away, and by how many points."""
+KINDS = ("euclidean", "pullback", "entropic")
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one regularizer in the gallop, over the true legs.
+
+    Attributes:
+        regularizer: Its name, or "prior".
+        quantity: What is predicted.
+        unit: Its unit.
+        mean: Mean RMS error.
+        deviation: Standard deviation of the RMS error.
+        train: Mean RMS error of the torques that were fitted, N·m.
+    """
+
+    regularizer: str
+    quantity: str
+    unit: str
+    mean: float
+    deviation: float
+    train: float
+
+
+def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
+    """Legs (count, 6, 10) that differ from the prior by point masses inside the ellipsoids.
+
+    Those of which mass was taken away so that a body no longer fits into its ellipsoid are left
+    out.
+    """
+    support, legs = ellipsoid_of_quadric(leg.ellipsoids), np.empty((0, *leg.prior.shape))
+    while len(legs) < count:
+        drawn = perturb(
+            leg.prior,
+            2 * count,
+            rng=rng,
+            mass_uncertainty=DELTA,
+            point_masses=POINTS,
+            support=support,
+        ).phi
+        inside = np.einsum("nbij,bji->nb", pseudo_inertia(drawn), leg.ellipsoids) >= 0
+        legs = np.concatenate([legs, drawn[inside.all(axis=1)]])
+    return legs[:count]
+
+
+def identified(leg: Leg, A: Array, truth: Array) -> tuple[dict[str, Array], dict[str, float]]:
+    """Parameters and RMS training errors by regularizer, from torques without noise."""
+    data = Condensed.of(A, A @ truth.ravel())
+    gamma = ALPHA * float(np.square(A).sum())
+    euclidean = fit(data, leg, "euclidean", gamma)
+    found = {"euclidean": euclidean}
+    for kind in KINDS[1:]:
+        found[kind] = fit_to_residual(data, leg, kind, euclidean.residual, start=1e-2 * gamma)
+    return (
+        {kind: result.phi for kind, result in found.items()},
+        {kind: data.rms(result) for kind, result in found.items()},
+    )
+
+
+def run(*, seed: int, truths: int) -> tuple[list[Row], int]:
+    """Identify `truths` random legs.
+
+    Returns:
+        The table, and how many base parameters the motion of the leg tells.
+    """
+    rng, leg = np.random.default_rng(seed), load_leg(GEARS)
+    time = np.linspace(0.0, 1.0 / STRIDE, 200, endpoint=False)
+    plant = whole_robot()
+    predicted = quantities(plant, gallop(plant, time))
+    A = leg.regressor(leg_motion(time, PHASES["front_left"])).reshape(-1, 60)
+    kinds = (*KINDS, "prior")
+    errors = np.empty((truths, len(kinds), len(predicted)))
+    train = np.empty((truths, len(kinds)))
+    legs = true_legs(leg, truths, rng)
+    for k, truth in enumerate(track(legs, "true legs", transient=True)):
+        found, fitted = identified(leg, A, truth)
+        found["prior"] = leg.prior
+        fitted["prior"] = float(np.sqrt(np.mean((A @ (truth - leg.prior).ravel()) ** 2)))
+        for i, kind in enumerate(kinds):
+            errors[k, i] = [q.rms(found[kind] - truth) for q in predicted.values()]
+            train[k, i] = fitted[kind]
+    rows = [
+        Row(
+            *(kind, name, "N" if name == "body force" else "N·m"),
+            *(float(errors[:, i, j].mean()), float(errors[:, i, j].std())),
+            float(train[:, i].mean()),
+        )
+        for j, name in enumerate(predicted)
+        for i, kind in enumerate(kinds)
+    ]
+    return rows, base_parameters(A).rank
+
+
+def error_figure(rows: Sequence[Row]) -> Figure:
+    """Errors in the gallop by regularizer, figure 3.12."""
+    figure = style.new_figure(3.6)
+    names = list(dict.fromkeys(row.quantity for row in rows))
+    for ax, name in zip(figure.subplots(1, len(names)), names, strict=True):
+        *bars, prior = (row for row in rows if row.quantity == name)
+        ax.bar(
+            [row.regularizer for row in bars],
+            [row.mean for row in bars],
+            yerr=[[min(row.mean, row.deviation) for row in bars], [row.deviation for row in bars]],
+            color=[COLORS[row.regularizer] for row in bars],
+            ecolor=style.INK,
+            capsize=3,
+            width=0.65,
+        )
+        style.polish(ax, grid="y")
+        ax.set_title(f"{name}, {prior.unit}", loc="left", **style.plain(fontweight="bold"))
+        ax.set_title(f"prior: {prior.mean:.3g}", loc="right", **style.plain(color=style.QUIET))
+        top = max(row.mean + row.deviation for row in bars)
+        ax.set_ylim(0, 1.12 * top)
+        for k, row in enumerate(bars):
+            place = row.mean + row.deviation + 0.02 * top
+            ax.text(k, place, f"{row.mean:.3g}", ha="center", **style.plain(style.SMALL))
+    return figure
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="five true legs instead of a hundred")
+    parser.add_argument("--seed", type=int, default=0, help="of the true legs")
+    parser.add_argument("--json", type=Path, help="write the table here")
+    parser.add_argument("--figures", type=Path, help="write figures into this folder")
+    options = parser.parse_args()
+    logging.getLogger("drake").setLevel(logging.WARNING)
+    rows, rank = run(seed=options.seed, truths=5 if options.quick else 100)
+    table = Table("quantity", "regularizer", "mean RMS", "±", "training")
+    for row in rows:
+        numbers = (row.mean, row.deviation, row.train)
+        table.add_row(row.quantity, row.regularizer, *(f"{number:.3g}" for number in numbers))
+    console = Console(width=120)
+    console.print(table)
+    console.print(f"The leg's motion tells {rank} base parameters of its 60 parameters.")
+    if options.json:
+        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+    if options.figures:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        error_figure(rows).savefig(options.figures / "cheetah_gallop_errors.png")
+
+
+if __name__ == "__main__":
+    main()
