@@ -45,6 +45,7 @@ LAYERS = (
     "model",
     "saved_model",
     "export",
+    "control_regressor",
     # What is done with models.
     "identification",
     "excitation",

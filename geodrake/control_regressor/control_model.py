@@ -1,0 +1,238 @@
+"""A robot model as a controller sees it: one parameter vector, one sample at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.control_regressor.effect_columns import EffectColumns, OnlineMotion
+from geodrake.control_regressor.online_tree import OnlineTree
+from geodrake.control_regressor.rigid_bodies import RigidSample
+from geodrake.effects import Effect
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.model import RobotModel
+
+
+@dataclass(frozen=True, eq=False)
+class ControlModel:
+    """What is constant about a robot, for the regressor of every sample.
+
+    Parameters are one vector p = [φ, μ]: φ of the nb bodies, ten each, and μ of the effects.
+
+    Attributes:
+        tree: Kinematics of the rigid bodies.
+        effects: The effects, in the order of their parameters.
+        bodies: Names of the nb bodies.
+        joints: Names of the nv velocities.
+        prior: (p,) parameters of the robot model.
+        measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
+    """
+
+    tree: OnlineTree
+    effects: tuple[Effect, ...]
+    bodies: tuple[str, ...]
+    joints: tuple[str, ...]
+    prior: Array
+    measured_friction: bool
+    _columns: EffectColumns
+    _positions: NDArray[np.intp]
+    _single: NDArray[np.bool_]
+    _all_single: bool
+    _payloads: tuple[tuple[int, slice], ...]
+
+    @classmethod
+    def of(
+        cls,
+        model: RobotModel,
+        *,
+        sign_width: ArrayLike = 1e-2,
+        measured_friction: bool = False,
+    ) -> ControlModel:
+        """Reads a robot model once.
+
+        Args:
+            model: The robot. A delay of efforts is not part of the regressor.
+            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
+                or (nv,).
+            measured_friction: Whether effects see q̇ instead of the reference velocity v. The
+                source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
+                grow with speed; q̇ is for friction that does not, such as Stribeck friction.
+        """
+        joints, bodies = model.joints, model.bodies
+        positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
+        for mobilizer in model.tree.mobilizers:
+            for velocity in range(mobilizer.velocities.start, mobilizer.velocities.stop):
+                single[velocity] = joints[velocity] in model.single_joints
+                positions[velocity] = mobilizer.positions.start if single[velocity] else 0
+        rng = np.random.default_rng(0)
+        some = rng.normal(size=(len(bodies), len(joints), PARAMETERS_PER_BODY))
+        width = np.broadcast_to(np.asarray(sign_width, float), (len(joints),))
+        columns = EffectColumns.of(
+            joints,
+            [fitted.effect for fitted in model.effects],
+            sign_width=width,
+            single=single,
+            body_columns=lambda body: some[None, bodies.index(body)],
+        )
+        values = [model.phi.ravel(), *(fitted.parameters for fitted in model.effects)]
+        return cls(
+            tree=OnlineTree.of(model.tree),
+            effects=tuple(fitted.effect for fitted in model.effects),
+            bodies=bodies,
+            joints=joints,
+            prior=np.concatenate(values),
+            measured_friction=measured_friction,
+            _columns=columns,
+            _positions=positions,
+            _single=single,
+            _all_single=bool(single.all()),
+            _payloads=_payloads(model),
+        )
+
+    @property
+    def num_inertial(self) -> int:
+        """Number 10 nb of inertial parameters, which come first."""
+        return PARAMETERS_PER_BODY * len(self.bodies)
+
+    def phi(self, parameters: Array) -> Array:
+        """(nb, 10) inertial parameters of a parameter vector (p,)."""
+        return parameters[: self.num_inertial].reshape(-1, PARAMETERS_PER_BODY)
+
+    def effect_parameters(self, effect: int) -> slice:
+        """Where the parameters of one of `effects` are in the parameter vector."""
+        counts = [len(e.parameters) for e in self.effects[: effect + 1]]
+        return slice(self.num_inertial + sum(counts[:-1]), self.num_inertial + sum(counts))
+
+    def at(
+        self, q: Array, qd: Array, v: Array, a: Array, *, load_phi: Array | None = None
+    ) -> ControlSample:
+        """The Slotine–Li regressor Y(q, q̇, v, a) at one sample, ready to be multiplied.
+
+        Y p = M(q) a + C(q, q̇) v − τ_g(q) + effects at v and a, with Ṁ − 2 C skew symmetric. With
+        v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque.
+
+        Args:
+            q: (nq,) positions in Drake's order.
+            qd: (nv,) measured velocities.
+            v: (nv,) reference velocities ([Lee2019] Eq. (5.2.11)).
+            a: (nv,) reference accelerations ([Lee2019] Eq. (5.2.12)).
+            load_phi: (nb, 10) inertial parameters behind the load of load-dependent friction; those
+                of the robot model if None, so that the columns do not depend on the estimate.
+
+        Values are not checked: whatever is not finite comes out as such.
+        """
+        return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
+
+
+def _payloads(model: RobotModel) -> tuple[tuple[int, slice], ...]:
+    """Body and place in the parameter vector of every payload."""
+    found, start = [], model.phi.size
+    for fitted in model.effects:
+        stop = start + len(fitted.effect.parameters)
+        if fitted.effect.name == "payload":
+            found.append((model.bodies.index(fitted.effect.where[0]), slice(start, stop)))
+        start = stop
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlSample:
+    """The regressor Y (nv, p) of one sample.
+
+    Attributes:
+        model: What is constant.
+        rigid: The rigid bodies' part.
+    """
+
+    model: ControlModel
+    rigid: RigidSample
+    _motion: tuple[Array, Array, Array, Array]
+    _load_phi: Array | None
+
+    @cached_property
+    def regressor(self) -> Array:
+        """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
+        rigid = self.rigid.regressor
+        return np.hstack([rigid, self._effect_columns]) if self.model.effects else rigid
+
+    def effort(self, parameters: Array) -> Array:
+        """Y p (nv,), N·m or N, for parameters p (p,)."""
+        return self.regressor @ parameters
+
+    def covector(self, r: Array) -> Array:
+        """Yᵀ r (p,) for r (nv,), the b of [Lee2019] Eq. (5.4.46)."""
+        return r @ self.regressor
+
+    def mass_matrix(self, parameters: Array) -> Array:
+        """M (nv, nv) of parameters (p,): with payloads, rotor inertias and the like.
+
+        Body effects of your own that have inertia are the exception: they are left out.
+        """
+        phi = self.model.phi(parameters)
+        if self.model._payloads:
+            phi = phi.copy()
+            for body, part in self.model._payloads:
+                phi[body] += parameters[part]
+        M = self.rigid.mass_matrix(phi)
+        columns = self.model._columns
+        if columns.uses_acceleration:
+            motion = self._seen(self._motion[3], self._motion[1])
+            M += columns.added_mass(motion, parameters[self.model.num_inertial :], _no_columns(M))
+        return M
+
+    @cached_property
+    def momentum_regressors(self) -> tuple[Array, Array]:
+        """Y_p and Y_c (nv, p) with effort = d/dt (Y_p p) − Y_c p along a motion; they need q̇ only.
+
+        Y_p p = M q̇ and Y_c p = Cᵀ q̇ + τ_g − effects at q̇. Filtering both sides of this equation
+        gives a filtered regressor of inverse dynamics without accelerations: for the low-pass
+        filter λ / (s + λ), it is λ (Y_p − [Y_p]) − [Y_c] with [·] filtered.
+
+        Where effects have an inertia, it must be constant, as that of a rotor is.
+        """
+        momentum, drift = self.rigid.momentum_regressors
+        if not self.model.effects:
+            return momentum, drift
+        columns, qd = self.model._columns, self._motion[1]
+        still = self._seen(np.zeros_like(qd), qd)
+        turning = replace(still, vd=qd)
+        base = columns.columns(still, _no_columns(momentum))
+        moving = columns.columns(turning, self._body_columns(momentum))
+        rest = columns.columns(still, self._body_columns(-drift))
+        return np.hstack([momentum, moving - base]), np.hstack([drift, -rest])
+
+    @cached_property
+    def _effect_columns(self) -> Array:
+        _, qd, v, a = self._motion
+        motion = self._seen(a, qd if self.model.measured_friction else v)
+        return self.model._columns.columns(motion, self._body_columns(self.rigid.regressor))
+
+    def _seen(self, a: Array, v: Array) -> OnlineMotion:
+        """The motion as effects see it, at accelerations a and velocities v (nv,)."""
+        model, q = self.model, self._motion[0]
+        columns = model._columns
+        load = np.zeros_like(v)
+        if columns.uses_load:
+            phi = model.phi(model.prior) if self._load_phi is None else self._load_phi
+            load = self.rigid.effort(phi)
+        q_joint = q[model._positions]
+        if not model._all_single:
+            q_joint = np.where(model._single, q_joint, np.nan)
+        return OnlineMotion(q_joint, v, a, load, columns.direction(v))
+
+    def _body_columns(self, regressor: Array) -> Callable[[str], Array]:
+        """The columns (1, nv, 10) of a body, by name."""
+
+        def columns(name: str) -> Array:
+            first = PARAMETERS_PER_BODY * self.model.bodies.index(name)
+            return regressor[None, :, first : first + PARAMETERS_PER_BODY]
+
+        return columns
+
+
+def _no_columns(like: Array) -> Callable[[str], Array]:
+    return lambda body: np.zeros((1, len(like), PARAMETERS_PER_BODY))

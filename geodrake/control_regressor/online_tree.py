@@ -1,0 +1,165 @@
+"""Kinematics of a tree for one sample, with as few array operations as possible.
+
+At one sample the cost is in the number of calls, not in arithmetic. So nothing goes joint by joint:
+poses are composed by doubling, and all that follows is expressed in the world about its origin,
+where the motion of a body is a plain sum over the velocities that move it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control_regressor.spatial_algebra import SKEW, SWAP
+from geodrake.inertia import Array
+from geodrake.joints import constant, cosine_sine
+from geodrake.kinematics import KinematicTree, Mobilizer
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where a tree is at one q.
+
+    Attributes:
+        wrenches: (nb, 6, 6) matrices D that take a wrench about Bo in B to one about Wo in W. Their
+            transposes take motions from W to B.
+        subspace: (nv, 6) motion of each velocity in W, about Wo.
+        inboard_rotation: (nv, 3, 3) rotation in W of the body inboard of each velocity.
+    """
+
+    wrenches: Array
+    subspace: Array
+    inboard_rotation: Array
+
+
+@dataclass(frozen=True, eq=False)
+class OnlineTree:
+    """What is constant about a tree of nm mobilizers; the world comes last in all (nm + 1, ...).
+
+    Attributes:
+        moves: (nb, nv) one where a velocity moves a body.
+        moves_inboard: (nv, nv) one where a velocity moves the body inboard of another's joint.
+        reaction: (nb, 6) acceleration of the bodies at rest that stands in for gravity.
+        swing: (nv, 3, nv) linear part of what a joint's motion does to its own axes, for joints
+            that slide and turn; zero for all that have one velocity.
+        swings: Whether any of that is not zero.
+    """
+
+    moves: Array
+    moves_inboard: Array
+    reaction: Array
+    swing: Array
+    swings: bool
+    _poses: Array
+    _angles: Indices
+    _slides: Array
+    _general: tuple[tuple[int, Mobilizer], ...]
+    _jumps: tuple[Indices, ...]
+    _columns: Array
+    _column_slides: Array
+    _inboard: Indices
+    _body_mobilizers: Indices
+    _sliding: bool
+
+    @classmethod
+    def of(cls, tree: KinematicTree) -> OnlineTree:
+        """Reads a tree once."""
+        mobilizers, count = tree.mobilizers, len(tree.mobilizers)
+        nb, nq, nv = len(tree.bodies), tree.num_positions, tree.num_velocities
+        moves, moves_inboard = np.zeros((nb, nv)), np.zeros((nv, nv))
+        reaction, bodies = np.zeros((nb, 6)), np.zeros(nb, int)
+        poses = np.zeros((3, count + 1, 4, 4))
+        poses[0] = np.eye(4)
+        angles, slides = np.zeros(count + 1, int), np.zeros((count + 1, 3, nq))
+        columns, column_slides = np.zeros((nv, 6)), np.zeros((nv, 3, nq))
+        inboard, swing = np.zeros(nv, int), np.zeros((nv, 3, nv))
+        general = []
+        for i, mobilizer in enumerate(mobilizers):
+            joint, own = mobilizer.motion, mobilizer.velocities
+            if mobilizer.body >= 0:
+                moves[mobilizer.body, list(mobilizer.dofs)] = 1.0
+                bodies[mobilizer.body] = i
+                reaction[mobilizer.body, 3:] = -mobilizer.gravity * tree.gravity
+            before = [dof for dof in mobilizer.dofs if not own.start <= dof < own.stop]
+            moves_inboard[own, before] = 1.0
+            if joint.features in (constant, cosine_sine):
+                angles[i] = mobilizer.positions.stop - 1
+                poses[:, i] = _pose_features(mobilizer)
+            else:
+                general.append((i, mobilizer))
+            slides[i, :, mobilizer.positions] = joint.translation
+            s, t = joint.angular.T, joint.linear.T
+            columns[own] = np.hstack([t + np.cross(joint.offset, s), s])
+            column_slides[own, :, mobilizer.positions] = np.cross(
+                joint.translation.T, s[:, None]
+            ).transpose(0, 2, 1)
+            swing[own, :, own] = np.cross(t, s[:, None]).transpose(0, 2, 1)
+            inboard[own] = mobilizer.parent if mobilizer.parent >= 0 else count
+        parents = [m.parent if m.parent >= 0 else count for m in mobilizers]
+        return cls(
+            moves,
+            moves_inboard,
+            reaction,
+            swing,
+            bool(swing.any()),
+            poses,
+            angles,
+            slides,
+            tuple(general),
+            _doublings(np.array([*parents, count])),
+            columns,
+            column_slides,
+            inboard,
+            bodies,
+            bool(slides.any()),
+        )
+
+    def place(self, q: Array) -> Placement:
+        """Poses and subspace at positions q (nq,)."""
+        angle = q[self._angles, None, None]
+        pose = self._poses[0] + self._poses[1] * np.cos(angle) + self._poses[2] * np.sin(angle)
+        for i, mobilizer in self._general:
+            joint = mobilizer.motion
+            R_PB = (joint.rotation @ joint.features(q[mobilizer.positions, None])).reshape(3, 3)
+            pose[i, :3, :3] = R_PB
+            pose[i, :3, 3] = joint.offset + R_PB @ mobilizer.p_MoBo_B
+        columns = self._columns
+        if self._sliding:
+            pose[:, :3, 3] += self._slides @ q
+            columns = columns.copy()
+            columns[:, :3] += self._column_slides @ q
+        for jump in self._jumps:
+            pose = pose[jump] @ pose
+        R = pose[:, :3, :3]
+        D = np.zeros((len(pose), 6, 6))
+        D[:, :3, :3] = D[:, 3:, 3:] = R
+        np.matmul((pose[:, :3, 3] @ SKEW).reshape(-1, 3, 3), R, out=D[:, :3, 3:])
+        # A wrench transform with its halves exchanged is the transform of motions.
+        D_P = D[self._inboard]
+        subspace = (D_P @ columns[:, :, None])[:, SWAP, 0]
+        return Placement(D[self._body_mobilizers], subspace, D_P[:, :3, :3])
+
+
+def _pose_features(mobilizer: Mobilizer) -> Array:
+    """(3, 4, 4) factors of 1, cos and sin in the pose X_PB of a joint about or along one axis."""
+    joint = mobilizer.motion
+    rotation = joint.rotation.T.reshape(-1, 3, 3)
+    poses = np.zeros((3, 4, 4))
+    poses[: len(rotation), :3, :3] = rotation
+    poses[: len(rotation), :3, 3] = rotation @ mobilizer.p_MoBo_B
+    poses[0, :3, 3] += joint.offset
+    poses[0, 3, 3] = 1.0
+    return poses
+
+
+def _doublings(parents: Indices) -> tuple[Indices, ...]:
+    """Ancestors 1, 2, 4, … steps inboard of every mobilizer, the world being its own."""
+    jumps = []
+    while (parents[:-1] != len(parents) - 1).any():
+        jumps.append(parents)
+        parents = parents[parents]
+    return tuple(jumps)

@@ -1,0 +1,133 @@
+"""Rigid bodies at one sample: Y φ, Yᵀ r and Y of the Slotine–Li regressor.
+
+    M(q) a + C(q, q̇) v − τ_g(q) = Y(q, q̇, v, a) φ                      [Lee2019] Eq. (5.2.10)
+
+For a body with spatial inertia G, velocity V of the motion q̇ and U of the motion v, the wrench is
+
+    F = G A' + ½ (V ×* G U + U ×* G V),   A' = A − ½ V × U,
+
+where A = J a + J̇ v is an acceleration, less gravity. Then Ṁ − 2 C is skew symmetric, and where
+velocities are rates of positions C is the matrix of Christoffel symbols, C(q, q̇) v = C(q, v) q̇.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from geodrake.control_regressor.online_tree import OnlineTree, Placement
+from geodrake.control_regressor.spatial_algebra import (
+    INERTIA,
+    MOMENTUM,
+    MOTION_CROSS,
+    motion_cross,
+)
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+
+_IDENTITY = np.eye(6)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidSample:
+    """The bodies at one (q, q̇, v, a), ready for any inertial parameters and any r.
+
+    Attributes:
+        tree: What is constant.
+        placement: What depends on q.
+        motions: (nb, 3, 6) rows A', U and V of each body about Bo, in B.
+        crosses: (nb, 18, 6) the matrices 𝟙, −½ V × and −½ U ×.
+        subspace_rate: (nv, 6) rate of the placement's subspace along the motion q̇.
+    """
+
+    tree: OnlineTree
+    placement: Placement
+    motions: Array
+    crosses: Array
+    subspace_rate: Array
+
+    @classmethod
+    def at(cls, tree: OnlineTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
+        """Kinematics at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,)."""
+        placement = tree.place(q)
+        S, sums = placement.subspace, np.empty((len(v), 3, 6))
+        np.multiply(S, v[:, None], out=sums[:, 1])
+        np.multiply(S, qd[:, None], out=sums[:, 2])
+        subspace_rate = (motion_cross(tree.moves_inboard @ sums[:, 2]) @ S[:, :, None])[:, :, 0]
+        if tree.swings:
+            swing = placement.inboard_rotation @ (tree.swing @ qd)[:, :, None]
+            subspace_rate[:, 3:] += swing[:, :, 0]
+        sums[:, 0] = S * a[:, None] + subspace_rate * v[:, None]
+        motions = (tree.moves @ sums.reshape(-1, 18)).reshape(-1, 3, 6)
+        motions[:, 0] += tree.reaction
+        motions = motions @ placement.wrenches
+        crosses = np.empty((len(motions), 3, 6, 6))
+        crosses[:, 0] = _IDENTITY
+        np.multiply(motion_cross(motions[:, :0:-1]), -0.5, out=crosses[:, 1:])
+        motions[:, 0] += (crosses[:, 1] @ motions[:, 1, :, None])[:, :, 0]
+        return cls(tree, placement, motions, crosses.reshape(-1, 18, 6), subspace_rate)
+
+    def effort(self, phi: Array) -> Array:
+        """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
+        G = (phi @ INERTIA).reshape(-1, 6, 6)
+        momenta = (self.motions @ G).reshape(-1, 1, 18)
+        wrenches = (momenta @ self.crosses) @ self.placement.wrenches.transpose(0, 2, 1)
+        total = self.tree.moves.T @ wrenches[:, 0]
+        return np.einsum("ij,ij->i", self.placement.subspace, total)
+
+    def covector(self, r: Array) -> Array:
+        """Yᵀ r (nb, 10) for r (nv,), from spatial velocities alone."""
+        along = self.tree.moves @ (self.placement.subspace * r[:, None])
+        R = along[:, None] @ self.placement.wrenches
+        sides = (self.crosses @ R.transpose(0, 2, 1)).reshape(-1, 3, 6)
+        products = sides.transpose(0, 2, 1) @ self.motions
+        return products.reshape(-1, 36) @ INERTIA.T
+
+    @cached_property
+    def regressor(self) -> Array:
+        """Y (nv, 10 nb)."""
+        momenta = (self.motions @ MOMENTUM).reshape(-1, 18, PARAMETERS_PER_BODY)
+        wrenches = self.crosses.transpose(0, 2, 1) @ momenta
+        return self._spread(wrenches, self.placement.subspace)
+
+    @cached_property
+    def momentum_regressors(self) -> tuple[Array, Array]:
+        """Regressors (nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g, that is Σ Jᵀ G V and Σ J̇ᵀ G V + τ_g."""
+        wrenches = (self.motions[:, 2] @ MOMENTUM).reshape(-1, 6, PARAMETERS_PER_BODY)
+        reaction = self.tree.reaction[:, None] @ self.placement.wrenches
+        weights = (reaction @ MOMENTUM).reshape(-1, 6, PARAMETERS_PER_BODY)
+        momentum = self._spread(wrenches, self.placement.subspace)
+        drift = self._spread(wrenches, self.subspace_rate)
+        return momentum, drift - self._spread(weights, self.placement.subspace)
+
+    def mass_matrix(self, phi: Array) -> Array:
+        """M (nv, nv) for φ (nb, 10)."""
+        J = self._jacobian(self.placement.subspace)
+        return _sum_of_products(J, J @ (phi @ INERTIA).reshape(-1, 6, 6))
+
+    def coriolis_matrix(self, phi: Array) -> Array:
+        """C(q, q̇) (nv, nv) for φ (nb, 10), with Ṁ − 2 C skew symmetric."""
+        J, J_rate = (self._jacobian(x) for x in (self.placement.subspace, self.subspace_rate))
+        G = (phi @ INERTIA).reshape(-1, 6, 6)
+        V = self.motions[:, 2]
+        turned = G @ motion_cross(V)
+        pushed = np.einsum("kij,ni->njk", MOTION_CROSS.reshape(6, 6, 6), (V[:, None] @ G)[:, 0])
+        B = -0.5 * (turned + turned.transpose(0, 2, 1) + pushed)
+        return _sum_of_products(J, J_rate @ G + J @ B.transpose(0, 2, 1))
+
+    def _spread(self, wrenches: Array, subspace: Array) -> Array:
+        """Regressor (nv, 10 nb) of wrenches (nb, 6, 10) in B, along directions (nv, 6) in W."""
+        in_world = (self.placement.wrenches @ wrenches).transpose(1, 0, 2)
+        product = (subspace @ in_world.reshape(6, -1)).reshape(len(subspace), *in_world.shape[1:])
+        product *= self.tree.moves.T[:, :, None]
+        return product.reshape(len(subspace), -1)
+
+    def _jacobian(self, subspace: Array) -> Array:
+        """Rows (nb, nv, 6) of the bodies' velocities in B, from directions (nv, 6) in W."""
+        return (self.tree.moves[:, :, None] * subspace) @ self.placement.wrenches
+
+
+def _sum_of_products(J: Array, F: Array) -> Array:
+    """Σ J Fᵀ over bodies, both (nb, nv, 6)."""
+    return np.asarray(np.tensordot(J, F, ((0, 2), (0, 2))))
