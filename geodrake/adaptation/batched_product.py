@@ -1,0 +1,188 @@
+"""A product of manifolds that takes factors of one kind together: for updates at every sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    dual,
+    from_pseudo_inertia,
+    pseudo_inertia_basis,
+)
+from geodrake.manifolds import Interval, Manifold, PhysicalInertia, Product
+from geodrake.manifolds.base import Array
+
+_TO_MATRIX = pseudo_inertia_basis().reshape(PARAMETERS_PER_BODY, 16)
+_TO_DUAL = dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
+_FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
+_USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a direction of P by, on the fast way
+_WELL_INSIDE = 1e-12  # det P over the product of its diagonal
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Factors of one kind and weight.
+
+    Attributes:
+        manifold: What they all are.
+        places: (k, n) their coordinates.
+        weight: Weight of their barriers.
+        lower: (n,) lower bounds of an interval in which all have a lower and no upper one.
+    """
+
+    manifold: Manifold
+    places: NDArray[np.intp]
+    weight: float
+    lower: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BatchedProduct(Product):
+    """`Product`, evaluated for all bodies at once and for all bounded parameters at once.
+
+    The values are those of `Product` up to rounding.
+    """
+
+    @cached_property
+    def _groups(self) -> tuple[_Group, ...]:
+        """Bodies together, intervals as one manifold, and every other factor by itself."""
+        bodies: dict[float, list[NDArray[np.intp]]] = {}
+        intervals: dict[float, list[tuple[Interval, NDArray[np.intp]]]] = {}
+        groups = []
+        for factor, weight, part in self._factors:
+            places = np.arange(part.start, part.stop)
+            if isinstance(factor, PhysicalInertia):
+                bodies.setdefault(weight, []).append(places)
+            elif isinstance(factor, Interval):
+                intervals.setdefault(weight, []).append((factor, places))
+            else:
+                groups.append(_Group(factor, places[None], weight))
+        for weight, rows in bodies.items():
+            groups.append(_Group(PhysicalInertia(), np.array(rows), weight))
+        for weight, members in intervals.items():
+            lower = tuple(bound for factor, _ in members for bound in factor.lower)
+            upper = tuple(bound for factor, _ in members for bound in factor.upper)
+            places = np.concatenate([places for _, places in members])
+            simple = np.isfinite(lower).all() and np.isinf(upper).all()
+            bounds = np.array(lower) if simple else None
+            groups.append(_Group(Interval(lower, upper), places[None], weight, bounds))
+        return tuple(groups)
+
+    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+        """Whether x is inside every factor (...)."""
+        x = np.asarray(x, float)
+        inside = [g.manifold.contains(x[..., g.places]).all(-1) for g in self._groups]
+        return np.logical_and.reduce(inside)
+
+    def barrier(self, x: ArrayLike) -> Array:
+        """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
+        x = np.asarray(x, float)
+        terms = [g.weight * g.manifold.barrier(x[..., g.places]).sum(-1) for g in self._groups]
+        return np.asarray(sum(terms), float)
+
+    def gradient(self, x: ArrayLike) -> Array:
+        """The factors' gradients times their weights, (..., n)."""
+        return self._filled(lambda g, x: g.weight * g.manifold.gradient(x), x)
+
+    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+        """gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
+
+        def solved(group: _Group, x: Array, b: Array) -> Array:
+            if isinstance(group.manifold, PhysicalInertia):
+                P, X = _matrices(x, _TO_MATRIX), _matrices(b, _TO_DUAL)
+                return _parameters(P @ X @ P) / group.weight
+            return group.manifold.inverse_metric_times(x, b) / group.weight
+
+        return self._filled(solved, x, b)
+
+    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
+        x, y = np.asarray(x, float), np.asarray(y, float)
+        terms = [
+            g.weight * g.manifold.divergence(x[..., g.places], y[..., g.places]).sum(-1)
+            for g in self._groups
+        ]
+        return np.asarray(sum(terms), float)
+
+    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+        """The least of the factors' times (...)."""
+        x, v = np.asarray(x, float), np.asarray(v, float)
+        times = [
+            g.manifold.longest_step(x[..., g.places], v[..., g.places]).min(-1)
+            for g in self._groups
+        ]
+        return np.minimum.reduce(times)
+
+    def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
+        """Each factor by itself."""
+        return self._filled(lambda g, x, v: g.manifold.retract(x, v), x, v)
+
+    def natural_step(self, x: ArrayLike, b: ArrayLike, time: float) -> Array:
+        """`retract` along −time g(x)⁻¹ b, which for bodies needs no inverse.
+
+        P⁺ = L exp(−time/w Lᵀ X(b) L) Lᵀ with P = L Lᵀ, the geodesic of [Lee2019] Eq. (2.2.9).
+        """
+
+        def stepped(group: _Group, x: Array, b: Array) -> Array:
+            if isinstance(group.manifold, PhysicalInertia):
+                return _body_step(x, b, time / group.weight)
+            if group.lower is not None:
+                return _positive_step(x, b, time / group.weight, lower=group.lower)
+            step = group.manifold.inverse_metric_times(x, b) * (-time / group.weight)
+            return group.manifold.retract(x, step)
+
+        return self._filled(stepped, x, b)
+
+    def _filled(self, function: Callable[..., Array], *vectors: ArrayLike) -> Array:
+        """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
+        whole = np.broadcast_arrays(*(np.asarray(vector, float) for vector in vectors))
+        filled = np.empty(whole[0].shape)
+        for group in self._groups:
+            filled[..., group.places] = function(group, *(x[..., group.places] for x in whole))
+        return filled
+
+
+def _matrices(vectors: Array, basis: Array) -> Array:
+    return (vectors @ basis).reshape(*vectors.shape[:-1], 4, 4)
+
+
+def _parameters(matrices: Array) -> Array:
+    return matrices.reshape(*matrices.shape[:-2], 16) @ _FROM_MATRIX
+
+
+def _body_step(phi: Array, b: Array, time: float) -> Array:
+    """The natural step of inertial parameters φ (..., 10) for covectors b (..., 10)."""
+    try:
+        L = np.linalg.cholesky(_matrices(phi, _TO_MATRIX))
+        turned = L.swapaxes(-1, -2) @ _matrices(b, _TO_DUAL) @ L
+        rates, axes = np.linalg.eigh(turned)
+        if np.abs(rates).max(initial=0.0) * abs(time) <= _USUAL_GROWTH:
+            root = (L @ axes) * np.exp((-0.5 * time) * rates)[..., None, :]
+            P = root @ root.swapaxes(-1, -2)
+            # (det P over the product of its diagonal does not depend on units.)
+            shape = np.linalg.det(P) / np.diagonal(P, axis1=-2, axis2=-1).prod(-1)
+            if shape.min(initial=1.0) > _WELL_INSIDE:
+                return _parameters(P)
+    except np.linalg.LinAlgError:
+        pass
+    # Long steps, and bodies at the edge of what can exist, take the careful way.
+    body = PhysicalInertia()
+    return body.retract(phi, -time * body.inverse_metric_times(phi, b))
+
+
+def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
+    """The natural step of parameters x (..., n) that have a lower bound only."""
+    slack = x - lower
+    growth = slack * b * -time
+    if np.abs(growth).max(initial=0.0) <= _USUAL_GROWTH:
+        stepped = x + slack * np.expm1(growth)
+        if (stepped > lower).all():
+            return np.asarray(stepped)
+    above = Interval(tuple(lower.tolist()), (np.inf,) * len(lower))
+    return above.retract(x, slack * growth)
