@@ -132,7 +132,7 @@ def test_bad_arrays(tmp_path):
     good = {name: np.arange(12.0) for name in HEADER.split(",")}
     path = tmp_path / "log.npz"
     np.savez(path, **{**good, "a.effort": np.arange(11.0)})
-    with pytest.raises(LogError, match="'time' has 12 numbers and 'a.effort' has 11"):
+    with pytest.raises(LogError, match=r"'time' has 12 numbers and 'a\.effort' has 11"):
         read_log(path)
     np.savez(path, **{**good, "a.effort": np.array(["x"] * 12)})
     with pytest.raises(LogError, match=r"'a.effort'.*not real numbers"):
