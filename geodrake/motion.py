@@ -71,10 +71,10 @@ class JointLog:
     def fingerprint(self) -> str:
         """Digest of the measurements, whatever the order of the joints: tells logs apart."""
         order = np.argsort(self.joints)
-        digest = hashlib.sha256(np.ascontiguousarray(self.time))
+        digest = hashlib.sha256(np.ascontiguousarray(self.time).data)
         for values in (self.position, self.effort):
             for first in range(0, len(self), _ROWS):
-                digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]))
+                digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]).data)
         return digest.hexdigest()[:16]
 
     def select(self, joints: Sequence[str]) -> JointLog:
@@ -160,8 +160,14 @@ class Segment:
         return len(self.time)
 
     def __getitem__(self, samples: slice) -> Segment:
-        signals = (self.time, self.position, self.velocity, self.acceleration, self.effort)
-        return Segment(*(signal[samples] for signal in signals), self.period)
+        return Segment(
+            time=self.time[samples],
+            position=self.position[samples],
+            velocity=self.velocity[samples],
+            acceleration=self.acceleration[samples],
+            effort=self.effort[samples],
+            period=self.period,
+        )
 
     @property
     def peak_speed(self) -> Array:

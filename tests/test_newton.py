@@ -334,7 +334,7 @@ def test_a_start_saves_steps_and_changes_nothing():
 
 def test_what_newton_refuses():
     problem = example(11)
-    with pytest.raises(ArgumentError, match=r"entropic prior for every inertia block.*\[20\]"):
+    with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
         priors = {start: problem.entropic[start] for start in BODIES[:2]}
         solve_newton(replace(problem, entropic=priors))
     with pytest.raises(ArgumentError, match="weights must be positive; the smallest is -1"):

@@ -283,5 +283,5 @@ def test_bad_settings_and_contradictions():
             PRIOR,
             regularizer="riemannian",
             gamma=1.0,
-            constraints=BodyConstraints(mass_bounds=[[4.0, 5.0], [0.0, 1.0]], total_mass=3.9),
+            constraints=BodyConstraints(mass_bounds=[[4.0, 5.0], [0.0, 1.0]], total_mass=1.0),
         )

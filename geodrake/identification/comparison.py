@@ -30,7 +30,7 @@ class IdentifyOptions(TypedDict, total=False):
     total_mass: float | None
     extra_bounds: ArrayLike | None
     constraints: BodyConstraints | None
-    solver: str
+    solver: str | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

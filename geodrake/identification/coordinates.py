@@ -11,6 +11,9 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 
+Rows = tuple[Array, Array]
+"""Rows (m, p) of linear constraints, and their values (m,)."""
+
 
 def _symmetric_basis() -> Array:
     matrices = np.zeros((10, 4, 4))
@@ -105,6 +108,31 @@ class Coordinates:
         scale[scalar] = np.diagonal(self.transform)[scalar]
         mean = self.problem.prior_mean
         return (self.problem.lower - mean) / scale, (self.problem.upper - mean) / scale
+
+    def rows(self) -> tuple[Rows, Rows]:
+        """Bounds and constraints as inequalities G z ≥ h and equalities E z = e.
+
+        Returns:
+            G (m, p) with h (m,) and E (l, p) with e (l,), all rows of unit length.
+        """
+        lower, upper = self.bounds()
+        matrix = np.eye(self.problem.size)
+        constraints = self.problem.constraints
+        if constraints is not None:
+            begin = constraints.matrix @ self.problem.prior_mean
+            matrix = np.vstack([matrix, constraints.matrix @ self.transform])
+            lower = np.append(lower, constraints.lower - begin)
+            upper = np.append(upper, constraints.upper - begin)
+        norms = np.linalg.norm(matrix, axis=1)
+        scale = 1.0 / np.where(norms > 0, norms, 1.0)
+        matrix, lower, upper = scale[:, None] * matrix, scale * lower, scale * upper
+        fixed = np.isfinite(lower) & (lower == upper)
+        above, below = np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed
+        inequalities = (
+            np.vstack([matrix[above], -matrix[below]]),
+            np.append(lower[above], -upper[below]),
+        )
+        return inequalities, (matrix[fixed], lower[fixed])
 
     def smallest_eigenvalues(self, x: ArrayLike) -> Array:
         """Smallest eigenvalue of P(reference)⁻¹ P(φ) for each block of x (p,); (n_blocks,)."""

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from geodrake.identification.fit import FitResult
-from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Regularizer
 from geodrake.inertia import Array, pseudo_inertia
@@ -31,8 +30,8 @@ class Entropic(Regularizer):
         priors = zip(problem.inertia_blocks, prior, strict=True)
         return replace(problem, entropic={start: (phi, gamma) for start, phi in priors})
 
-    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
-        """Solve the fit by Drake's conic solver of that name, or by "newton"."""
-        if solver == "newton":
-            return solve_newton(self.regularize(problem, prior, gamma))
-        return super().solve(problem, prior, gamma, solver)
+    def solve(
+        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+    ) -> FitResult:
+        """Solve the fit by Newton's method, or by Drake's conic solver of that name."""
+        return super().solve(problem, prior, gamma, solver or "newton")

@@ -80,7 +80,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     total_mass: float | None = None,
     extra_bounds: ArrayLike | None = None,
     constraints: BodyConstraints | None = None,
-    solver: str = "clarabel",
+    solver: str | None = None,
 ) -> IdentificationResult:
     """Physical parameters that fit A x ≈ b and stay near a prior.
 
@@ -104,16 +104,18 @@ def identify(  # noqa: PLR0913 - the stable interface
         extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
         constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
             too instead.
-        solver: A name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel. Or "newton",
-            which is faster, with the entropic regularizer.
+        solver: By default Newton's method for "entropic" and "riemannian", and Clarabel for the
+            rest, whose last digits Newton's method adds. Or one alone: "newton", but for point
+            masses, or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
 
     Returns:
         The parameters and how they were found.
 
     Raises:
-        ArgumentError: A shape, value or name is wrong, or no parameters reach the residual bound.
+        ArgumentError: A shape, value or name is wrong, or no physical bodies inside all
+            constraints reach the residual bound; `minimum` of its evidence is what they reach.
         IdentificationError: The solver found no solution, for instance because no physical
-            bodies reach the residual bound or the total mass inside their ellipsoids.
+            bodies have the total mass inside their ellipsoids.
     """
     kind = regularizer_of(regularizer)
     if (gamma is None) == (residual_bound is None):

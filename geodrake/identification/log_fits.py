@@ -8,9 +8,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
-from geodrake.errors import IdentificationError
+from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.cross_validation import HeldOut, hold_out
 from geodrake.identification.dataset import Dataset, is_payload
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
@@ -28,9 +27,6 @@ from geodrake.model_files.description import drake_messages
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-_REACHES = (5.0, 10.0, 20.0)
-"""Distances in log γ within which a residual is looked for."""
 
 _NOTHING = 1e-200
 """Information of `effect_prior` below which the logs say nothing about an effect."""
@@ -145,37 +141,24 @@ class LogFits:
         bounds = np.column_stack([self.unknowns.lower[scalar], self.unknowns.upper[scalar]])
         return bounds if len(bounds) else None
 
-    def solve_at(self, regularizer: str, residual: float) -> IdentificationResult:
-        """The fit to all folds with the γ at which it has a given training residual.
+    def compare(self, reference: str, gamma: float) -> RegularizerComparison:
+        """All regularizers, fitted to all folds at the training residual of one and its γ.
 
         Args:
-            regularizer: Name of the regularizer.
-            residual: Weighted squared residual, to be met to 1e-6 of itself.
-
-        Raises:
-            IdentificationError: No γ leads there.
+            reference: Name of the regularizer that γ belongs to.
+            gamma: Its weight.
         """
-        try:
-            return self.solve(regularizer, residual_bound=residual)
-        except IdentificationError:  # the conic form can fail where the sum of both does not
-            pass
-        start = np.log(1.0 / (SPREAD**2 * regularizer_scale(self.prior, regularizer)))
-        found: dict[float, IdentificationResult] = {}
-
-        def excess(log_gamma: float) -> float:
-            found[log_gamma] = self.solve(regularizer, gamma=float(np.exp(log_gamma)))
-            return found[log_gamma].residual / residual - 1.0
-
-        try:
-            reach = next(r for r in _REACHES if excess(start - r) < 0.0 < excess(start + r))
-        except StopIteration as error:
-            raise IdentificationError(
-                f"The {regularizer} regularizer reaches the residual {residual:.6g} with no "
-                "weight.",
-                advice="Compare at a larger gamma.",
-            ) from error
-        brentq(excess, start - reach, start + reach, xtol=1e-9)
-        return min(found.values(), key=lambda result: abs(result.residual - residual))
+        A, b = self.data()
+        with drake_messages():
+            return compare_regularizers(
+                A,
+                b,
+                self.prior,
+                gamma=gamma,
+                reference=reference,
+                extra_bounds=self.extra_bounds,
+                total_mass=self.total_mass,
+            )
 
     def least_residual(self, without: int | None = None) -> float:
         """The least weighted squared residual that any parameters reach, physical or not."""

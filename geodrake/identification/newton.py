@@ -1,4 +1,4 @@
-"""A solver for entropic fits alone: some ten Newton steps on the triangular factor."""
+"""A solver of our own for convex fits: some ten Newton steps on the triangular factor."""
 
 from __future__ import annotations
 
@@ -19,22 +19,26 @@ _LEAST_EIGENVALUES = (1e-13, 1e-11, 1e-9)
 """Eigenvalues of P(φ⁰)⁻¹ P(φ) that rounding leaves positive, to be tried in turn."""
 
 
-def solve_newton(problem: FitProblem, *, start: ArrayLike | None = None) -> FitResult:
-    """Fit parameters whose every inertia block has an entropic prior.
+def solve_newton(
+    problem: FitProblem, *, start: ArrayLike | None = None, weight: float | None = None
+) -> FitResult:
+    """Fit parameters whose every inertia block has an entropic or a quadratic prior.
 
-    The divergence keeps P(φ) ≻ 0 by itself, so `margin` plays no part here. In the point-to-set
-    form the weight of the prior is the root of residual(γ) = residual_bound; all trials after
-    the first start from the one before.
+    An entropic divergence keeps P(φ) ≻ 0 by itself, so `margin` plays no part there. A block with a
+    quadratic prior gets a logarithmic barrier of 1e-10 of its prior's curvature, or more where
+    rounding needs it. In the point-to-set form the weight of the prior is the root of
+    residual(γ) = residual_bound; all trials after the first start from the one before.
 
     Args:
         problem: What to fit.
         start: (p,) parameters close to the solution, to save some steps; the prior if None.
+        weight: A weight of the prior close to the solution's, in the point-to-set form.
 
     Returns:
         The unique minimum, exact to rounding, with the information of data and prior together.
 
     Raises:
-        ArgumentError: A block has no entropic prior, or the residual bound is below what physical
+        ArgumentError: A block has no prior, or the residual bound is below what physical
             bodies inside all constraints reach; its evidence has that `minimum`.
         IdentificationError: The constraints contradict each other.
     """
@@ -44,10 +48,10 @@ def solve_newton(problem: FitProblem, *, start: ArrayLike | None = None) -> FitR
     if start is not None:
         start = checked("start", start, (problem.size,))
     if problem.residual_bound is not None:
-        minimum, weight = bounded_minimum(program, problem.residual_bound, start)
+        minimum, found = bounded_minimum(program, problem.residual_bound, start, weight)
     else:
-        minimum, weight = first_minimum(program, 1.0, start), 1.0
-    return _result(minimum, weight, time.perf_counter() - begin)
+        minimum, found = first_minimum(program, 1.0, start), 1.0
+    return _result(minimum, found, time.perf_counter() - begin)
 
 
 def newton_sweep(problem: FitProblem, weights: ArrayLike) -> tuple[FitResult, ...]:
@@ -62,7 +66,7 @@ def newton_sweep(problem: FitProblem, weights: ArrayLike) -> tuple[FitResult, ..
 
     Raises:
         ArgumentError: A weight is not positive, there is a residual bound, or a block has no
-            entropic prior.
+            prior.
         IdentificationError: The constraints contradict each other.
     """
     weights = checked("weights", weights, (None,))

@@ -78,25 +78,26 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
         IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
     best: Minimum | None = None
+    gamma = float(weighted.gamma.min(initial=np.inf))
     stalled = 0
     here: Linearization | None = Linearization(weighted, start)
     for count in range(_STEPS):
         if here is None:
             break
-        last, gap, cost = here.at, here.gap(), weighted.cost(here.at.z)
+        last, gap, cost = here.at, _gap(here), weighted.cost(here.at.z)
         feasible = _feasible(here)
         stalled += 1
         if feasible and (best is None or gap < best.gap):
             stalled = 0 if best is None or gap < 0.5 * best.gap else stalled
             best = Minimum(weighted, here.at, count, gap, here)
-        if feasible and gap <= max(_EXACT * weighted.gamma.min(initial=np.inf), _ROUNDING * cost):
+        if feasible and gap <= max(_EXACT * gamma, min(_QUADRATIC * gamma, _ROUNDING * cost)):
             break
         if best is not None and stalled > _PATIENCE and best.gap <= _GOOD * cost:
             break
         here = _next(here)
     if best is None or best.gap > _GOOD * max(weighted.cost(best.point.z), weighted.gamma.sum()):
         raise _failure(weighted, last)
-    if best.gap > _QUADRATIC * weighted.gamma.min(initial=np.inf):
+    if best.gap > _QUADRATIC * gamma:
         return best
     # One more step on the factor at hand, which nearly squares the error that is left.
     step = best.linearization.direction(0.0)
@@ -104,7 +105,27 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
     return replace(best, point=best.point.moved(step.step, length))
 
 
+def _gap(here: Linearization) -> float:
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            return here.gap()
+    except FloatingPointError:
+        return np.inf
+
+
 def _next(here: Linearization) -> Linearization | None:
+    """The conditions one step further; None where rounding leaves no way.
+
+    Multipliers of constraints that contradict each other grow until they overflow.
+    """
+    try:
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            return _stepped(here)
+    except FloatingPointError:
+        return None
+
+
+def _stepped(here: Linearization) -> Linearization | None:
     """The conditions after a predictor and a corrector; None where rounding leaves no way."""
     excess = here.excess()
     predictor = here.direction(0.0)
@@ -138,8 +159,7 @@ def _feasible(here: Linearization) -> bool:
 def cold_start(weighted: WeightedProgram) -> Iterate:
     """The prior, with multipliers larger than all slopes of the cost there."""
     program = weighted.program
-    z = np.zeros(program.size)
-    z[program.blocks] = IDENTITY - svec(program.begin)
+    z = program.middle()
     slope = weighted.slope(z)
     slope[program.blocks] -= weighted.gamma[:, None] * IDENTITY
     G, h = program.inequalities
@@ -166,7 +186,8 @@ def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
     slack = G @ z - h
     # What the slope has beyond γ S⁻¹ is for the active inequalities and the equalities.
     rest = slope.copy()
-    rest[program.blocks] -= weighted.gamma[:, None] * svec(np.linalg.inv(S))
+    inverse = np.asarray(np.linalg.inv(S), float)
+    rest[program.blocks] -= weighted.gamma[:, None] * svec(inverse)
     near = slack < _ACTIVE * (1.0 + np.abs(z).max(initial=0.0))
     E = program.equalities[0]
     known = np.linalg.lstsq(np.vstack([G[near], E]).T, rest)[0]

@@ -1,24 +1,26 @@
-"""What Newton's method iterates on: an entropic fit on triangular factors, without units."""
+"""What Newton's method iterates on: a fit on triangular factors, without units."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, Rows
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.reduction import triangular_factor
-
-Rows = tuple[Array, Array]
 
 _SVEC = SYMMETRIC_BASIS.reshape(10, 16)
 IDENTITY = _SVEC @ np.eye(4).ravel()
 """Coordinates svec(I) of the 4×4 identity; shape (10,)."""
 
+_BARRIER = 1e-10
+"""Weight of a barrier, relative to the curvature of the block's quadratic prior."""
+_LEAST = 1e-11
+"""Least weight of a barrier, relative to the misfit at the prior."""
 _UNDETERMINED = 1e-11
 _HOLD = 1e-5
 
@@ -35,10 +37,11 @@ def svec(matrices: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class NewtonProgram:
-    """An entropic fit in the coordinates z of `Coordinates`, split into data and prior.
+    """A fit in the coordinates z of `Coordinates`, split into data and prior.
 
     Minimizes ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i (tr S_i − log|S_i|)) with S_i = B_i + smat(z_i) ≻ 0,
-    G z ≥ h and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)).
+    G z ≥ h and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). A block whose prior is quadratic has a
+    γ_i next to nothing, as the barrier that keeps it physical.
 
     Attributes:
         coordinates: Map to the parameters of the problem.
@@ -48,6 +51,8 @@ class NewtonProgram:
         blocks: (n, 10) indices of the inertia blocks in z.
         begin: (n, 4, 4) matrices B.
         gamma: (n,) weights γ.
+        least: (n,) least w γ of a barrier, whatever w, so that rounding does not drown it.
+        strength: Size of the prior, to which weights w are relative.
         inequalities: G (m, p) and h (m,), with rows of unit length.
         equalities: E (l, p) and e (l,), with independent rows of unit length.
         floor: Least squared residual of any parameters, also unphysical ones.
@@ -60,25 +65,19 @@ class NewtonProgram:
     blocks: NDArray[np.intp]
     begin: Array
     gamma: Array
+    least: Array
+    strength: float
     inequalities: Rows
     equalities: Rows
     floor: float
 
     @classmethod
     def of(cls, problem: FitProblem) -> NewtonProgram:
-        """The program of a problem whose every block has an entropic prior.
+        """The program of a problem whose every block has an entropic or a quadratic prior.
 
         Raises:
             ArgumentError: A block has none.
         """
-        free = sorted(set(problem.inertia_blocks) - set(problem.entropic))
-        if free:
-            raise ArgumentError(
-                f"Newton's method needs an entropic prior for every inertia block; those at "
-                f"columns {free} have none.",
-                advice="Give them one, or use the solver clarabel.",
-                columns=free,
-            )
         coordinates = Coordinates.of(problem)
         p = problem.size
         triangle = triangular_factor([np.column_stack(coordinates.data())])
@@ -86,19 +85,32 @@ class NewtonProgram:
         blocks = np.reshape(
             [np.arange(start, start + 10) for start in problem.inertia_blocks], (-1, 10)
         ).astype(np.intp)
-        inequalities, equalities = _constraint_rows(coordinates)
-        return cls(
+        inequalities, equalities = coordinates.rows()
+        gamma, strength = _weights(problem, prior, blocks)
+        barrier = np.array([start not in problem.entropic for start in problem.inertia_blocks])
+        margins = np.where(barrier, problem.margin, 0.0)[:, None, None]
+        program = cls(
             coordinates=coordinates,
             data=triangle[:p],
             prior=prior,
             held=_undetermined(np.vstack([triangle[:p, :p], prior]), blocks),
             blocks=blocks,
-            begin=coordinates.starts,
-            gamma=np.array([problem.entropic[start][1] for start in problem.inertia_blocks]),
+            begin=coordinates.starts - margins * coordinates.references,
+            gamma=gamma,
+            least=np.zeros(len(gamma)),
+            strength=strength,
             inequalities=inequalities,
             equalities=equalities,
             floor=float(triangle[p, p] ** 2) if len(triangle) > p else 0.0,
         )
+        least = _LEAST * program.excess(program.middle())
+        return replace(program, least=np.where(barrier, least, 0.0))
+
+    def middle(self) -> Array:
+        """Coordinates (p,) where every S is the identity."""
+        z = np.zeros(self.size)
+        z[self.blocks] = IDENTITY - svec(self.begin)
+        return z
 
     @property
     def size(self) -> int:
@@ -137,7 +149,7 @@ class NewtonProgram:
             weight=weight,
             factor=np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p])),
             target=np.sqrt(2.0) * triangle[:, p],
-            gamma=weight * self.gamma,
+            gamma=np.maximum(weight * self.gamma, self.least),
         )
 
 
@@ -150,7 +162,7 @@ class WeightedProgram:
         weight: The weight w.
         factor: (p, p) upper triangular F, in Fortran's order.
         target: (p,) f.
-        gamma: (n,) weights w γ_i.
+        gamma: (n,) weights w γ_i, or those of barriers.
     """
 
     program: NewtonProgram
@@ -174,27 +186,21 @@ class WeightedProgram:
         return float(0.5 * errors @ errors + self.gamma @ divergences)
 
 
-def _constraint_rows(coordinates: Coordinates) -> tuple[Rows, Rows]:
-    """Inequalities G z ≥ h and equalities E z = e of bounds and constraints."""
-    problem = coordinates.problem
-    lower, upper = coordinates.bounds()
-    matrix = np.eye(problem.size)
-    constraints = problem.constraints
-    if constraints is not None:
-        begin = constraints.matrix @ problem.prior_mean
-        matrix = np.vstack([matrix, constraints.matrix @ coordinates.transform])
-        lower = np.append(lower, constraints.lower - begin)
-        upper = np.append(upper, constraints.upper - begin)
-    norms = np.linalg.norm(matrix, axis=1)
-    scale = 1.0 / np.where(norms > 0, norms, 1.0)
-    matrix, lower, upper = scale[:, None] * matrix, scale * lower, scale * upper
-    fixed = np.isfinite(lower) & (lower == upper)
-    above, below = np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed
-    inequalities = (
-        np.vstack([matrix[above], -matrix[below]]),
-        np.append(lower[above], -upper[below]),
-    )
-    return inequalities, (matrix[fixed], lower[fixed])
+def _weights(problem: FitProblem, prior: Array, blocks: NDArray[np.intp]) -> tuple[Array, float]:
+    """Weights γ (n,) of entropic priors and barriers, and the size of the whole prior."""
+    curvatures = np.square(prior).sum(0)[blocks].mean(1)
+    entropic = np.array([problem.entropic.get(k, (None, 0.0))[1] for k in problem.inertia_blocks])
+    free = np.array(problem.inertia_blocks, int)[(entropic == 0) & (curvatures == 0)].tolist()
+    if free:
+        raise ArgumentError(
+            "Newton's method needs an entropic or quadratic prior for every inertia block; those "
+            f"at columns {free} have none.",
+            advice="Give them one, or use the solver clarabel.",
+            columns=free,
+        )
+    gamma = np.where(entropic > 0, entropic, _BARRIER * curvatures)
+    strengths = np.where(entropic > 0, entropic, curvatures)
+    return gamma, float(strengths.max(initial=0.0)) or 1.0
 
 
 def _undetermined(rows: Array, blocks: NDArray[np.intp]) -> Array:

@@ -46,7 +46,10 @@ def next_minimum(minimum: Minimum, weight: float) -> Minimum:
 
 
 def bounded_minimum(
-    program: NewtonProgram, bound: float, start: Array | None = None
+    program: NewtonProgram,
+    bound: float,
+    start: Array | None = None,
+    weight: float | None = None,
 ) -> tuple[Minimum, float]:
     """The minimum whose residual is the bound, and its weight; inf when the data are idle.
 
@@ -57,6 +60,7 @@ def bounded_minimum(
         program: What to fit.
         bound: Greatest squared residual, above that of any parameters.
         start: (p,) parameters close to the solution; the prior if None.
+        weight: A weight close to that of the solution.
 
     Raises:
         ArgumentError: The bound is below what physical bodies inside all constraints reach; its
@@ -64,10 +68,11 @@ def bounded_minimum(
         IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
     wanted = bound - program.floor
-    scale = program.excess(cold_start(program.weighted(1.0)).z) + wanted
+    scale = (program.excess(program.middle()) + wanted) / program.strength
     low, high = float(np.log(_RIGID * scale)), float(np.log(_IDLE * scale))
     ends = (low, high)
-    u = float(np.log(wanted))
+    guess = wanted / program.strength if weight is None else weight
+    u = float(np.clip(np.log(guess), low, high))
     minimum = first_minimum(program, float(np.exp(u)), start)
     for _ in range(_TRIALS):
         miss = minimum.excess - wanted

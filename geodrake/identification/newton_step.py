@@ -194,7 +194,9 @@ class Linearization:
         """Change (p,) of the minimum with the logarithm of the prior's weight."""
         weighted, at = self.weighted, self.at
         prior = weighted.program.prior
+        moves = weighted.gamma > weighted.program.least  # a least barrier stays as it is
         pull = (weighted.gamma[:, None] / self._d)[:, :, None] * np.eye(4) - self._prior_pull
+        pull = moves[:, None, None] * pull
         right = self._reduced(np.zeros_like(at.z), pull, np.zeros_like(at.slack))
         change = 2.0 * weighted.weight * (prior.T @ (prior @ at.z))
         right = right - _solve(self._R, change, transposed=True)

@@ -89,14 +89,16 @@ class PointMassRegularizer(Regularizer):
         """The problem with γ d² to second order around the prior; `solve` is exact."""
         return self._informed(problem, gamma, self.points.prior)
 
-    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> PointMassFit:
-        """The masses that fit best, by Drake's conic solver of that name.
+    def solve(
+        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+    ) -> PointMassFit:
+        """The masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
         Raises:
             ArgumentError: The prior is not that of the points, or no masses reach the residual.
             IdentificationError: The solver found no solution.
         """
-        begin = time.perf_counter()
+        begin, solver = time.perf_counter(), solver or "clarabel"
         self._check(prior)
         check_residual_bound(problem)
         program = PointMassProgram.of(self.points, problem)

@@ -9,7 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from geodrake.errors import IdentificationError
+from geodrake.identification.exact import solve_exactly
 from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 
@@ -48,13 +50,21 @@ class Regularizer(ABC):
         """d² at a solution of `solve`."""
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
-    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
-        """Solve the fit with γ d(Φ, Φ⁰)² added, by Drake's conic solver of that name.
+    def solve(
+        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+    ) -> FitResult:
+        """Solve the fit with γ d(Φ, Φ⁰)² added.
 
-        Where the solver is not exact enough to keep bodies physical at the problem's margin, it
-        tries ten and a hundred times that margin.
+        With None, by the conic solver and Newton's method (`solve_exactly`); with "newton", by that
+        alone; else by Drake's conic solver of that name alone. Where such a solver is not exact
+        enough to keep bodies physical at the problem's margin, it tries ten and a hundred times
+        that margin.
         """
         regularized = self.regularize(problem, prior, gamma)
+        if solver is None:
+            return solve_exactly(regularized)
+        if solver == "newton":
+            return solve_newton(regularized)
         for factor in _MARGINS[:-1]:
             try:
                 wider = replace(regularized, margin=factor * problem.margin)

@@ -17,7 +17,6 @@ from geodrake.identification.problem import FitProblem
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.riemannian_fit import RiemannianSearch
-from geodrake.identification.solvers import SOLVERS
 from geodrake.inertia import Array, pseudo_inertia
 from geodrake.positive_definite import relative_logarithms
 
@@ -72,7 +71,9 @@ class Riemannian(Regularizer):
         """The entropic problem, a convex neighbour that agrees with this one to second order."""
         return Entropic().regularize(problem, prior, gamma)
 
-    def solve(self, problem: FitProblem, prior: Array, gamma: float, solver: str) -> FitResult:
+    def solve(
+        self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
+    ) -> FitResult:
         """The best local minimum that the starts lead to; the solver finds the starts.
 
         Raises:
@@ -99,14 +100,15 @@ class Riemannian(Regularizer):
         return search.result(best, weight, minima, time.perf_counter() - begin)
 
     def _others(
-        self, search: RiemannianSearch, first: Array, prior: Array, gamma: float, solver: str
+        self, search: RiemannianSearch, first: Array, prior: Array, gamma: float, solver: str | None
     ) -> dict[str, Callable[[], Array]]:
         """What gives the coordinates (p,) of the other starts, as far as they exist."""
-        conic = solver if solver in SOLVERS else "clarabel"
         free = replace(search, problem=replace(search.problem, residual_bound=None))
 
         def pullback() -> Array:
-            fit = free.inside(lambda inner: Pullback().solve(inner, prior, gamma, conic))
+            fit = free.inside(
+                lambda inner: Pullback().solve(inner, prior, gamma, solver or "newton")
+            )
             # It may be at the boundary of physical bodies; a share of the first start leads inside.
             return 0.9 * search.start(fit.x) + 0.1 * first
 

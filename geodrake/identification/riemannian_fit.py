@@ -24,6 +24,10 @@ _WARM = 1e-6
 _MEETS = 1e-9
 """Relative difference of the residual from its bound."""
 
+_NEARLY_MEETS = 1e-6
+"""The same, that will do where rounding leaves no closer one."""
+
+_NARROW = 1e-12
 _MOST_TRIALS = 60
 _FARTHEST = 1.5
 """Standard deviation of the logarithms of mass and moments in random starts, at most."""
@@ -150,10 +154,16 @@ class RiemannianSearch:
         found = self.minimum(z, weight)
         low, high = None, None  # (log w, error)
         at, side = float(np.log(weight)), 0
+        closest: tuple[float, Minimum, float] | None = None
         for _ in range(_MOST_TRIALS):
             misfit = self.cost.misfit(found.z)
-            if abs(misfit - excess) <= _MEETS * min(bound, 1e3 * excess):
+            miss = abs(misfit - excess)
+            if closest is None or miss < closest[0]:
+                closest = (miss, found, float(np.exp(at)))
+            if miss <= _MEETS * min(bound, 1e3 * excess):
                 return found, float(np.exp(at))
+            if low and high and abs(high[0] - low[0]) < _NARROW:
+                break
             error = float(np.log(max(misfit, np.finfo(float).tiny) / excess))
             if error < 0:
                 low, high, side = (at, error), _halved(high, side == -1), -1
@@ -161,6 +171,8 @@ class RiemannianSearch:
                 low, high, side = _halved(low, side == 1), (at, error), 1
             at = _next(low, high, at, error)
             found = self.minimum(found.z, float(np.exp(at)), warm=True)
+        if closest is not None and closest[0] <= _NEARLY_MEETS * bound:
+            return closest[1:]  # rounding leaves no closer one
         raise IdentificationError(
             f"No local minimum has the residual {bound:.6g}: as gamma changes, it jumps from one "
             f"minimum to another; the nearest found has {misfit + floor:.6g}.",

@@ -13,7 +13,7 @@ from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.hypothesis import first_hypothesis, settle
 from geodrake.effects import Effect, EffortDelay
 from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification import REGULARIZERS, IdentificationResult
+from geodrake.identification import IdentificationResult
 from geodrake.identification.cross_validation import HeldOut, hold_out
 from geodrake.identification.log_fits import LogFits, log_unknowns
 from geodrake.identification.weighing import Weighing, weigh
@@ -206,11 +206,11 @@ def _alternatives(
     folds: Sequence[IdentificationResult],
 ) -> tuple[Alternative, ...]:
     """Every regularizer at the training residual of the one chosen, and held out with that γ."""
+    found = fits.compare(chosen, result.gamma).results
 
     def at_same_residual(name: str) -> Alternative:
-        own, parts = result, list(folds)
+        own, parts = found[name], list(folds)
         if name != chosen:
-            own = fits.solve_at(name, result.residual)
             parts = [fits.solve(name, gamma=own.gamma, without=f) for f in fits.folds]
         errors = error_table(fits.dataset, fits.held_out(parts))
         names = block_names(fits)
@@ -218,7 +218,7 @@ def _alternatives(
         nb = len(fits.dataset.bodies)
         return Alternative(name, own.gamma, own.residual, errors, own.phi[:nb], boundary)
 
-    return tuple(at_same_residual(name) for name in REGULARIZERS)
+    return tuple(at_same_residual(name) for name in found)
 
 
 def _fitted(
