@@ -1,0 +1,182 @@
+"""Identify an AMBIDEX-like arm from few samples, with every regularizer ([Lee2019] §3.6.1).
+
+Torques of 47 random point-to-point motions are simulated with friction and noise, and the prior is
+wrong in every link ([Lee2019] §B.2). Each draw has its own prior and its own stretches of the
+training samples. Draws that are done are kept in a file, so that an interrupted run goes on.
+
+    python diagrams/ambidex_arm.py --json ambidex.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import fmean, pstdev
+from typing import Any
+
+from ambidex.arm import Arm
+from ambidex.draws import NAMES, Plan, run_draw
+from ambidex.measurements import TRAINING, Measurements, measure
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+VERSION = 1
+"""Of what a draw is; one more when kept draws of older versions must not be used."""
+GAMMA = 0.03  # the source's, (N·m)²
+COUNTS = (10, 30, 100, 300, 1000, TRAINING)
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def run(plan: Plan, measured: Measurements, *, cache: Path | None, workers: int) -> list[Any]:
+    """Rows of all draws, from the cache as far as they are there."""
+    done = read_cache(cache, plan)
+    missing = [draw for draw in range(plan.draws) if draw not in done]
+    task = partial(run_draw, plan=plan, measured=measured)
+    for draw, rows in track(
+        finished(task, missing, workers), description="draws", total=len(missing), transient=True
+    ):
+        done[draw] = rows
+        if cache is not None:
+            with cache.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"key": key(plan), "draw": draw, "rows": rows}) + "\n")
+    return [row for draw in range(plan.draws) for row in done[draw]]
+
+
+def finished(task: Any, draws: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
+    """Draws as they are done, in processes of their own."""
+    if workers < 2:
+        yield from ((draw, task(draw)) for draw in draws)
+        return
+    os.environ.update(ONE_THREAD)  # processes that are spawned read it before numpy is there
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        futures = {pool.submit(task, draw): draw for draw in draws}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def key(plan: Plan) -> dict[str, Any]:
+    """What a kept draw must have been made with."""
+    return {"version": VERSION, **asdict(plan), "counts": list(plan.counts), "draws": None}
+
+
+def read_cache(cache: Path | None, plan: Plan) -> dict[int, Any]:
+    """Draws that are in the cache; a last line cut short by an interruption does not count."""
+    done: dict[int, Any] = {}
+    if cache is None or not cache.is_file():
+        return done
+    for line in cache.read_text(encoding="utf-8").splitlines():
+        try:
+            kept = json.loads(line)
+        except json.JSONDecodeError:
+            continue
+        if kept["key"] == key(plan) and kept["draw"] < plan.draws:
+            done[kept["draw"]] = kept["rows"]
+    return done
+
+
+def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:
+    """Means and deviations over the draws, for the prior and every fit."""
+    summary = []
+    cells = [(0, "prior")] + [(count, name) for count in plan.counts for name in NAMES]
+    for count, name in cells:
+        found = [r for r in rows if (r["samples"], r["regularizer"]) == (count, name)]
+        if not found:
+            continue
+        line: dict[str, Any] = {"samples": count, "regularizer": name, "draws": len(found)}
+        for column in ("training", "test", "rigid", "distance", "zmp", "seconds", "at_boundary"):
+            values = [r[column] for r in found if r[column] is not None]
+            if values:
+                line[column], line[f"{column}_deviation"] = fmean(values), pstdev(values)
+        priors = {r["draw"]: r["test"] for r in rows if r["regularizer"] == "prior"}
+        line["worse_than_prior"] = fmean(r["test"] > priors[r["draw"]] for r in found)
+        summary.append(line)
+    return summary
+
+
+def show(summary: Sequence[dict[str, Any]], console: Console) -> None:
+    """Print the summary."""
+    table = Table(
+        "samples", "regularizer", "draws", "training", "test", "of the bodies", "distance"
+    )
+    for name in ("ZMP cm", "worse than prior", "at boundary", "s"):
+        table.add_column(name)
+    for line in summary:
+        spread = [
+            f"{1e3 * line[c]:.2f} ± {1e3 * line[f'{c}_deviation']:.2f}" if c in line else ""
+            for c in ("training", "test", "rigid")
+        ]
+        table.add_row(
+            str(line["samples"]),
+            line["regularizer"],
+            str(line["draws"]),
+            *spread,
+            f"{line['distance']:.2f}",
+            f"{100 * line['zmp']:.2f}",
+            f"{100 * line['worse_than_prior']:.0f} %",
+            f"{line['at_boundary']:.1f}",
+            f"{line['seconds']:.2f}",
+            end_section=line["regularizer"] in ("prior", NAMES[-1]),
+        )
+    console.print("RMS errors of motor torques in mN·m, means and deviations over the draws")
+    console.print(table)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few draws, 30 and all samples")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--draws", type=int, help="number of draws (30; 5 with --quick)")
+    parser.add_argument("--gamma", type=float, default=GAMMA, help="of the entropic divergence")
+    parser.add_argument("--delta", type=float, default=0.4, help="how wrong the prior's links are")
+    parser.add_argument("--hull", type=float, default=2.0, help="size of the hulls over the links'")
+    parser.add_argument("--counts", type=int, nargs="+", help="numbers of training samples")
+    parser.add_argument("--workers", type=int, default=min(2, os.cpu_count() or 1))
+    parser.add_argument("--cache", type=Path, help="file of draws (beside that of --json)")
+    parser.add_argument("--json", type=Path, help="write the table here")
+    parser.add_argument("--figures", type=Path, help="write figures into this folder")
+    options = parser.parse_args()
+    counts = options.counts or ((30, TRAINING) if options.quick else COUNTS)
+    if not all(0 < count <= TRAINING for count in counts):
+        parser.error(f"--counts are between 1 and {TRAINING}.")
+    draws = options.draws or (5 if options.quick else 30)
+    plan = Plan(
+        draws=draws,
+        counts=tuple(counts),
+        gamma=options.gamma,
+        delta=options.delta,
+        hull=options.hull,
+        seed=options.seed,
+    )
+    cache = options.cache or (options.json and options.json.with_suffix(".draws.jsonl"))
+    arm, console = Arm.load(), Console(width=160)
+    measured = measure(arm, seed=plan.seed, hull=plan.hull)
+    try:
+        rows = run(plan, measured, cache=cache, workers=options.workers)
+    except KeyboardInterrupt:
+        where = f"Finished draws are in {cache}; the same command goes on." if cache else ""
+        parser.exit(130, f"Interrupted. {where}\n")
+    summary = summarize(rows, plan)
+    show(summary, console)
+    if options.json:
+        table = {"plan": asdict(plan), "summary": summary, "rows": rows}
+        options.json.write_text(json.dumps(table, indent=1), encoding="utf-8")
+    if options.figures:
+        from ambidex.figures import write_figures
+
+        write_figures(options.figures, summary, plan, (arm, measured))
+
+
+if __name__ == "__main__":
+    main()
