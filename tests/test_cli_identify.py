@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.cli.identify import named_effects
+from geodrake.diagnosis.case import reopen
 from geodrake.effects import CoulombFriction, Payload, RotorInertia
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.log_fits import LogFits, log_unknowns
@@ -94,6 +95,8 @@ def test_everything_is_written(log, tmp_path):
     np.testing.assert_allclose(exported.phi, saved.phi, rtol=1e-9, atol=1e-15)
     numbers = json.loads((tmp_path / "n.json").read_text())
     assert numbers["error"]["end_nrms"] < 0.2 * numbers["error"]["start_nrms"]
+    table = (tmp_path / "r.html").read_text().partition("<h2>Bodies</h2>")[2]
+    assert all(body in table for body in saved.bodies) and "kg" in table
     body = numbers["bodies"][saved.bodies[-1]]
     assert body["mass"] == pytest.approx(saved.phi[-1, 0])
     assert body["mass_before"] == pytest.approx(truth().phi[-1, 0] / HEAVIER)
@@ -207,6 +210,25 @@ def test_a_residual_bound_is_met(log):
     )  # next to the least residual
     assert np.sqrt(found.result.residual / loose.result.residual) == pytest.approx(1.02, rel=1e-3)
     assert found.gamma > 1e-6
+
+
+def test_friction_by_load_is_fitted_by_the_loads_of_the_fit(log, monkeypatch):
+    import geodrake.model_identification.identify as module
+
+    loads = []
+
+    def watched(case, model):
+        loads.append(model.phi)
+        return reopen(case, model)
+
+    monkeypatch.setattr(module, "reopen", watched)
+    model = load_model(MODEL)
+    effects = named_effects([*FRICTIONS.split(","), "load_dependent_friction"], model)
+    found = identify_model(model, [log], IdentificationSettings(gamma=10.0), effects=effects)
+    (fitted,) = loads
+    prior = model.phi[-1, 0]
+    np.testing.assert_allclose(fitted[-1, 0], found.model.phi[-1, 0], rtol=0.02)
+    assert abs(fitted[-1, 0] - prior) > 0.05 * prior
 
 
 def test_a_payload_is_a_body_of_its_own(tmp_path):

@@ -57,9 +57,8 @@ def run_identify(options: IdentifyOptions) -> None:
         "Identifying",
         identified,
         identification_dict,
-        "render_comparison",
+        "render_identification",
         show_identification,
-        paged=lambda found: replace(found.comparison, notes=found.notes),
         more={
             "export": options.export,
             "ellipsoids": options.ellipsoids,

@@ -80,7 +80,8 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
 
     Returns:
         The frequency from which on the effort that the model needs has more than 25 times the
-        measured power, the geometric mean over joints; None if it has not up to the bandwidth.
+        measured power, the geometric mean over joints; None if it has not up to the bandwidth, or
+        has from the lowest frequency on, as where efforts are in other units.
     """
     frequency, ratio = effort_ratio(model, trajectories)
     inside = frequency <= trajectories[0].filter.bandwidth
@@ -89,7 +90,7 @@ def coherent_bandwidth(model: RobotModel, trajectories: Sequence[Trajectory]) ->
     if ratio[worst] <= _EXCESS:
         return None
     together = np.flatnonzero(ratio[:worst] <= _EXCESS)
-    return float(frequency[together[-1] + 1 if len(together) else 0])
+    return float(frequency[together[-1] + 1]) if len(together) else None
 
 
 def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple[Array, Array]:
@@ -100,7 +101,7 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     """
     segments = [segment for trajectory in trajectories for segment in trajectory.segments]
     window = min(
-        0.5 * min(len(segment) * segment.period for segment in segments),
+        0.5 * min(min(len(segment), _SAMPLES) * segment.period for segment in segments),
         100.0 / trajectories[0].filter.bandwidth,
     )
     fastest = 0.5 / max(segment.period for segment in segments)

@@ -53,6 +53,9 @@ then be anything up to breakaway, and no model of the motion says what."""
 WORTHWHILE = 20
 """Rows over columns at which it pays to fold rows into a triangular factor."""
 
+LEAST_DEVIATION = 1e-7
+"""Share of its RMS below which an effort counts as constant: what rounding leaves of one."""
+
 ROWS_KEPT = 4_000
 """Filtered rows kept of each fold and joint for autocorrelations and figures."""
 
@@ -258,11 +261,13 @@ def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
 def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) -> Array:
     count = np.array([sum(box.samples for box in joint) for joint in boxes])
     total, squares = np.array([np.sum([box.sums for box in joint], axis=0) for joint in boxes]).T
-    deviation = np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
-    for joint, value in zip(joints, deviation, strict=True):
-        if value == 0.0:
+    mean, power = total / count, squares / count
+    deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
+    constant = deviation <= LEAST_DEVIATION * np.sqrt(power)
+    for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
+        if stuck:
             raise LogError(
-                f"The effort of {joint} never changes in the log.",
+                f"The effort of {joint} never changes in the log: it is {value:.4g} N·m or N.",
                 advice="Check what is logged there, or leave the joint's columns out.",
                 joint=joint,
             )

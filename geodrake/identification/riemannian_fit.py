@@ -9,7 +9,7 @@ import numpy as np
 
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
-from geodrake.identification.fit import FitResult
+from geodrake.identification.fit import FitResult, fit_result
 from geodrake.identification.interior_point import Minimum, Region, minimize
 from geodrake.identification.local_minima import LocalMinima, RiemannianFit
 from geodrake.identification.log_distance import LogCost
@@ -70,12 +70,9 @@ class RiemannianSearch:
             weight=1.0,
             size=gamma,
         )
-        rows, lower, upper = _rows(coordinates)
-        fixed = lower == upper
-        matrix = np.vstack([rows[~fixed & (lower > -np.inf)], -rows[~fixed & (upper < np.inf)]])
-        limits = np.append(lower[~fixed & (lower > -np.inf)], -upper[~fixed & (upper < np.inf)])
-        region = Region.of(rows[fixed], matrix, limits)
-        return cls(problem, coordinates, region, (rows[fixed], lower[fixed]), cost)
+        inequalities, equalities = coordinates.rows()
+        region = Region.of(equalities[0], *inequalities)
+        return cls(problem, coordinates, region, equalities, cost)
 
     def inside(self, solve: Callable[[FitProblem], FitResult]) -> FitResult:
         """A convex fit strictly inside bounds and constraints, to start from.
@@ -209,19 +206,9 @@ class RiemannianSearch:
         x = np.clip(self.coordinates.parameters(best.z), problem.lower, problem.upper)
         inverse = np.linalg.inv(T)
         information = 0.5 * inverse.T @ best.hessian @ inverse
-        at_bound = np.minimum(x - problem.lower, problem.upper - x) <= 1e-5 * np.diagonal(T)
-        near = self.coordinates.smallest_eigenvalues(x) < 2.0 * problem.margin
-        return RiemannianFit(
-            x=x,
-            information=0.5 * (information + information.T),
-            residual=problem.residual(x),
-            active_bounds=tuple(np.flatnonzero(at_bound).tolist()),
-            active_blocks=tuple(np.array(problem.inertia_blocks, int)[near].tolist()),
-            prior_weight=weight,
-            solver="interior point",
-            solve_time=elapsed,
-            minima=minima,
-        )
+        fit = fit_result(self.coordinates, x, weight, "interior point", elapsed)
+        own = {**vars(fit), "information": 0.5 * (information + information.T)}
+        return RiemannianFit(**own, minima=minima)
 
     def compared(self, found: Mapping[str, Minimum | None], best: Minimum) -> LocalMinima:
         """What several starts led to, against the best of them."""
@@ -238,23 +225,6 @@ class RiemannianSearch:
             costs.append(minimum.value)
             distances.append(float(np.sqrt(np.square(logs).sum())))
         return LocalMinima(tuple(found), np.array(costs), np.array(distances), best.strict)
-
-
-def _rows(coordinates: Coordinates) -> tuple[Array, Array, Array]:
-    """Bounds and constraints as rows of lower ≤ rows z ≤ upper, each of norm one."""
-    problem = coordinates.problem
-    lower, upper = coordinates.bounds()
-    bounded = np.isfinite(lower) | np.isfinite(upper)
-    rows, lower, upper = np.eye(problem.size)[bounded], lower[bounded], upper[bounded]
-    if problem.constraints is not None:
-        own = problem.constraints
-        matrix, begin = own.matrix @ coordinates.transform, own.matrix @ problem.prior_mean
-        norms = np.linalg.norm(matrix, axis=1)
-        norms = np.where(norms > 0, norms, 1.0)
-        rows = np.vstack([rows, matrix / norms[:, None]])
-        lower = np.append(lower, (own.lower - begin) / norms)
-        upper = np.append(upper, (own.upper - begin) / norms)
-    return rows, lower, upper
 
 
 def _closer(lower: Array, upper: Array, margin: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.diagnosis.case import Case, error_table, open_case
+from geodrake.diagnosis.case import Case, error_table, open_case, reopen
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.hypothesis import first_hypothesis, settle
 from geodrake.effects import Effect, EffortDelay
@@ -35,6 +35,7 @@ from geodrake.model_identification.results import (
 from geodrake.motion import JointLog
 from geodrake.repairs import nearest_physical
 
+_BY_LOAD = "load_dependent_friction"
 _MOST_ITERATIONS = 10
 """Refits until the weights of the joints stay."""
 
@@ -78,13 +79,17 @@ def identify_model(
     settled = settle(first_hypothesis(case.dataset, unknowns), iterations=_MOST_ITERATIONS)
     fits = LogFits(case.dataset, unknowns, settled.weights, settings.total_mass)
     gamma, sweep = settings.gamma, tuple[Weighing, ...]()
-    if settings.residual_ratio is not None:
-        result, folds = _bounded(fits, settings)
-    else:
-        if gamma is None:
-            tell(f"Choosing the weight of the {settings.regularizer} regularizer")
-            gamma, sweep = weigh(fits, settings.regularizer)
-        result, folds = _weighted(fits, settings.regularizer, gamma)
+    if settings.residual_ratio is None and gamma is None:
+        tell(f"Choosing the weight of the {settings.regularizer} regularizer")
+        gamma, sweep = weigh(fits, settings.regularizer)
+    result, folds = _solved(fits, settings, gamma)
+    if any(effect.name == _BY_LOAD for effect in unknowns.effects):
+        # Friction by load was fitted by the prior's loads; now it is by those of the first fit.
+        phi = result.phi[: len(prior.phi)]
+        case = replace(reopen(case, replace(prior, phi=phi)), model=prior)
+        unknowns = log_unknowns(case.dataset, prior)
+        fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
+        result, folds = _solved(fits, settings, gamma)
     alternatives: tuple[Alternative, ...] = ()
     if settings.compare:
         tell("Comparing regularizers")
@@ -135,6 +140,15 @@ def _as_it_came(fits: LogFits, prior: RobotModel) -> Array:
         if fitted.effect in fits.unknowns.effects:
             x[fits.unknowns.span(fitted.effect)] = fitted.parameters
     return x
+
+
+def _solved(
+    fits: LogFits, settings: IdentificationSettings, gamma: float | None
+) -> tuple[IdentificationResult, list[IdentificationResult]]:
+    """The fits to all and to all but each fold."""
+    if gamma is None:
+        return _bounded(fits, settings)
+    return _weighted(fits, settings.regularizer, gamma)
 
 
 def _bounded(

@@ -8,6 +8,7 @@ from geodrake.visualization.figures import (
     step_figure,
     step_stages,
 )
+from geodrake.visualization.identification_page import render_identification
 from geodrake.visualization.report import (
     comparison_figures,
     diagnosis_figures,
@@ -30,6 +31,7 @@ __all__ = [
     "render_comparison",
     "render_diagnosis",
     "render_explanation",
+    "render_identification",
     "report_figures",
     "residual_figure",
     "save_figures",

@@ -45,6 +45,7 @@ def render_comparison(
     model_name: str,
     log_names: Sequence[str],
     units: Units | None = None,
+    more: Sequence[Section] = (),
 ) -> str:
     """The report of a comparison.
 
@@ -54,6 +55,7 @@ def render_comparison(
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+        more: Further sections, after those of the errors.
 
     Returns:
         One HTML page that loads nothing from elsewhere.
@@ -70,6 +72,7 @@ def render_comparison(
         _with_pictures(sections.joints_section(errors, None, units), figures, "joint_errors"),
         sections.failing_section(comparison),
         _figures_section(figures, without=("joint_errors",)),
+        *more,
         sections.method_section(comparison, refitted=False),
         sections.notes_section(comparison.notes),
     )
