@@ -26,6 +26,7 @@ _LARGEST_EXCESS = 1.04  # output rate over 2·bandwidth; above it the filtered n
 _DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
 _LEAST_MARGIN, _LARGEST_MARGIN = 4.0, 10.0  # bandwidth over that of the velocity
 _WELCH_SECONDS = 20.0
+_LEAST_SAMPLES = 6  # of a quintic spline
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +135,11 @@ def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
             by 2 or 3, and 5 % by 10.
 
     Raises:
-        ArgumentError: If the bandwidth is not positive or too large for the sampling rate.
+        ArgumentError: If the bandwidth is not positive or too large for the sampling rate, or if
+            the period is not positive.
     """
+    if not 0.0 < period < np.inf:
+        raise ArgumentError(f"A sampling period is above zero; got {period:g} s.", period=period)
     highest = HIGHEST_BANDWIDTH / period
     if not 0.0 < bandwidth <= highest * (1 + 1e-9):
         raise ArgumentError(
@@ -162,8 +166,16 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
 
     Returns:
         (N, ...) derivatives, without lag; relative error below 1e-3 up to a quarter of the rate.
+
+    Raises:
+        ArgumentError: If there are fewer than 6 samples.
     """
     signal = np.asarray(signal, float)
+    if len(signal) < _LEAST_SAMPLES:
+        raise ArgumentError(
+            f"A derivative needs {_LEAST_SAMPLES} samples; got {len(signal)}.",
+            advice="Give a longer piece of the signal.",
+        )
     time = period * np.arange(len(signal))
     return make_interp_spline(time, signal, k=5).derivative()(time)
 
@@ -242,5 +254,7 @@ def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> 
         cumulative = np.cumsum(density, axis=0) * frequency[1]
         at_edges = [np.interp(edges, frequency, column) for column in cumulative.T]
         total += len(position) * period * np.diff(np.stack(at_edges, 1), axis=0) / bands
-    relative = np.maximum(total / np.max(total, axis=0), _DYNAMIC_RANGE)
+    peaks = np.max(total, axis=0)
+    # A joint without any motion in these pieces is as good at all frequencies.
+    relative = np.maximum(total / np.where(peaks > 0.0, peaks, 1.0), _DYNAMIC_RANGE)
     return np.exp(np.log(relative).mean(axis=1))

@@ -80,10 +80,10 @@ def validation_blocks(
         ArgumentError: If there is no trajectory, or `blocks` or `gap_seconds` is out of range.
         LogError: If the trajectories are too short for two folds.
     """
-    if not trajectories or (gap_seconds or 0.0) < 0.0:
+    if not trajectories or not 0.0 <= (gap_seconds or 0.0) < np.inf:
         raise ArgumentError(
-            f"Folds need a trajectory and no negative gap; got {len(trajectories)} trajectories, "
-            f"gap_seconds={gap_seconds}."
+            f"Folds need a trajectory and a gap of zero or more; got {len(trajectories)} "
+            f"trajectories, gap_seconds={gap_seconds}."
         )
     least = 2 if len(trajectories) == 1 else 1
     if blocks is not None and blocks < least:

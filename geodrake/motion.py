@@ -34,7 +34,7 @@ class JointLog:
         notes: What was noticed while reading, in words.
 
     Raises:
-        ArgumentError: If the shapes do not fit together.
+        ArgumentError: If the shapes do not fit together, or a joint is named twice.
         LogError: If time runs backwards, repeats or stands still.
     """
 
@@ -51,6 +51,11 @@ class JointLog:
         for quantity in ("time", "position", "effort", "velocity", "acceleration"):
             if (values := getattr(self, quantity)) is not None:
                 object.__setattr__(self, quantity, np.asarray(values, float))
+        if np.ndim(self.time) != 1 or isinstance(self.joints, str):
+            raise ArgumentError(
+                f"Log {self.name!r} needs time stamps (N,) and a tuple of joint names; it got time "
+                f"of shape {np.shape(self.time)} and joints {self.joints!r}."
+            )
         shape = (len(self.time), len(self.joints))
         for quantity in ("position", "effort", "velocity", "acceleration"):
             values = getattr(self, quantity)

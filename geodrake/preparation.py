@@ -151,7 +151,9 @@ def _measured_lag(
     steepness = np.sum(slope**2, axis=0) + still
     lag = np.sum((truth - found) * slope, axis=0) / np.where(steepness > 0.0, steepness, np.inf)
     error = np.sum((found + lag * slope - truth) ** 2, axis=0)
-    relative = np.sqrt(error / (np.sum(truth**2, axis=0) + still))
+    # A joint that does not move in these parts says nothing against its velocities.
+    speed = np.sum(truth**2, axis=0) + still
+    relative = np.sqrt(error / np.where(speed > 0.0, speed, np.inf))
     worst, latest = int(np.argmax(relative)), int(np.argmax(np.abs(lag)))
     if relative[worst] > _SPEED_AGREEMENT:
         return None, (

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
 _LEAST_ROWS = 8  # of a piece worth resampling
+_LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accelerations
 _STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
 _PART, _PARTS = 100_000, 8  # samples, and how many such parts of a log are looked at for a choice
 
@@ -55,7 +56,8 @@ def make_uniform(log: JointLog) -> UniformLog:
     """Split a log at gaps and empty cells, and find its period, its noise and what moves.
 
     Raises:
-        LogError: If the log is still throughout, or has no rows in a row.
+        LogError: If the log is still throughout, is sampled too rarely, as one with time in
+            milliseconds seems to be, or has no rows in a row.
     """
     notes = list(log.notes)
     if log.acceleration is not None:
@@ -74,6 +76,13 @@ def make_uniform(log: JointLog) -> UniformLog:
             advice="Log time, position and effort of every joint in the same row.",
         )
     runs, period, note = _runs(log.time, complete)
+    if period >= _LONGEST_PERIOD:
+        raise LogError(
+            f"Log {log.name!r} has a sample every {period:.4g} s, from t = {log.time[0]:.6g} to "
+            f"{log.time[-1]:.6g} s: too rarely to tell accelerations.",
+            advice="Is time in ms, µs or ns? It must be in s. If it is, record at 50 Hz or more.",
+            period=period,
+        )
     notes += [note] if note else []
     pieces = tuple(
         Piece(

@@ -209,11 +209,14 @@ def test_joint_at_rest_has_no_rows_of_that_time(model):
     assert ((shoulder > 15.5) & (shoulder < 24.5)).sum() > 80
 
 
-def test_effort_that_never_changes_is_refused(model):
+@pytest.mark.parametrize("value", [0.0, 3.3])
+def test_effort_that_never_changes_is_refused(model, value):
     log = pendulum_log(5, seconds=20.0)
-    flat = replace(log, effort=np.column_stack([log.effort[:, 0], np.zeros(len(log))]))
+    flat = replace(log, effort=np.column_stack([log.effort[:, 0], np.full(len(log), value)]))
     trajectories = prepare_logs([flat], bandwidth=8.0)
-    with pytest.raises(LogError, match=r"effort of elbow never changes"):
+    with pytest.raises(
+        LogError, match=rf"effort of elbow never changes in the log: it is {value:g} "
+    ):
         reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
 
 
@@ -282,6 +285,12 @@ def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
     assert prepared.filter.bandwidth < 18.0
     assert coherent_bandwidth(model, [prepared]) is None
     assert words is None or "bandwidth" in words
+
+
+def test_efforts_in_other_units_do_not_lower_the_bandwidth(model):
+    log = shaken(0.0)
+    (prepared,), _ = prepare_for_model(model, [replace(log, effort=1e-3 * log.effort)])
+    assert prepared.filter.bandwidth >= prepare_logs([log])[0].filter.bandwidth
 
 
 def test_clean_log_keeps_its_bandwidth(model):

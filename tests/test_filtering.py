@@ -109,6 +109,17 @@ def test_bandwidth_out_of_range(bandwidth):
         design_filter(PERIOD, bandwidth)
 
 
+@pytest.mark.parametrize("period", [0.0, -0.1, np.nan])
+def test_period_out_of_range(period):
+    with pytest.raises(ArgumentError, match="above zero"):
+        design_filter(period, 1.0)
+
+
+def test_derivatives_of_too_little():
+    with pytest.raises(ArgumentError, match="6 samples; got 5"):
+        differentiate(np.zeros(5), PERIOD)
+
+
 def test_resampled_efforts_do_not_overshoot():
     rng = np.random.default_rng(0)
     time = np.cumsum(rng.choice([0.01, 0.012, 0.03], 300, p=[0.7, 0.28, 0.02]))
@@ -133,6 +144,12 @@ def _motion(highest, noise, period=0.001, seconds=40.0):
 def test_bandwidth_holds_the_motion(highest, noise):
     chosen = choose_bandwidth([(_motion(highest, noise), 0.001)])
     assert 3.0 * highest < chosen < 12.0 * highest
+
+
+def test_joints_at_rest_do_not_count_for_the_bandwidth():
+    moving = _motion(2.0, 1e-6)
+    still = np.hstack([moving, np.ones((len(moving), 1))])
+    assert choose_bandwidth([(still, 0.001)]) == choose_bandwidth([(moving, 0.001)])
 
 
 def test_bandwidth_stays_below_a_quarter_of_the_rate():

@@ -154,6 +154,15 @@ def test_too_short():
         prepare_log(_make_log(_uniform(0.05)), bandwidth=4.0)
 
 
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_time_in_other_units(unit):
+    log = _make_log(_uniform())
+    with pytest.raises(LogError, match="too rarely") as caught:
+        prepare_log(replace(log, time=unit * log.time))
+    assert "It must be in s" in caught.value.advice
+    assert caught.value.evidence["period"] == pytest.approx(0.01 * unit)
+
+
 def test_velocities_that_disagree_are_not_used():
     log = _make_log(_uniform())
     trajectory = prepare_log(replace(log, velocity=log.velocity * [1.0, 1.3]), bandwidth=4.0)
@@ -186,6 +195,10 @@ def test_shapes_and_time_are_checked():
     log = _make_log(_uniform())
     with pytest.raises(ArgumentError, match=r"effort .* \(3000, 1\).* \(3000, 2\)"):
         replace(log, effort=log.effort[:, :1])
+    with pytest.raises(ArgumentError, match=r"time of shape \(3000, 1\)"):
+        replace(log, time=log.time[:, None])
+    with pytest.raises(ArgumentError, match="a tuple of joint names"):
+        replace(log, joints="ab")
     with pytest.raises(LogError, match=r"repeats .*row 3 .* 0.02 s and row 4 .* 0.02 s"):
         replace(log, time=np.where(np.arange(3000) == 3, 0.02, log.time))
     with pytest.raises(ArgumentError, match="as many samples"):
@@ -268,6 +281,8 @@ def test_nothing_to_hold_out():
         validation_blocks(_trajectories((15,)))
     with pytest.raises(ArgumentError, match="0 trajectories"):
         validation_blocks([])
+    with pytest.raises(ArgumentError, match="gap_seconds=nan"):
+        validation_blocks(_trajectories((300,)), gap_seconds=np.nan)
 
 
 @pytest.mark.parametrize(
