@@ -221,6 +221,7 @@ def quick(tmp_path_factory):
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in (folder / "figures").glob("*.png")} == {
+        "ambidex_ellipsoids.png",
         "ambidex_errors.png",
         "ambidex_zmp.png",
     }

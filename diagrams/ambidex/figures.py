@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from ambidex.arm import Arm, Array
+from ambidex.arm import Arm
 from ambidex.draws import NAMES, Plan, compared, fit, full_friction, prior_of, training_data, zmp
 from ambidex.measurements import PERIOD, Measurements
+from geodrake.errors import IdentificationError
+from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.visualization import style
+from geodrake.visualization.ellipsoid_figure import ellipsoid_figure
+from geodrake.visualization.ellipsoids import EllipsoidSet
 
 COLORS = {
     "euclidean": "#c8442f",
@@ -34,6 +40,8 @@ LABELS = {
 }
 MILLI = 1e3
 SHOWN = 400  # samples of the ZMP, 4 s
+EXAMPLE = 30  # training samples of the fits that are drawn
+TRUTH, PRIOR = "true bodies", "prior"
 
 
 def write_figures(
@@ -41,10 +49,12 @@ def write_figures(
 ) -> None:
     """Write all figures of a run into a folder as PNG."""
     folder.mkdir(parents=True, exist_ok=True)
-    _, measured = made
+    arm, measured = made
+    models = example(measured, plan)
     figures = {
         "ambidex_errors": error_figure(summary, plan),
-        "ambidex_zmp": zmp_figure(measured, plan),
+        "ambidex_zmp": zmp_figure(measured, models),
+        "ambidex_ellipsoids": link_figure(arm, models),
     }
     for name, figure in figures.items():
         figure.savefig(folder / f"{name}.png")
@@ -113,12 +123,10 @@ def _draw_errors(ax: Axes, summary: Sequence[dict[str, Any]], column: str, scale
         ax.axhline(scale * last[column], color="black", linewidth=1.8, zorder=0.5)
 
 
-def zmp_figure(measured: Measurements, plan: Plan) -> Figure:
-    """Zero-moment points on the ground, like figure 3.9 of the source; first draw, 30 samples."""
-    bodies = example(measured, plan, 30)
-    colors = {"truth": style.INK, "prior": style.QUIET, **COLORS}
-    shown = ("truth", "prior", "euclidean", "entropic")
-    points = {name: MILLI / 10 * zmp(measured, bodies[name])[: SHOWN // 5] for name in shown}
+def zmp_figure(measured: Measurements, models: Sequence[EllipsoidSet]) -> Figure:
+    """Zero-moment points on the ground, like figure 3.9 of the source."""
+    points = {one.name: 100.0 * zmp(measured, one.phi)[: SHOWN // 5] for one in models}
+    colors = {one.name: one.color for one in models}
     time = 5 * PERIOD * np.arange(SHOWN // 5)
     figure = style.new_figure(4.6)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0))
@@ -127,9 +135,9 @@ def zmp_figure(measured: Measurements, plan: Plan) -> Figure:
     for name, at in points.items():
         look = {
             "color": colors[name],
-            "linewidth": 2.4 if name == "truth" else 1.2,
-            "linestyle": "--" if name == "prior" else "-",
-            "label": LABELS.get(name, "true bodies" if name == "truth" else name),
+            "linewidth": 2.4 if name == TRUTH else 1.2,
+            "linestyle": "--" if name == PRIOR else "-",
+            "label": name,
         }
         for ax, values in zip(axes, at.T, strict=True):
             ax.plot(time, values, **look)
@@ -149,11 +157,30 @@ def zmp_figure(measured: Measurements, plan: Plan) -> Figure:
     return figure
 
 
-def example(measured: Measurements, plan: Plan, count: int) -> dict[str, Array]:
-    """Bodies (17, 10) of the first draw: truth, prior, Euclidean and entropic fit."""
+def link_figure(arm: Arm, models: Sequence[EllipsoidSet]) -> Figure:
+    """The links as ellipsoids, like figure 3.8 of the source."""
+    links = [replace(one, phi=one.phi[:10], at_boundary=one.at_boundary[:10]) for one in models]
+    context = arm.plant.CreateDefaultContext()
+    turns = np.array([[0.3, -0.5, 0.2, 1.2, 0.0, 0.4, 0.0]])
+    arm.plant.SetPositions(context, arm.transmission.joint_positions(arm.motors(turns))[0])
+    return ellipsoid_figure(arm.plant, links, context=context)
+
+
+def example(measured: Measurements, plan: Plan) -> list[EllipsoidSet]:
+    """Truth, prior, and fits to 30 samples of the first draw, as far as there are solutions."""
     _, prior = prior_of(0, plan, measured)
-    data = training_data(0, count, full_friction(prior, plan, measured), plan, measured)
+    friction = full_friction(prior, plan, measured)
+    data = training_data(0, EXAMPLE, friction, plan, measured)
     entropic = fit(data, prior, "entropic", measured, gamma=plan.gamma)
-    euclidean = compared(data, prior, "euclidean", measured, entropic)
-    fits = {"entropic": entropic.phi, "euclidean": euclidean.phi}
-    return {"truth": measured.truth, "prior": prior, **fits}
+    fits = {"entropic": entropic}
+    with suppress(IdentificationError):
+        found = compared(data, prior, "euclidean", measured, entropic)
+        fits = {"euclidean": found, **fits}
+    models = [
+        EllipsoidSet.of(TRUTH, measured.truth, color=style.INK),
+        EllipsoidSet.of(PRIOR, prior, color=style.QUIET),
+    ]
+    for name, one in fits.items():
+        flat = [column // PARAMETERS_PER_BODY for column in one.fit.active_blocks]
+        models.append(EllipsoidSet.of(LABELS[name], one.phi, color=COLORS[name], at_boundary=flat))
+    return models
