@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake import positive_definite
+from geodrake.errors import ArgumentError
 from geodrake.inertia import Array, central_second_moment, pseudo_inertia
 
 
@@ -107,6 +108,8 @@ def metric_parts(phi: ArrayLike, step: ArrayLike) -> DistanceParts:
     """
     phi, step = np.broadcast_arrays(np.asarray(phi, float), np.asarray(step, float))
     mass, mass_step = phi[..., 0], step[..., 0]
+    if not (mass > 0).all():  # Σᶜ alone may be positive definite with a negative mass
+        raise ArgumentError(f"Masses are above zero, or no body can be; got {mass.tolist()}.")
     com = phi[..., 1:4] / mass[..., None]
     com_step = (step[..., 1:4] - mass_step[..., None] * com) / mass[..., None]
     second_moment = central_second_moment(phi)

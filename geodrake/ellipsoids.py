@@ -53,7 +53,7 @@ class Ellipsoid:
                 f"An ellipsoid's semi-axes are above zero; got {self.semi_axes.tolist()}."
             )
         error = self.rotation @ np.swapaxes(self.rotation, -1, -2) - np.eye(3)
-        if np.abs(error).max() > 1e-6:
+        if np.abs(error).max() > 1e-6 or (np.linalg.det(self.rotation) < 0).any():
             raise ArgumentError(f"Not a rotation: {self.rotation.tolist()}.")
         shape = np.broadcast_shapes(
             self.center.shape[:-1], self.semi_axes.shape[:-1], self.rotation.shape[:-2]
@@ -84,9 +84,10 @@ class Ellipsoid:
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether points (..., 3), m, are inside."""
-        local = np.einsum(
-            "...ji,...j->...i", self.rotation, np.asarray(points, float) - self.center
-        )
+        points = np.asarray(points, float)
+        if points.shape[-1:] != (3,):
+            raise ArgumentError(f"Expected points (..., 3); got the shape {points.shape}.")
+        local = np.einsum("...ji,...j->...i", self.rotation, points - self.center)
         return np.asarray(((local / self.semi_axes) ** 2).sum(-1) <= 1.0)
 
     def uniform_body(self, mass: ArrayLike) -> Array:
@@ -119,10 +120,14 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
         Ellipsoids with semi-axes √(5 σᵢ/m) of the principal second moments σ, in ascending order.
 
     Raises:
-        ArgumentError: A body is not physical, so that no ellipsoid is like it.
+        ArgumentError: A body is not physical, so that no ellipsoid is like it, or the least
+            semi-axis is negative.
     """
     phi = np.asarray(phi, float)
-    possible = phi[..., 0] > 0 if least_semi_axis > 0 else is_physical(phi)
+    if not least_semi_axis >= 0:
+        raise ArgumentError(f"A least semi-axis is zero or more; got {least_semi_axis:g} m.")
+    thin = np.isfinite(phi).all(-1) & (phi[..., 0] > 0)
+    possible = thin if least_semi_axis > 0 else is_physical(phi)
     if not possible.all():
         bad = phi.reshape(-1, 10)[int(np.argmin(possible.ravel()))]
         raise ArgumentError(f"No body has the inertial parameters {bad.tolist()}.")
@@ -139,9 +144,17 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
         Q: (..., 4, 4) symmetric matrices.
 
     Raises:
-        ArgumentError: Q describes no bounded region, as with its sign turned around.
+        ArgumentError: Q describes no bounded region, as with its sign turned around, or is not
+            symmetric, finite and of that shape.
     """
     Q = np.asarray(Q, float)
+    if Q.shape[-2:] != (4, 4) or not np.isfinite(Q).all():
+        raise ArgumentError(f"Expected finite matrices (..., 4, 4); got {Q.tolist()}.")
+    if (np.abs(Q - np.swapaxes(Q, -1, -2)) > 1e-8 * np.abs(Q).max((-2, -1), keepdims=True)).any():
+        raise ArgumentError(
+            f"Expected symmetric matrices; got {Q.tolist()}.",
+            advice="0.5 * (Q + Q.T) describes the same region.",
+        )
     values, axes = np.linalg.eigh(-Q[..., :3, :3])
     if not (values > 0).all():
         raise ArgumentError(
@@ -167,9 +180,14 @@ def realizability(phi: ArrayLike, Q: ArrayLike) -> Array:
     Returns:
         (...) averages of [x;1]ᵀ Q [x;1] over the mass: 1 if all is at the centre, ⅖ for a uniform
         body that fills the ellipsoid, 0 if all is on the surface, for an `Ellipsoid.quadric`.
+
+    Raises:
+        ArgumentError: A mass is not above zero, or a shape does not fit.
     """
-    phi, Q = np.asarray(phi, float), np.asarray(Q, float)
-    return np.asarray(np.einsum("...ij,...ij->...", pseudo_inertia(phi), Q) / phi[..., 0])
+    trace, mass = _trace(phi, Q), np.asarray(phi, float)[..., 0]
+    if not (mass > 0).all():
+        raise ArgumentError(f"Averages over the mass need masses above zero; got {mass.tolist()}.")
+    return np.asarray(trace / mass)
 
 
 def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
@@ -181,9 +199,19 @@ def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
 
     Returns:
         (...) booleans, P(φ) ≻ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
+
+    Raises:
+        ArgumentError: A shape does not fit.
     """
-    trace = np.einsum("...ij,...ij->...", pseudo_inertia(phi), np.asarray(Q, float))
-    return np.asarray(is_physical(phi) & (trace >= 0))
+    return np.asarray(is_physical(phi) & (_trace(phi, Q) >= 0))
+
+
+def _trace(phi: ArrayLike, Q: ArrayLike) -> Array:
+    """tr(P(φ) Q), (...)."""
+    Q = np.asarray(Q, float)
+    if Q.shape[-2:] != (4, 4):
+        raise ArgumentError(f"Expected matrices of ellipsoids (..., 4, 4); got {Q.shape}.")
+    return np.asarray(np.einsum("...ij,...ij->...", pseudo_inertia(phi), Q))
 
 
 def realizability_row(Q: ArrayLike) -> Array:
@@ -203,9 +231,12 @@ def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipso
         An ellipsoid that contains every point.
 
     Raises:
-        ArgumentError: There are too few points, or all lie in a plane.
+        ArgumentError: There are too few points, all lie in a plane, or the tolerance is not above
+            zero.
         ConvergenceError: The tolerance was not reached.
     """
+    if not tolerance > 0:
+        raise ArgumentError(f"A tolerance is above zero; got {tolerance:g}.")
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ArgumentError(f"Expected finite points (k, 3); got shape {points.shape}.")

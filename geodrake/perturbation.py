@@ -59,7 +59,8 @@ def perturb(
         rng: Source of the random numbers.
         mass_uncertainty: δ in (0, 1).
         point_masses: Number of point masses a body.
-        support: Ellipsoids of the bodies, of shape (nb,); the equivalent uniform ones if None.
+        support: Ellipsoids of the bodies, of shape (nb,), or one for all; the equivalent uniform
+            ones if None.
 
     Raises:
         ArgumentError: A body is not physical, or a number is out of its range.
@@ -68,6 +69,11 @@ def perturb(
     phi = np.asarray(phi, float)
     _check(phi, count, mass_uncertainty, point_masses)
     support = equivalent_ellipsoid(phi) if support is None else support
+    if support.center.shape[:-1] not in ((), (len(phi),)):
+        raise ArgumentError(
+            f"Expected one support, or one for each of {len(phi)} bodies; got "
+            f"{support.center.shape[:-1]}."
+        )
     shape = (count, len(phi))
     made, missing, rejected = np.empty((*shape, 10)), np.ones(shape, bool), 0
     for _ in range(_MOST_DRAWS):

@@ -139,3 +139,8 @@ def test_bodies_that_cannot_be():
         body_distances.riemannian_distance(-body, body)
     with pytest.raises(ArgumentError, match="no body"):
         body_distances.pullback_distance(body, body, np.zeros(10))
+    negative = np.array([-1.0, 0, 0, 0, 2, 2, 2, 0, 0, 0])  # of which Σᶜ is positive definite
+    with pytest.raises(ArgumentError, match="above zero"):
+        body_distances.metric_parts(negative, body)
+    with pytest.raises(ArgumentError, match="not finite"):
+        body_distances.metric_parts(body, np.full(10, np.nan))

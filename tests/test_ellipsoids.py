@@ -173,6 +173,10 @@ class TestBadInput:
         assert drawn.semi_axes[0] == pytest.approx(0.01)
         with pytest.raises(ArgumentError, match="No body"):
             equivalent_ellipsoid(-flat, least_semi_axis=0.01)
+        with pytest.raises(ArgumentError, match="nan"):
+            equivalent_ellipsoid(np.full(10, np.nan), least_semi_axis=0.01)
+        with pytest.raises(ArgumentError, match="zero or more"):
+            equivalent_ellipsoid(drawn.uniform_body(1.0), least_semi_axis=-1.0)
 
     def test_wrong_sign_of_quadric(self):
         Q = Ellipsoid(np.zeros(3), np.ones(3), np.eye(3)).quadric
@@ -181,11 +185,25 @@ class TestBadInput:
         Q[3, 3] = -1.0
         with pytest.raises(ArgumentError, match="nowhere"):
             ellipsoid_of_quadric(Q)
+        with pytest.raises(ArgumentError, match="symmetric"):
+            ellipsoid_of_quadric(Q + np.eye(4, k=1))
+        with pytest.raises(ArgumentError, match="finite"):
+            ellipsoid_of_quadric(np.nan * Q)
+        with pytest.raises(ArgumentError, match=r"\(3, 3\)"):
+            is_realizable(np.ones(10), np.eye(3))
+        with pytest.raises(ArgumentError, match="above zero"):
+            realizability(np.zeros(10), Q)
 
     def test_parts_of_an_ellipsoid(self):
         with pytest.raises(ArgumentError, match="above zero"):
             Ellipsoid(np.zeros(3), np.array([1.0, 0.0, 1.0]), np.eye(3))
         with pytest.raises(ArgumentError, match="Not a rotation"):
             Ellipsoid(np.zeros(3), np.ones(3), 2 * np.eye(3))
+        with pytest.raises(ArgumentError, match="Not a rotation"):
+            Ellipsoid(np.zeros(3), np.ones(3), -np.eye(3))
+        with pytest.raises(ArgumentError, match=r"points .*\(2,\)"):
+            Ellipsoid(np.zeros(3), np.ones(3), np.eye(3)).contains(np.zeros(2))
+        with pytest.raises(ArgumentError, match="tolerance"):
+            bounding_ellipsoid(np.eye(3), tolerance=0.0)
         with pytest.raises(ArgumentError, match="center has shape"):
             Ellipsoid(np.zeros(2), np.ones(3), np.eye(3))

@@ -92,3 +92,6 @@ def test_bad_arguments():
     thin = Ellipsoid(np.zeros(3), np.array([1e-5, 1.0, 1.0]), np.eye(3)).uniform_body(1.0)
     with pytest.raises(ConvergenceError, match="Body 0"):
         perturb(thin[None], 3, rng=rng)
+    two = Ellipsoid(np.zeros((2, 3)), np.ones(3), np.eye(3))
+    with pytest.raises(ArgumentError, match=r"each of 3 bodies; got \(2,\)"):
+        perturb(phi, 3, rng=rng, support=two)

@@ -235,3 +235,21 @@ def test_the_bad_matrix_is_shown():
     P = np.array([np.eye(2), [[2.0, 3.0], [3.0, 2.0]]])
     with pytest.raises(ArgumentError, match=r"\[\[2\.0, 3\.0\]"):
         pd.distance(P, np.eye(2))
+
+
+@pytest.mark.parametrize("tangent", [np.eye(3), np.full((2, 2), np.nan)])
+def test_bad_tangents(tangent):
+    for call in (pd.exponential, lambda P, V: pd.inner_product(P, V, V)):
+        with pytest.raises(ArgumentError, match=r"tangent matrix .*, 2, 2\)"):
+            call(np.eye(2), tangent)
+
+
+def test_matrices_of_different_sizes():
+    with pytest.raises(ArgumentError, match=r"\(2, 2\) and \(3, 3\)"):
+        pd.distance(np.eye(2), np.eye(3))
+
+
+@pytest.mark.parametrize("limits", [{"tolerance": 0.0}, {"max_iterations": 0}])
+def test_limits_of_the_mean(limits):
+    with pytest.raises(ArgumentError, match="at least one iteration"):
+        pd.karcher_mean(np.stack([np.eye(2), 2 * np.eye(2)]), **limits)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.errors import ArgumentError
+
 Array = NDArray[np.float64]
 
 PARAMETERS_PER_BODY = 10
@@ -12,6 +14,21 @@ PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Iz
 PARAMETER_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 _IDENTITY = np.eye(3)
+
+
+def checked(values: ArrayLike, end: tuple[int, ...]) -> Array:
+    """An array of shape (..., *end).
+
+    Raises:
+        ArgumentError: The shape ends otherwise.
+    """
+    array = np.asarray(values, float)
+    if array.shape[-len(end) :] != end:
+        expected = ", ".join(map(str, end))
+        raise ArgumentError(
+            f"Expected an array of shape (..., {expected}); got the shape {array.shape}."
+        )
+    return array
 
 
 def rotational_inertia(phi: ArrayLike) -> Array:
@@ -23,7 +40,8 @@ def rotational_inertia(phi: ArrayLike) -> Array:
     Returns:
         (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (B.1.1)).
     """
-    xx, yy, zz, xy, yz, zx = np.moveaxis(np.asarray(phi, float)[..., 4:], -1, 0)
+    phi = checked(phi, (PARAMETERS_PER_BODY,))
+    xx, yy, zz, xy, yz, zx = np.moveaxis(phi[..., 4:], -1, 0)
     rows = [np.stack(row, -1) for row in ((xx, xy, zx), (xy, yy, yz), (zx, yz, zz))]
     return np.stack(rows, -2)
 
@@ -56,7 +74,7 @@ def from_pseudo_inertia(matrix: ArrayLike) -> Array:
     Returns:
         (..., 10) inertial parameters ([Lee2019] Eq. (B.1.6)).
     """
-    matrix = np.asarray(matrix, float)
+    matrix = checked(matrix, (4, 4))
     second_moment = matrix[..., :3, :3]
     trace = np.trace(second_moment, axis1=-2, axis2=-1)[..., None]
     diagonal = trace - np.diagonal(second_moment, axis1=-2, axis2=-1)
@@ -86,7 +104,9 @@ def dual(covector: ArrayLike) -> Array:
     Returns:
         (..., 4, 4) symmetric matrices ([Lee2019] Eqs. (B.1.8), (B.1.9)).
     """
-    return np.asarray(np.einsum("...i,iab->...ab", np.asarray(covector, float), _DUAL_BASIS))
+    return np.asarray(
+        np.einsum("...i,iab->...ab", checked(covector, (PARAMETERS_PER_BODY,)), _DUAL_BASIS)
+    )
 
 
 def from_dual(matrix: ArrayLike) -> Array:
@@ -98,7 +118,7 @@ def from_dual(matrix: ArrayLike) -> Array:
     Returns:
         (..., 10) coefficients tr(P(eᵢ) X).
     """
-    return np.asarray(np.einsum("...ab,iab->...i", np.asarray(matrix, float), _BASIS))
+    return np.asarray(np.einsum("...ab,iab->...i", checked(matrix, (4, 4)), _BASIS))
 
 
 def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
@@ -137,11 +157,11 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
     Returns:
         (..., 10) inertial parameters about Bo.
     """
-    mass, com = np.asarray(mass, float), np.asarray(com, float)
+    mass, com = np.asarray(mass, float), checked(com, (3,))
     squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
         ..., None, :
     ]
-    inertia = np.asarray(inertia_com, float) + mass[..., None, None] * squared
+    inertia = checked(inertia_com, (3, 3)) + mass[..., None, None] * squared
     moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
     return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
 
@@ -155,7 +175,7 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
     Returns:
         mass (...), com (..., 3) and inertia_com (..., 3, 3).
     """
-    phi = np.asarray(phi, float)
+    phi = checked(phi, (PARAMETERS_PER_BODY,))
     mass, com = phi[..., 0], phi[..., 1:4] / phi[..., :1]
     squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
         ..., None, :
@@ -174,7 +194,7 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
     Returns:
         (..., 10) inertial parameters in A ([Lee2019] Eq. (3.3.24)).
     """
-    R_AB, p_AoBo_A = np.asarray(R_AB, float), np.asarray(p_AoBo_A, float)
+    R_AB, p_AoBo_A = checked(R_AB, (3, 3)), checked(p_AoBo_A, (3,))
     H_AB = np.zeros((*np.broadcast_shapes(R_AB.shape[:-2], p_AoBo_A.shape[:-1]), 4, 4))
     H_AB[..., :3, :3], H_AB[..., :3, 3], H_AB[..., 3, 3] = R_AB, p_AoBo_A, 1.0
     return from_pseudo_inertia(H_AB @ pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))
@@ -190,8 +210,18 @@ def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
 
     Returns:
         (..., 10) the numbers of the same bodies in the new units ([Lee2019] Eq. (3.3.24)).
+
+    Raises:
+        ArgumentError: A unit is not above zero.
     """
-    return np.asarray(phi, float) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
+    if not (metre > 0 and kilogram > 0):
+        raise ArgumentError(
+            f"Units are above zero; got metre={metre:g} and kilogram={kilogram:g}.",
+            advice="Give one metre and one kilogram in the new units.",
+        )
+    return (
+        checked(phi, (PARAMETERS_PER_BODY,)) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
+    )
 
 
 def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
@@ -204,9 +234,13 @@ def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
     Returns:
         (..., 10) parameters of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
     """
-    x = np.asarray(positions, float)
+    x, masses = checked(positions, (3,)), np.asarray(masses, float)
+    if not masses.ndim or masses.shape[-1:] != x.shape[-2:-1]:
+        raise ArgumentError(
+            f"Expected a mass for each position; got masses {masses.shape} and positions {x.shape}."
+        )
     points = np.concatenate([x, np.ones((*x.shape[:-1], 1))], -1)
-    matrix = np.einsum("...k,...ki,...kj->...ij", np.asarray(masses, float), points, points)
+    matrix = np.einsum("...k,...ki,...kj->...ij", masses, points, points)
     return from_pseudo_inertia(matrix)
 
 
@@ -218,6 +252,17 @@ def pullback_metric(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 10, 10) matrices ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) ([Lee2019] Eq. (B.1.7)).
+
+    Raises:
+        ArgumentError: A body's P(φ) is singular, so that there is no metric.
     """
-    solved = np.linalg.solve(pseudo_inertia(phi)[..., None, :, :], _BASIS)
+    try:
+        solved = np.linalg.solve(pseudo_inertia(phi)[..., None, :, :], _BASIS)
+    except np.linalg.LinAlgError:
+        bad = np.flatnonzero(~np.atleast_1d(is_physical(phi)).ravel()).tolist()
+        raise ArgumentError(
+            f"There is no metric at bodies {bad}: they are not physical.",
+            advice="The metric exists at parameters that a solid body can have.",
+            bodies=bad,
+        ) from None
     return 0.5 * np.einsum("...iab,...jba->...ij", solved, solved)

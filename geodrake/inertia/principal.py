@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.errors import ArgumentError
 from geodrake.inertia.parameters import Array, pseudo_inertia
 
 
@@ -37,9 +38,19 @@ def central_second_moment(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (3.3.17)).
+
+    Raises:
+        ArgumentError: A body has no mass, so no centre, or a value is not finite.
     """
     matrix = pseudo_inertia(phi)
     h, mass = matrix[..., :3, 3], matrix[..., 3, 3]
+    usable = np.isfinite(matrix).all((-2, -1)) & (mass != 0)
+    if not usable.all():
+        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(usable.ravel()))]
+        raise ArgumentError(
+            f"A body without mass has no centre of mass, nor one that is not finite; got "
+            f"{bad.tolist()}."
+        )
     squared = h[..., :, None] * h[..., None, :] / mass[..., None, None]
     return np.asarray(matrix[..., :3, :3] - squared)
 
@@ -49,6 +60,9 @@ def principal_axes(phi: ArrayLike) -> PrincipalAxes:
 
     Args:
         phi: (..., 10) inertial parameters with mass other than zero.
+
+    Raises:
+        ArgumentError: A body has no mass, or a value is not finite.
     """
     phi = np.asarray(phi, float)
     values, axes = np.linalg.eigh(central_second_moment(phi))
@@ -68,6 +82,12 @@ def triangle_margins(phi: ArrayLike) -> Array:
         (..., 3) margins (J₂ + J₃ − J₁) / (J₁ + J₂ + J₃) and so on, in ascending order: all above
         zero for a body that can exist, zero for a flat one, and they add up to one ([Lee2019]
         Eqs. (3.2.8)–(3.2.10)).
+
+    Raises:
+        ArgumentError: A body has no mass or no extent, or a value is not finite.
     """
     values = principal_axes(phi).second_moments
+    if not (extent := values.sum(-1) > 0).all():
+        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(extent.ravel()))]
+        raise ArgumentError(f"A body without extent has no margins; got {bad.tolist()}.")
     return np.asarray(values / values.sum(-1, keepdims=True))

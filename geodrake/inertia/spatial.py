@@ -9,10 +9,12 @@ from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context
 
 from geodrake.bodies import Member, lumped_bodies
+from geodrake.errors import ArgumentError
 from geodrake.inertia.parameters import (
     PARAMETERS_PER_BODY,
     Array,
     change_frame,
+    checked,
     rotational_inertia,
 )
 
@@ -27,7 +29,7 @@ def spatial_inertia_matrix(phi: ArrayLike) -> Array:
         (..., 6, 6) symmetric matrices with T = ½ Vᵀ G V for V = (ω, v) ([Lee2019] Eq. (3.2.3)):
         rotation first, as in Drake.
     """
-    phi = np.asarray(phi, float)
+    phi = checked(phi, (PARAMETERS_PER_BODY,))
     matrix = np.zeros((*phi.shape[:-1], 6, 6))
     matrix[..., :3, :3] = rotational_inertia(phi)
     for (i, j), k, sign in (((0, 1), 3, -1), ((0, 2), 2, 1), ((1, 2), 1, -1)):
@@ -46,7 +48,7 @@ def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
     Returns:
         (..., 10) inertial parameters.
     """
-    matrix = np.asarray(matrix, float)
+    matrix = checked(matrix, (6, 6))
     places = ((5, 5), (2, 4), (0, 5), (1, 3), (0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
     return np.stack([matrix[..., i, j] for i, j in places], -1)
 
@@ -59,8 +61,14 @@ def from_spatial_inertia(spatial: SpatialInertia) -> Array:
 
 
 def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
-    """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia."""
+    """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia.
+
+    Raises:
+        ArgumentError: The shape is another.
+    """
     phi = np.asarray(phi, float)
+    if phi.shape != (PARAMETERS_PER_BODY,):
+        raise ArgumentError(f"Expected one body's parameters (10,); got the shape {phi.shape}.")
     mass = phi[0]
     if mass == 0.0:
         return SpatialInertia.Zero()

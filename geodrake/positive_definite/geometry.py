@@ -29,10 +29,11 @@ def inner_product(P: ArrayLike, X: ArrayLike, Y: ArrayLike) -> Array:
         (...) numbers ([Lee2019] Eq. (2.2.5), with its ½).
 
     Raises:
-        ArgumentError: A matrix of P is not symmetric positive definite.
+        ArgumentError: A matrix of P is not symmetric positive definite, or X or Y has another size
+            or values that are not finite.
     """
     _, inverse = whitening(P)
-    whitened = [congruent(inverse, np.asarray(V, float)) for V in (X, Y)]
+    whitened = [congruent(inverse, _tangent(V, inverse)) for V in (X, Y)]
     return np.asarray(0.5 * np.einsum("...ij,...ji->...", *whitened))
 
 
@@ -48,10 +49,11 @@ def exponential(P: ArrayLike, V: ArrayLike) -> Array:
         as rounding lets them, positive definite however long V is.
 
     Raises:
-        ArgumentError: A matrix of P is not symmetric positive definite.
+        ArgumentError: A matrix of P is not symmetric positive definite, or V has another size or
+            values that are not finite.
     """
     L, inverse = whitening(P)
-    rates, axes = np.linalg.eigh(congruent(inverse, np.asarray(V, float)))
+    rates, axes = np.linalg.eigh(congruent(inverse, _tangent(V, inverse)))
     return from_root(L @ axes, 0.5 * rates)
 
 
@@ -200,6 +202,17 @@ def _first(P: Array, good: NDArray[np.bool_]) -> list[list[float]]:
     return found
 
 
+def _tangent(V: ArrayLike, L: Array) -> Array:
+    """Tangent matrices of the size of L."""
+    V = np.asarray(V, float)
+    if V.shape[-2:] != L.shape[-2:] or not np.isfinite(V).all():
+        raise ArgumentError(
+            f"A tangent matrix is finite and of shape (..., {L.shape[-1]}, {L.shape[-1]}); got the "
+            f"shape {V.shape}{'' if np.isfinite(V).all() else ' with values that are not finite'}."
+        )
+    return V
+
+
 def congruent(G: Array, V: Array) -> Array:
     """G V Gᵀ, exactly symmetric."""
     product = G @ V @ np.swapaxes(G, -1, -2)
@@ -220,6 +233,11 @@ def relative_spectrum(P1: ArrayLike, P2: ArrayLike) -> tuple[Array, Array]:
     """
     _, inverse = whitening(P1)
     L2, _ = whitening(P2)
+    if inverse.shape[-1] != L2.shape[-1]:
+        raise ArgumentError(
+            f"Matrices of different sizes have no distance; got shapes {np.shape(P1)} and "
+            f"{np.shape(P2)}."
+        )
     difference = np.asarray(P2, float) - np.asarray(P1, float)
     steps, close_axes = np.linalg.eigh(congruent(inverse, difference))
     axes, roots, _ = np.linalg.svd(inverse @ L2)

@@ -42,9 +42,15 @@ def karcher_mean(
         (..., n, n) means.
 
     Raises:
-        ArgumentError: A matrix is not symmetric positive definite, or a weight is negative.
+        ArgumentError: A matrix is not symmetric positive definite, a weight is negative, or the
+            tolerance or the number of steps is not above zero.
         ConvergenceError: The tolerance was not reached.
     """
+    if max_iterations < 1 or not tolerance > 0:
+        raise ArgumentError(
+            f"A mean takes at least one iteration and a tolerance above zero; got "
+            f"max_iterations={max_iterations}, tolerance={tolerance:g}."
+        )
     P = np.asarray(matrices, float)
     w = _normalized(weights, P.shape)
     mean = _first_guess(P, w)
