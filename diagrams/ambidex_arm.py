@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
@@ -63,7 +64,8 @@ def finished(task: Any, draws: Sequence[int], workers: int) -> Iterator[tuple[in
         yield from ((draw, task(draw)) for draw in draws)
         return
     os.environ.update(ONE_THREAD)  # processes that are spawned read it before numpy is there
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    quietly = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_DFL)}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), **quietly) as pool:
         futures = {pool.submit(task, draw): draw for draw in draws}
         try:
             for future in as_completed(futures):
