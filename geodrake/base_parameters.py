@@ -64,12 +64,31 @@ class BaseParameters:
         return tuple(self.independent[alone].tolist())
 
     def regressor(self, regressor: ArrayLike) -> Array:
-        """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns."""
-        return np.asarray(regressor, float)[..., self.independent]
+        """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns.
+
+        Raises:
+            ArgumentError: The regressor has another number of columns.
+        """
+        regressor = np.asarray(regressor, float)
+        self._check_size("regressor", regressor.shape[-1] if regressor.ndim else 0)
+        return regressor[..., self.independent]
 
     def values(self, phi: ArrayLike) -> Array:
-        """φ_B = B φ (n_B,) of parameters φ, (p,) or (nb, 10)."""
-        return self.matrix @ np.asarray(phi, float).ravel()
+        """φ_B = B φ (n_B,) of parameters φ, (p,) or (nb, 10).
+
+        Raises:
+            ArgumentError: There are not p parameters.
+        """
+        flat = np.asarray(phi, float).ravel()
+        self._check_size("parameter vector", len(flat))
+        return self.matrix @ flat
+
+    def _check_size(self, name: str, size: int) -> None:
+        if size != self.matrix.shape[1]:
+            raise ArgumentError(
+                f"The {name} is of {size} parameters; these are base parameters of "
+                f"{self.matrix.shape[1]}."
+            )
 
     def metric(self, prior: ArrayLike, *, extra: ArrayLike | None = None) -> Array:
         """H₀ (n_B, n_B) at a prior; see `pushforward_metric`."""
@@ -181,7 +200,7 @@ def pushforward_metric(
         ArgumentError: Shapes do not fit, the prior is not physical, or rows of B are dependent.
     """
     B, prior = np.asarray(matrix, float), np.asarray(prior, float)
-    weights = np.zeros(0) if extra is None else np.asarray(extra, float)
+    weights = np.zeros(0) if extra is None else np.atleast_1d(np.asarray(extra, float))
     if B.shape[1:] != (prior.size + len(weights),) or prior.shape[1:] != (PARAMETERS_PER_BODY,):
         raise ArgumentError(
             f"B has the shape {B.shape}, but a prior of shape {prior.shape} and {len(weights)} "

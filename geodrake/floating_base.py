@@ -25,9 +25,8 @@ from geodrake.kinematics import KinematicTree, Mobilizer
 from geodrake.recursion import pieces
 from geodrake.regressor import checked_samples
 
-WRENCH_NAMES = ("nx", "ny", "nz", "fx", "fy", "fz")
-
-_LEAST_FORCE = 1e-9
+_LEAST_FORCE = 1e-9  # of the largest number in a wrench
+_SKEWNESS = 1e-6  # of a rotation, beyond rounding
 
 
 def base_wrench_regressor(
@@ -56,7 +55,7 @@ def base_wrench_regressor(
         (N, 6, 10 nb) rows nx, ny, nz, fx, fy, fz.
 
     Raises:
-        ArgumentError: A shape does not fit, or a value is not finite.
+        ArgumentError: A shape does not fit, a value is not finite, or X_WP is no pose.
         ModelError: The plant has a joint that is not supported.
     """
     tree, (q, v, vd) = checked_samples(plant, q, v, vd)
@@ -67,7 +66,7 @@ def base_wrench_regressor(
         for mobilizer, block in blocks:
             first = PARAMETERS_PER_BODY * mobilizer.body
             regressor[part, :, first : first + PARAMETERS_PER_BODY] = block.transpose(2, 1, 0)
-    return regressor if X_WP is None else _wrench_map(X_WP, len(q)) @ regressor
+    return regressor if X_WP is None else _wrench_map(_poses(X_WP, len(q))) @ regressor
 
 
 def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
@@ -81,11 +80,13 @@ def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
 
     Returns:
         (N, 6) wrenches.
+
+    Raises:
+        ArgumentError: A shape does not fit, or X_QP is no pose.
     """
-    wrench = np.asarray(wrench, float)
-    matrices = _matrices(X_QP)
-    inverse = np.linalg.inv(matrices)
-    return np.einsum("...ij,...j->...i", _wrench_map(inverse, len(wrench)), wrench)
+    wrench = _wrenches(wrench)
+    inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench))), float)
+    return np.asarray(np.einsum("...ij,...j->...i", _wrench_map(inverse), wrench))
 
 
 def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
@@ -98,13 +99,16 @@ def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
         height: z of the plane in P, m.
 
     Returns:
-        (N, 2) positions x, y in P, m; NaN where nothing presses on the plane (f_z ≤ 0).
+        (N, 2) positions x, y in P, m; NaN where nothing presses on the plane (f_z ≤ 0), or where
+        the wrench is NaN.
+
+    Raises:
+        ArgumentError: The shape is another.
     """
-    wrench = np.asarray(wrench, float)
-    if wrench.ndim != 2 or wrench.shape[1] != 6:
-        raise ArgumentError(f"wrench must have shape (N, 6); got {wrench.shape}.")
+    wrench = _wrenches(wrench)
     nx, ny, _, fx, fy, fz = wrench.T
-    pressed = fz > _LEAST_FORCE * np.abs(wrench).max(initial=0.0)
+    largest = np.max(np.abs(wrench), initial=0.0, where=np.isfinite(wrench))
+    pressed = fz > _LEAST_FORCE * largest
     normal = np.where(pressed, fz, np.nan)
     return np.stack([(height * fx - ny) / normal, (height * fy + nx) / normal], -1)
 
@@ -158,18 +162,33 @@ def _on_a_free_world(tree: KinematicTree) -> KinematicTree:
     return replace(tree, mobilizers=tuple(mobilizers), num_velocities=own.stop)
 
 
-def _matrices(X: RigidTransform | ArrayLike) -> Array:
-    """Poses as homogeneous matrices."""
-    return np.asarray(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, float)
+def _wrenches(wrench: ArrayLike) -> Array:
+    array = np.asarray(wrench, float)
+    if array.ndim != 2 or array.shape[1] != 6:
+        raise ArgumentError(f"Wrenches have the shape (N, 6); got {array.shape}.")
+    return array
 
 
-def _wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
-    """(..., 6, 6) maps of wrenches about Wo in W to the same about Po in P."""
-    X = _matrices(X_WP)
-    if X.shape not in ((4, 4), (count, 4, 4)):
+def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
+    """A pose, or one for each sample, as homogeneous matrices."""
+    poses = np.asarray(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, float)
+    if poses.shape not in ((4, 4), (count, 4, 4)):
         raise ArgumentError(
-            f"The pose has the shape {X.shape}, expected one pose (4, 4) or {count} of them."
+            f"The pose has the shape {poses.shape}, expected one pose (4, 4) or {count} of them."
         )
+    R = poses[..., :3, :3]
+    skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
+    if not (skew < _SKEWNESS and (poses[..., 3, :] == (0, 0, 0, 1)).all()):
+        raise ArgumentError(
+            f"A pose has a rotation and the last row 0, 0, 0, 1; R Rᵀ is {skew:.2g} off the "
+            "identity.",
+            advice="Pass a RigidTransform, or its GetAsMatrix4().",
+        )
+    return poses
+
+
+def _wrench_map(X: Array) -> Array:
+    """(..., 6, 6) maps of wrenches about Wo in W to the same about Po in P, of poses X_WP."""
     R_PW, p = np.swapaxes(X[..., :3, :3], -1, -2), X[..., :3, 3]
     full = np.zeros((*X.shape[:-2], 6, 6))
     full[..., :3, :3] = full[..., 3:, 3:] = R_PW

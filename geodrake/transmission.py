@@ -24,6 +24,7 @@ from geodrake.motion import Motion
 
 _STEP = 2e-3  # rad or m: fourth order differences err by about 1e-12
 _MOST_ITERATIONS = 50
+_MOST_CONDITION = 1e12
 
 
 class Transmission(abc.ABC):
@@ -77,15 +78,19 @@ class Transmission(abc.ABC):
         """
         theta, w, wd = (self._checked(x, self.num_joints) for x in (motion.q, motion.v, motion.vd))
         q = self._actuator_positions(theta, start)
-        inverse = np.asarray(np.linalg.pinv(self.jacobian(q)), float)
+        inverse = np.asarray(np.linalg.pinv(self._regular_jacobian(q)), float)
         v = _times(inverse, w)
         vd = _times(inverse, wd - _times(self.jacobian_rate(q, v), v))
         return Motion(q, v, vd, motion.time)
 
     def actuator_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
-        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k) at q (N, n)."""
+        """τ_q = Jᵀ τ_θ (N, n), of the joints' efforts (N, k) at q (N, n).
+
+        Raises:
+            ArgumentError: The shapes do not fit.
+        """
         q = self._checked(q, self.num_actuators)
-        efforts = self._checked(efforts, self.num_joints)
+        efforts = self._checked(efforts, self.num_joints, samples=len(q))
         return _times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
 
     def joint_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
@@ -96,7 +101,7 @@ class Transmission(abc.ABC):
                 determined, or the transmission is singular.
         """
         q = self._checked(q, self.num_actuators)
-        efforts = self._checked(efforts, self.num_actuators)
+        efforts = self._checked(efforts, self.num_actuators, samples=len(q))
         if self.num_joints != self.num_actuators:
             raise ArgumentError(
                 f"{self.num_actuators} efforts of actuators do not determine those of "
@@ -104,9 +109,7 @@ class Transmission(abc.ABC):
                 advice="Compare efforts on the actuators' side, with `actuator_efforts` and "
                 "`regressor`.",
             )
-        J = self.jacobian(q)
-        if np.any(np.linalg.cond(J) > 1e12):
-            raise ArgumentError("The transmission is singular: some joint has no actuator.")
+        J = self._regular_jacobian(q)
         solved = np.linalg.solve(np.swapaxes(J, 1, 2), efforts[:, :, None])
         return np.asarray(solved[:, :, 0], float)
 
@@ -124,18 +127,30 @@ class Transmission(abc.ABC):
             )
         return np.swapaxes(self.jacobian(q), 1, 2) @ rows
 
-    def _checked(self, values: ArrayLike, width: int) -> Array:
+    def _checked(self, values: ArrayLike, width: int, *, samples: int | None = None) -> Array:
         array = np.asarray(values, float)
-        if array.ndim != 2 or array.shape[1] != width:
+        if array.ndim != 2 or array.shape[1] != width or samples not in (None, len(array)):
             raise ArgumentError(
-                f"Got the shape {array.shape}, expected (N, {width}); the transmission has "
+                f"Got the shape {array.shape}, expected ({samples or 'N'}, {width}); there are "
                 f"{self.num_actuators} actuators and {self.num_joints} joints."
             )
         return array
 
+    def _regular_jacobian(self, q: Array) -> Array:
+        J = self.jacobian(q)
+        if len(q) and np.any((condition := np.linalg.cond(J)) > _MOST_CONDITION):
+            at = q[int(np.argmax(condition))].tolist()
+            raise ArgumentError(
+                f"The transmission is singular at q = {at}: some motion does nothing."
+            )
+        return J
+
     def _actuator_positions(self, theta: Array, start: ArrayLike) -> Array:
         """Gauss-Newton on T(q) = θ, all samples together."""
-        q = np.broadcast_to(np.asarray(start, float), (len(theta), self.num_actuators)).copy()
+        q, wanted = np.asarray(start, float), (len(theta), self.num_actuators)
+        if q.shape not in ((), wanted[1:], wanted):
+            raise ArgumentError(f"A start has the shape {wanted[1:]} or {wanted}; got {q.shape}.")
+        q = np.broadcast_to(q, wanted).copy()
         size = 1.0 + np.abs(theta).max(initial=0.0)
         for _ in range(_MOST_ITERATIONS):
             inverse = np.asarray(np.linalg.pinv(self.jacobian(q)), float)
@@ -154,7 +169,7 @@ class Transmission(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class LinearTransmission(Transmission):
-    """θ = J q + θ₀ with a constant J: gears, belts, coupled wrists, rolling joints.
+    """θ = J q + θ₀ with a constant J, of `of` or `from_ratios`: gears, belts, coupled wrists.
 
     Attributes:
         matrix: (k, n) J.
@@ -178,7 +193,10 @@ class LinearTransmission(Transmission):
                 f"J must be finite, of shape (k, n) and of rank n; got the shape {J.shape}.",
                 advice="Leave out actuators that move nothing that others do not.",
             )
-        return cls(J, np.broadcast_to(np.asarray(offset, float), (len(J),)).copy())
+        shift = np.asarray(offset, float)
+        if shift.shape not in ((), (len(J),)) or not np.isfinite(shift).all():
+            raise ArgumentError(f"Expected {len(J)} finite offsets or one; got {shift.tolist()}.")
+        return cls(J, np.broadcast_to(shift, (len(J),)).copy())
 
     @classmethod
     def from_ratios(

@@ -19,6 +19,9 @@ def gears(ratios: ArrayLike) -> LinearTransmission:
 
     Args:
         ratios: (n,) gear ratios N, motor turns for one of the joint.
+
+    Raises:
+        ArgumentError: A ratio is zero or not finite.
     """
     N = np.atleast_1d(np.asarray(ratios, float))
     if N.ndim != 1 or not np.all(np.isfinite(N) & (N != 0)):
@@ -34,6 +37,9 @@ def rolling_joint(share: float = 0.5) -> LinearTransmission:
 
     Args:
         share: s = r₂ / (r₁ + r₂) of the first joint, between 0 and 1.
+
+    Raises:
+        ArgumentError: The share is out of its range.
     """
     if not 0 <= share <= 1:
         raise ArgumentError(f"The share of the first joint is between 0 and 1; got {share:g}.")
@@ -49,6 +55,10 @@ class SideBySide(Transmission):
     """
 
     parts: tuple[Transmission, ...]
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise ArgumentError("A transmission has at least one part.")
 
     @property
     def num_actuators(self) -> int:
@@ -100,6 +110,8 @@ class InSequence(Transmission):
     stages: tuple[Transmission, ...]
 
     def __post_init__(self) -> None:
+        if not self.stages:
+            raise ArgumentError("A transmission has at least one stage.")
         for inner, outer in pairwise(self.stages):
             if inner.num_joints != outer.num_actuators:
                 raise ArgumentError(

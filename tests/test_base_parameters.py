@@ -232,3 +232,7 @@ def test_bad_metrics(arm):
         pushforward_metric(base.matrix[[0, 0]], phi)
     with pytest.raises(ArgumentError, match="60"):
         base.labels(["one"])
+    with pytest.raises(ArgumentError, match="regressor is of 70 parameters"):
+        base.regressor(np.zeros((3, 70)))
+    with pytest.raises(ArgumentError, match="vector is of 50 parameters"):
+        base.values(phi[:5])

@@ -242,6 +242,9 @@ def test_in_the_air_there_is_no_zero_moment_point():
     np.testing.assert_array_equal(
         np.isnan(zero_moment_point(flying)), [[True, True], [True, True], [False, False]]
     )
+    # A sample that was not measured says nothing about the others.
+    lost = np.vstack([flying[2:], np.full((1, 6), np.nan)])
+    np.testing.assert_array_equal(np.isnan(zero_moment_point(lost)), [[False, False], [True, True]])
 
 
 def test_robots_with_gravity_of_their_own():
@@ -268,6 +271,12 @@ def test_bad_input():
         base_wrench_regressor(tree, still, still[:, 1:], still)
     with pytest.raises(ArgumentError, match=r"pose has the shape \(2, 4, 4\)"):
         base_wrench_regressor(tree, still, still, still, X_WP=np.zeros((2, 4, 4)))
+    with pytest.raises(ArgumentError, match=r"R Rᵀ is 3 off"):
+        base_wrench_regressor(tree, still, still, still, X_WP=2 * np.eye(4))
     with pytest.raises(ArgumentError, match=r"\(N, 6\)"):
         zero_moment_point(np.zeros(6))
+    with pytest.raises(ArgumentError, match=r"\(N, 6\); got \(3, 5\)"):
+        move_wrench(np.zeros((3, 5)), np.eye(4))
+    with pytest.raises(ArgumentError, match="R Rᵀ is 1 off"):
+        move_wrench(np.zeros((3, 6)), np.zeros((4, 4)))
     assert base_wrench_regressor(tree, *np.zeros((3, 0, 6))).shape == (0, 6, 60)
