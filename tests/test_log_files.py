@@ -99,6 +99,7 @@ def _replace(k, row):
             ROWS,
             ["no column 'time'", "Timestamp", "a.position"],
         ),
+        (HEADER.replace(",", ";"), ROWS, ["columns by ';'", "time;a.position", "by commas"]),
         (HEADER.replace("effort", "torque"), ROWS, ["no joint with both", "a, b", "none"]),
         (HEADER.replace("b.effort", "c.effort"), ROWS, ["without effort of b"]),
         (HEADER.replace("b.effort", "a.effort"), ROWS, ["more than once", "a.effort"]),
@@ -126,6 +127,24 @@ def test_unreadable_files(tmp_path):
     archive = _write(tmp_path, name="log.npz")
     with pytest.raises(LogError, match="cannot be read"):
         read_log(archive)
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_line_ends_of_any_system(tmp_path, end):
+    path = tmp_path / "log.csv"
+    path.write_bytes(end.join([HEADER, *ROWS]).encode())
+    log = read_log(path)
+    assert len(log) == len(ROWS)
+    assert log.effort[-1, -1] == float(ROWS[-1].split(",")[-1])
+
+
+def test_times_with_a_unit_of_their_own(tmp_path):
+    time = np.arange(20)
+    path = tmp_path / "log.npz"
+    columns = {"a.position": 1.0 * time, "a.effort": 1.0 * time}
+    np.savez(path, time=time.astype("timedelta64[ms]"), **columns)
+    with pytest.raises(LogError, match=r"'time' .* holds timedelta64\[ms\]"):
+        read_log(path)
 
 
 def test_bad_arrays(tmp_path):

@@ -54,5 +54,5 @@ def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointL
     except (OSError, EOFError, ValueError, zipfile.BadZipFile, csv.Error) as error:
         raise LogError(
             f"Log {str(path)!r} cannot be read: {error}.",
-            advice="Check the file's permissions and that it is a text table or an .npz file.",
+            advice="Check the file's permissions and that it is a text table in UTF-8, or .npz.",
         ) from error

@@ -47,7 +47,7 @@ class Columns:
         if "time" not in names:
             close = difflib.get_close_matches("time", [name.lower() for name in names], cutoff=0.4)
             raise LogError(
-                f"Log {str(path)!r} has no column 'time'; it has {', '.join(names[:8])}"
+                f"Log {str(path)!r} has no column 'time'; it has {', '.join(names[:8]) or 'none'}"
                 f"{' …' if len(names) > 8 else ''}.",
                 advice=(f"Is it {close[0]!r}? " if close else "") + HEADER_ADVICE,
             )

@@ -22,7 +22,7 @@ _LINES = 50_000  # that are read at once
 def read_csv(path: Path, joints: Sequence[str] | None) -> JointLog:
     """Read a log from a CSV file; see `read_log`."""
     with path.open("rb") as binary:
-        most = 1 + sum(block.count(b"\n") for block in iter(lambda: binary.read(1 << 20), b""))
+        most = 1 + sum(map(_line_ends, iter(lambda: binary.read(1 << 20), b"")))
     with path.open(encoding="utf-8-sig", newline="") as file:
         header = [name.strip() for name in next(csv.reader(file), [])]
         _check_header(path, header)
@@ -40,6 +40,11 @@ def read_csv(path: Path, joints: Sequence[str] | None) -> JointLog:
                 recording.put(name, slice(rows, rows + len(table)), numbers)
             rows, line = rows + len(table), line + len(lines)
     return recording.log(rows)
+
+
+def _line_ends(block: bytes) -> int:
+    """Line ends of any system; one more where a block ends between the two of a pair."""
+    return block.count(b"\n") + block.count(b"\r") - block.count(b"\r\n")
 
 
 def _numbers(path: Path, header: Sequence[str], lines: Sequence[str]) -> Array | None:
@@ -105,6 +110,13 @@ def _check_header(path: Path, header: Sequence[str]) -> None:
         raise LogError(
             f"Log {str(path)!r} has no header: its first line is {first[:60]!r}.",
             advice=HEADER_ADVICE,
+        )
+    separator = next((c for c in ";\t|" if c in header[0]), None)
+    if len(header) == 1 and separator is not None:
+        raise LogError(
+            f"Log {str(path)!r} separates its columns by {separator!r}: its first line is "
+            f"{header[0][:60]!r}.",
+            advice="Separate them by commas, with a point in decimal numbers.",
         )
     twice = sorted({name for name in header if is_used(name) and header.count(name) > 1})
     if twice:

@@ -44,7 +44,7 @@ def _real_numbers(path: Path, name: str, array: NDArray[np.generic]) -> Array:
             f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {array.shape}.",
             advice="Store one 1-D array for each column, all equally long.",
         )
-    if not np.issubdtype(array.dtype, np.number) or np.iscomplexobj(array):
+    if array.dtype.kind not in "iuf":
         raise LogError(
             f"Array {name!r} of log {str(path)!r} holds {array.dtype}, not real numbers."
         )
