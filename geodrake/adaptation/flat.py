@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold
 from geodrake.manifolds.base import Array
+from geodrake.manifolds.mirror import MirrorLine
 
 _ASYMMETRY = 1e-9
 
@@ -86,6 +87,15 @@ class ConstantMetric(Manifold):
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
         """Infinite."""
         return np.full(np.broadcast_shapes(np.shape(x), np.shape(v))[:-1], np.inf)
+
+    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+        """The straight line x + t Γ⁻¹ b."""
+        x, b = np.asarray(x, float), np.asarray(b, float)
+        v = self.inverse_metric_times(x, b)
+        start, slope = float(b @ x), float(b @ v)
+        return MirrorLine(
+            lambda t: x + t * v, lambda t: start + t * slope, np.inf, 1.0 / np.sqrt(slope)
+        )
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The straight line x + v."""

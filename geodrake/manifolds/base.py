@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import abc
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.errors import ArgumentError
+from geodrake.manifolds.mirror import MirrorLine
+
 Array = NDArray[np.float64]
 
 _MOST_HALVINGS = 60
+_MOST_STEPS = 80
+_SHORT = 0.25  # length in the metric of a Newton step that is taken in full
+_EXACT = 1e-7  # length of one after which the next would be its square
+_SHARE_OF_EDGE = 0.9
 
 
 class Manifold(abc.ABC):
@@ -47,6 +55,22 @@ class Manifold(abc.ABC):
     @abc.abstractmethod
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The time (...) at which the straight line x + t v leaves the set, inf for never."""
+
+    def frame(self, x: ArrayLike) -> Array:
+        """Tangent vectors (n, n), one a column, that the metric at x (n,) makes orthonormal."""
+        metric = self.metric(x)
+        # On a unit diagonal, so that units cost no precision.
+        scale = 1.0 / np.sqrt(np.diagonal(metric))
+        L = np.linalg.cholesky(metric * scale[:, None] * scale)
+        return np.asarray(scale[:, None] * np.linalg.inv(L).T)
+
+    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero."""
+        return _newton_line(self, np.asarray(x, float), np.asarray(b, float))
+
+    def lift(self) -> Lift | None:
+        """A manifold with easier mirror lines that this one is a flat part of; None if none."""
+        return None
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The point (..., n) that a step v (..., n) from x leads to, inside however long v is.
@@ -89,3 +113,58 @@ def slowed_time(edge: Array) -> Array:
 def excess(step: Array) -> Array:
     """What one logarithm adds to a divergence: r − 1 − log r of the ratio r = 1 + step."""
     return step - np.log1p(step)
+
+
+@dataclass(frozen=True, eq=False)
+class Lift:
+    """A manifold as the points u = matrix x + offset of another one, with the same barrier.
+
+    Attributes:
+        manifold: The other one, of dimension N.
+        matrix: (N, n).
+        offset: (N,).
+        places: (n,) where the coordinates of x are among those of u.
+        rows: (c, N) equations rows u = values of the points that are meant.
+        values: (c,).
+    """
+
+    manifold: Manifold
+    matrix: Array
+    offset: Array
+    places: NDArray[np.intp]
+    rows: Array
+    values: Array
+
+    @classmethod
+    def nothing(cls, manifold: Manifold) -> Lift:
+        """A manifold as all of itself."""
+        n = manifold.dimension
+        places = np.arange(n)
+        return cls(manifold, np.eye(n), np.zeros(n), places, np.zeros((0, n)), np.zeros(0))
+
+
+def _newton_line(manifold: Manifold, x: Array, b: Array) -> MirrorLine:
+    """The mirror line of any barrier: each point by Newton's method; NaN where there is none."""
+    start = manifold.gradient(x)
+
+    def point(t: float) -> Array:
+        try:
+            return _with_gradient(manifold, start + t * b, x)
+        except (ArgumentError, np.linalg.LinAlgError):  # at the edge, on the way to infinity
+            return np.full(len(x), np.nan)
+
+    length = float(np.sqrt(b @ manifold.inverse_metric_times(x, b)))
+    return MirrorLine(point, lambda t: float(b @ point(t)), np.inf, 1.0 / length)
+
+
+def _with_gradient(manifold: Manifold, wanted: Array, y: Array) -> Array:
+    """The point (n,) with a wanted gradient, from a first guess y; NaN if it is not found."""
+    for _ in range(_MOST_STEPS):
+        off = wanted - manifold.gradient(y)
+        step = manifold.inverse_metric_times(y, off)
+        length = float(np.sqrt(max(float(off @ step), 0.0)))
+        share = 1.0 if length < _SHORT else 1.0 / (1.0 + length)
+        y = y + min(share, _SHARE_OF_EDGE * float(manifold.longest_step(y, step))) * step
+        if length < _EXACT:
+            return y
+    return np.full(len(y), np.nan)

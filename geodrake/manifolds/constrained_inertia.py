@@ -9,8 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.manifolds.base import Array, Manifold, excess
+from geodrake.manifolds.base import Array, Lift, Manifold, excess
 from geodrake.manifolds.inertia import PhysicalInertia
+from geodrake.manifolds.interval import Positive
+from geodrake.manifolds.product import Product
 
 _INERTIA = PhysicalInertia()
 
@@ -75,6 +77,25 @@ class ConstrainedInertia(Manifold):
         """g(x), (..., 10, 10), [Lee2019] Eq. (5.3.28)."""
         rows = self._scaled(x)
         return np.asarray(_INERTIA.metric(x) + self.weight * np.swapaxes(rows, -1, -2) @ rows)
+
+    def frame(self, x: ArrayLike) -> Array:
+        """That of the body, corrected for the constraints."""
+        T = _INERTIA.frame(x)
+        rows = self._scaled(x) @ T
+        L = np.linalg.cholesky(np.eye(len(T)) + self.weight * rows.T @ rows)
+        return np.asarray(T @ np.linalg.inv(L).T)
+
+    def lift(self) -> Lift:
+        """The body next to its slacks, as positive parameters."""
+        m = len(self.offsets)
+        return Lift(
+            Product((_INERTIA, Positive(m)), (1.0, self.weight)),
+            np.concatenate([np.eye(PARAMETERS_PER_BODY), self.normals]),
+            np.concatenate([np.zeros(PARAMETERS_PER_BODY), -self.offsets]),
+            np.arange(PARAMETERS_PER_BODY),
+            np.concatenate([self.normals, -np.eye(m)], 1),
+            self.offsets,
+        )
 
     def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
         """g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2.

@@ -16,9 +16,17 @@ from geodrake.inertia import (
     pseudo_inertia_basis,
 )
 from geodrake.manifolds.base import Array, Manifold
+from geodrake.manifolds.mirror import MirrorLine
 from geodrake.positive_definite import log_det_divergence, whitening
 
 _BASIS = pseudo_inertia_basis()
+_PAIRS = [np.eye(4)[[i, j]] for i in range(4) for j in range(i, 4)]
+_UNIT_TANGENTS = np.array(
+    [(np.outer(a, b) + np.outer(b, a)) / (2.0 if a @ b else np.sqrt(2.0)) for a, b in _PAIRS]
+)
+"""Orthonormal basis (10, 4, 4) of the symmetric matrices."""
+_TO_MATRIX = _BASIS.reshape(PARAMETERS_PER_BODY, 16)
+_FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 
@@ -71,6 +79,27 @@ class PhysicalInertia(Manifold):
         falling = rates < 0
         return np.where(falling, -1.0 / np.where(falling, rates, -1.0), np.inf)
 
+    def frame(self, x: ArrayLike) -> Array:
+        """P⁻¹(L E Lᵀ) (10, 10) for orthonormal symmetric E, which no scale costs precision."""
+        L = _root(x)
+        return np.asarray(((L @ _UNIT_TANGENTS @ L.T).reshape(-1, 16) @ _FROM_MATRIX).T)
+
+    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+        """P(y(t)) = L (𝟙 − t Lᵀ X(b) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − t X(b)."""
+        L = _root(x)
+        spectrum, axes = np.linalg.eigh(L.T @ dual(b) @ L)
+        rates = spectrum.tolist()
+
+        def point(t: float) -> Array:
+            root = (L @ axes) / np.sqrt(1.0 - t * spectrum)
+            return np.asarray((root @ root.T).reshape(16) @ _FROM_MATRIX)
+
+        def value(t: float) -> float:
+            return sum(rate / (1.0 - t * rate) for rate in rates)
+
+        longest = 1.0 / rates[-1] if rates[-1] > 0 else np.inf
+        return MirrorLine(point, value, longest, 1.0 / max(rates[-1], -rates[0]))
+
     def _retract(self, x: Array, v: Array) -> Array:
         """The geodesic, [Lee2019] Eq. (2.2.9)."""
         L, root = whitening(pseudo_inertia(x))
@@ -89,3 +118,10 @@ class PhysicalInertia(Manifold):
         _, root = whitening(pseudo_inertia(x))
         whitened = root @ pseudo_inertia(v) @ np.swapaxes(root, -1, -2)
         return np.asarray(np.linalg.eigvalsh(whitened), float)
+
+
+def _root(x: ArrayLike) -> Array:
+    """Lower triangular L (4, 4) with P(x) = L Lᵀ of one body; units cost no precision."""
+    P = (np.asarray(x, float) @ _TO_MATRIX).reshape(4, 4)
+    scale = np.sqrt(np.diagonal(P))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(P / np.outer(scale, scale)))

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
+from geodrake.manifolds.mirror import MirrorLine
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 _LEAST_SLACK = 1e-150  # whose inverse square is still a number
@@ -98,6 +99,33 @@ class Interval(Manifold):
         times = toward / np.where(moving, np.abs(v), 1.0)
         return np.where(moving, times, np.inf).min(-1, initial=np.inf)
 
+    def frame(self, x: ArrayLike) -> Array:
+        """Diagonal (n, n)."""
+        return np.diag(1.0 / np.sqrt(self._curvature(x)))
+
+    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+        """In closed form for each parameter: 1/slack is linear in t, or a quadratic equation."""
+        x, b = np.asarray(x, float), np.asarray(b, float)
+        low, high = np.array(self.lower), np.array(self.upper)
+        curved, simple = np.isfinite(low) & np.isfinite(high), np.isfinite(low) ^ np.isfinite(high)
+        sign = np.where(np.isfinite(low), 1.0, -1.0)[simple]  # away from the bound
+        bound = np.where(np.isfinite(low), low, high)[simple]
+        slack = sign * (x[simple] - bound)
+        rates, force = sign * b[simple] * slack, self.gradient(x)
+
+        def point(t: float) -> Array:
+            y = np.where(self._flat, x + t * b, x)
+            y[simple] = bound + sign * slack / (1.0 - t * rates)
+            y[curved] = _balanced(low[curved], high[curved], (force + t * b)[curved])
+            return y
+
+        def value(t: float) -> float:
+            return float(b @ point(t))
+
+        most = float(rates.max(initial=0.0))
+        speed = float(np.sqrt((b * b / self._curvature(x)).sum()))
+        return MirrorLine(point, value, 1.0 / most if most > 0 else np.inf, 1.0 / speed)
+
     def _retract(self, x: Array, v: Array) -> Array:
         """Each parameter by itself: geodesic with one bound, the slowed line with two."""
         lower, upper = np.array(self.lower), np.array(self.upper)
@@ -115,6 +143,15 @@ class Interval(Manifold):
         least = np.maximum(np.nextafter(lower, np.inf), lower + _LEAST_SLACK)
         most = np.minimum(np.nextafter(upper, -np.inf), upper - _LEAST_SLACK)
         return np.clip(point, least, most)
+
+
+def _balanced(lower: Array, upper: Array, force: Array) -> Array:
+    """Where 1/(u − y) − 1/(y − l) = force, precise in the smaller slack."""
+    half = 0.5 * (upper - lower)
+    q = np.abs(half * force)
+    root = np.hypot(1.0, q)
+    small = half * (1.0 + 1.0 / (root + q)) / (1.0 + root)
+    return np.asarray(np.where(force < 0, lower + small, upper - small))
 
 
 class Positive(Interval):

@@ -8,9 +8,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
 from geodrake.errors import ArgumentError
-from geodrake.manifolds.base import Array, Manifold
+from geodrake.manifolds.base import Array, Lift, Manifold
+from geodrake.manifolds.mirror import MirrorLine, joined
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,36 @@ class Product(Manifold):
             factor.longest_step(x[..., part], v[..., part]) for factor, _, part in self._factors
         ]
         return np.minimum.reduce(times)
+
+    def frame(self, x: ArrayLike) -> Array:
+        """Those of the factors as blocks (n, n)."""
+        x = np.asarray(x, float)
+        frame = np.zeros((self.dimension, self.dimension))
+        for factor, w, part in self._factors:
+            frame[part, part] = factor.frame(x[part]) / np.sqrt(w)
+        return frame
+
+    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+        """Factor by factor; those that b has nothing of stay."""
+        x, b = np.asarray(x, float), np.asarray(b, float)
+        used = [(f, w, part) for f, w, part in self._factors if b[part].any()]
+        return joined([(part, w, f.mirror_line(x[part], b[part] / w)) for f, w, part in used], x)
+
+    def lift(self) -> Lift | None:
+        """The lifts of the factors side by side, if there are any."""
+        own = [factor.lift() for factor in self.manifolds]
+        if not any(own):
+            return None
+        lifts = [a or Lift.nothing(f) for a, f in zip(own, self.manifolds, strict=True)]
+        starts = np.cumsum([0, *(len(a.offset) for a in lifts[:-1])])
+        return Lift(
+            Product(tuple(a.manifold for a in lifts), self.weights),
+            block_diag(*(a.matrix for a in lifts)),
+            np.concatenate([a.offset for a in lifts]),
+            np.concatenate([a.places + at for a, at in zip(lifts, starts, strict=True)]),
+            block_diag(*(a.rows for a in lifts)),
+            np.concatenate([a.values for a in lifts]),
+        )
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """Each factor by itself."""

@@ -1,0 +1,189 @@
+"""The dual of a Bregman projection: multipliers of the rows, and the point that belongs to them.
+
+    ∇h(y) = ∇h(x) + Aᵀ λ,   λᵢ > 0 only where aᵢᵀ y = lowerᵢ,   λᵢ < 0 only where aᵢᵀ y = upperᵢ
+
+The dual is concave, and all its points are inside of the manifold. Every step sets out from the
+last point and its metric, so that distances of many orders of magnitude cost no precision.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import brentq
+
+from geodrake.manifolds import Manifold
+from geodrake.manifolds.base import Array
+from geodrake.manifolds.mirror import MirrorLine
+from geodrake.projections.polyhedron import Polyhedron
+from geodrake.projections.quadratic import least_change
+
+_LARGEST_CHANGE = 1e6  # what one step may multiply a part of a point by
+_NEAR = 0.1  # length of a Newton step in the metric that needs no search
+_GROWTH = 8.0
+_MOST_BISECTIONS = 60
+_ENOUGH = (-0.3, 0.1)  # slope that a full step may leave, relative to the first
+_ROUNDING = 4e-16  # of a row's value, relative to its terms
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A point y (n,) with the multipliers λ (k,) that lead to it from x."""
+
+    manifold: Manifold
+    limits: Polyhedron
+    y: Array
+    multipliers: Array
+
+    @classmethod
+    def at(cls, manifold: Manifold, limits: Polyhedron, x: Array) -> State:
+        """The state of x itself."""
+        return cls(manifold, limits, x, np.zeros(len(limits.matrix)))
+
+    def pushed(self, d: Array) -> State | None:
+        """The state of λ + d, at once; None where there is no such point."""
+        b = self.limits.matrix.T @ d
+        line = self.manifold.mirror_line(self.y, b) if b.any() else None
+        if line is None or line.longest <= 1.0:
+            return None
+        return State(self.manifold, self.limits, line.point(1.0), self.multipliers + d)
+
+    def weighted(self, w: float) -> State:
+        """The state with the gradient and the multipliers times w."""
+        force = self.manifold.gradient(self.y)
+        if w < 1.0:
+            y = self.manifold.mirror_line(self.y, -force).point(1.0 - w)
+        else:
+            y = self.manifold.mirror_line(self.y, force).point(w - 1.0)
+        return State(self.manifold, self.limits, y, w * self.multipliers)
+
+    @cached_property
+    def frame(self) -> Array:
+        """Orthonormal tangent vectors (n, n) at y."""
+        return self.manifold.frame(self.y)
+
+    @cached_property
+    def rows(self) -> Array:
+        """Rows (k, n) in that frame."""
+        return np.asarray(self.limits.matrix @ self.frame)
+
+    @cached_property
+    def lengths(self) -> Array:
+        """Lengths (k,) of the rows in the metric at y."""
+        return np.asarray(np.linalg.norm(self.rows, axis=1))
+
+    @cached_property
+    def gaps(self) -> tuple[Array, Array]:
+        """How far lower and upper limits are above the value of the rows, in the metric at y."""
+        value = self.limits.matrix @ self.y
+        return (self.limits.lower - value) / self.lengths, (
+            self.limits.upper - value
+        ) / self.lengths
+
+    @cached_property
+    def rounding(self) -> Array:
+        """What the gaps (k,) cannot be known better than."""
+        terms = np.abs(self.limits.matrix) @ np.abs(self.y)
+        return np.asarray(_ROUNDING * len(self.y) * terms / self.lengths)
+
+    @cached_property
+    def errors(self) -> Array:
+        """Distance (k,) in the metric at y from feasibility and complementarity of each row."""
+        below, above = self.gaps
+        broken = np.maximum(0.0, np.maximum(below, -above))
+        pushed = np.where(self.multipliers > 0, np.abs(below), np.abs(above))
+        off = np.where(self.multipliers == 0, broken, pushed)
+        return np.maximum(0.0, off - self.rounding)
+
+    @property
+    def error(self) -> float:
+        """The greatest of the errors."""
+        return float(self.errors.max())
+
+    def newton_step(self) -> State | None:
+        """The state after a damped Newton step of all multipliers; None if there is none."""
+        held = self.multipliers * self.lengths
+        d = least_change(self.rows / self.lengths[:, None], *self.gaps, held)
+        if d is None or not np.isfinite(d).all() or not d.any():
+            return None
+        near = bool(np.linalg.norm(d / self.lengths @ self.rows) < _NEAR)
+        return self._moved(d / self.lengths, full=True, near=near)
+
+    def single_step(self, row: int) -> State | None:
+        """The state in which one row is exact, by its own multiplier alone; None if it is."""
+        below, above = (float(gap[row]) for gap in self.gaps)
+        held, slack = float(self.multipliers[row]), float(self.rounding[row])
+        d = np.zeros(len(self.multipliers))
+        if below > slack or (held < 0 and above > slack):
+            d[row] = 1.0
+        elif above < -slack or (held > 0 and below < -slack):
+            d[row] = -1.0
+        else:
+            return None
+        return self._moved(d, full=False)
+
+    def _moved(self, d: Array, *, full: bool, near: bool = False) -> State | None:
+        """The state along λ + t d where the dual is greatest.
+
+        Args:
+            d: (k,) direction in which the dual rises.
+            full: Whether d is a step by itself, t = 1, that may be good enough.
+            near: Whether it is known to be, so that rounding cannot spoil the search.
+        """
+        held = self.multipliers
+        moving, back = d != 0, held * d < 0
+        equal = self.limits.lower == self.limits.upper
+        sign = np.where(held == 0, d, held)
+        targets = np.where(sign > 0, self.limits.lower, self.limits.upper)[moving]
+        value = self.limits.matrix @ self.y
+        goal = float(d[moving] @ (targets - value[moving]))
+        if not (near or 0 < goal < np.inf):
+            return None
+        turn = back & ~equal
+        kinks = np.where(turn, -held / np.where(turn, d, 1.0), np.inf)
+        line = self.manifold.mirror_line(self.y, self.limits.matrix.T @ d)
+        if near and kinks.min() >= 1.0 and line.longest > 1.0:
+            t = 1.0
+        else:
+            target = float(d[moving] @ targets)
+            t = _time(line, target, (goal, float(kinks.min())), full=full)
+        multipliers = held + t * d
+        multipliers[kinks <= t] = 0.0
+        return State(self.manifold, self.limits, line.point(t), multipliers)
+
+
+def _time(line: MirrorLine, target: float, within: tuple[float, float], *, full: bool) -> float:
+    """The time at which a line's value reaches a target, or has to stop.
+
+    Args:
+        line: The line.
+        target: The value.
+        within: How far the first value is from the target, and when to stop.
+        full: Whether t = 1 may be good enough.
+    """
+    goal, most = within
+
+    def surplus(t: float) -> float:
+        return line.value(t) - target
+
+    ends = (line.longest * (1.0 - 1.0 / _LARGEST_CHANGE), line.scale * _LARGEST_CHANGE, most)
+    end = min(ends)
+    low, high = 0.0, min(1.0 if full else line.scale, end)
+    for _ in range(_MOST_BISECTIONS):
+        off = surplus(high)
+        if full and high == 1.0 and _ENOUGH[0] * goal <= off <= _ENOUGH[1] * goal:
+            return high
+        if off >= 0:
+            if surplus(low) >= 0:  # as far as rounding tells, at the goal from the start
+                return high if full and high == 1.0 else low
+            return float(brentq(surplus, low, high, xtol=1e-300, rtol=1e-14))
+        if np.isfinite(off):
+            low = high
+            if high == end:
+                break
+            high = min(_GROWTH * high, end)
+        else:  # no such point
+            end = high = 0.5 * (low + high)
+    return low
