@@ -27,8 +27,7 @@ from rich.progress import track
 from rich.table import Table
 
 from geodrake.base_parameters import base_parameters
-from geodrake.ellipsoids import ellipsoid_of_quadric
-from geodrake.inertia import pseudo_inertia
+from geodrake.ellipsoids import ellipsoid_of_quadric, is_realizable
 from geodrake.perturbation import perturb
 from geodrake.visualization import style
 
@@ -76,8 +75,8 @@ def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
             point_masses=POINTS,
             support=support,
         ).phi
-        inside = np.einsum("nbij,bji->nb", pseudo_inertia(drawn), leg.ellipsoids) >= 0
-        legs = np.concatenate([legs, drawn[inside.all(axis=1)]])
+        inside = is_realizable(drawn, leg.ellipsoids).all(axis=1)
+        legs = np.concatenate([legs, drawn[inside]])
     return legs[:count]
 
 
@@ -173,6 +172,7 @@ def main() -> None:
     console.print(table)
     console.print(f"The leg's motion tells {rank} base parameters of its 60 parameters.")
     if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
     if options.figures:
         options.figures.mkdir(parents=True, exist_ok=True)

@@ -192,6 +192,7 @@ def main() -> None:
     study = run(seed=options.seed, sizes=sizes, draws=draws)
     show(study.rows, Console(width=120))
     if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps([asdict(row) for row in study.rows], indent=1))
     if options.figures:
         options.figures.mkdir(parents=True, exist_ok=True)

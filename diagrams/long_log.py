@@ -3,7 +3,7 @@
 A log of the seven-joint arm is written to an NPZ file, and `geodrake` reads it in a process of its
 own, whose largest memory is what counts. The raw numbers alone are 120 bytes a sample.
 
-    python diagrams/long_log.py --samples 10000000 --json long_log.json
+    python diagrams/long_log.py --samples 10000000 --json long_log.json --figures figures
 """
 
 from __future__ import annotations
@@ -15,15 +15,18 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from rich.progress import track
 
 from geodrake.model import RobotModel
 from geodrake.motion import Motion
 from geodrake.saved_model import load_model
+from geodrake.visualization import style
 
 ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
 PERIOD = 1e-3  # s
@@ -33,13 +36,21 @@ FRICTION = 2.0  # N·m, dry, at every joint
 
 _CHILD = """
 import resource, sys, time
+from pathlib import Path
 from geodrake import diagnosis
 from geodrake.saved_model import load_model
 work, model, log = sys.argv[1:]
 begin = time.process_time()
 getattr(diagnosis, work)(load_model(model), [log])
-usage = resource.getrusage(resource.RUSAGE_SELF)
-print(usage.ru_maxrss * 1024 / 1e9, time.process_time() - begin)
+seconds = time.process_time() - begin
+status = Path("/proc/self/status")
+if status.exists():
+    # Linux hands a parent's ru_maxrss on to its children, but not its VmHWM.
+    lines = status.read_text(encoding="utf-8").splitlines()
+    peak = next(float(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+else:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(peak * 1024 / 1e9, seconds)
 """
 
 
@@ -118,24 +129,44 @@ def measure(work: str, path: Path, samples: int) -> Cost:
     return Cost(work, samples, 120e-9 * samples, memory, seconds)
 
 
+def memory_figure(costs: Sequence[Cost]) -> Figure:
+    """Largest memory of each command, beside that of the raw numbers."""
+    figure = style.new_figure(0.9 + 0.5 * len(costs))
+    ax = style.polish(figure.subplots(), grid="x")
+    labels = ["raw numbers", *(cost.work for cost in costs)]
+    sizes = [costs[0].raw, *(cost.peak_memory for cost in costs)]
+    bars = ax.barh(labels, sizes, color=[style.MEASURED, *[style.AFTER] * len(costs)], height=0.6)
+    ax.bar_label(bars, [f"{size:.3g} GB" for size in sizes], padding=4, **style.plain())
+    ax.invert_yaxis()
+    ax.margins(x=0.15)
+    title = f"Largest memory for a log of {costs[0].samples:,} samples, with Python and Drake"
+    ax.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    return figure
+
+
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a short log, for a first look")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0, help="of the motion and the noise")
     parser.add_argument("--samples", type=int, help="length of the log")
     parser.add_argument("--work", nargs="+", default=["compare", "diagnose"], help="what to run")
     parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
     samples = options.samples or (100_000 if options.quick else 1_000_000)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.npz"
         write_long_log(path, samples=samples, seed=options.seed)
-        table = [asdict(measure(work, path, samples)) for work in options.work]
+        costs = [measure(work, path, samples) for work in options.work]
+    table = [asdict(cost) for cost in costs]
     print(json.dumps(table, indent=2))
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(table, indent=2) + "\n")
+    if options.figures:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        memory_figure(costs).savefig(options.figures / "long_log_memory.png")
 
 
 if __name__ == "__main__":
