@@ -1,6 +1,7 @@
 """The search: what is offered, tried, chosen, swapped and dropped."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from geodrake.diagnosis.candidates import Package, kind_complexity, kinds
 from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.evidence import Criteria, effective_samples, log_likelihood_gain
 from geodrake.diagnosis.exact import searched
+from geodrake.diagnosis.final_fit import companion_notes
 from geodrake.diagnosis.forward import search, tuned
 from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
 from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
@@ -34,6 +36,7 @@ from geodrake.effects import (
 from geodrake.filtering import design_filter
 from geodrake.identification.model_fit import model_unknowns
 from geodrake.identification.reduce import reduce_logs
+from geodrake.model import FittedEffect
 
 CRITERIA = Criteria()
 COULOMB = tuple(CoulombFriction(joint) for joint in JOINTS)
@@ -375,3 +378,11 @@ def test_effect_of_ones_own_is_found(model):
     cosine, sine = trail.end.cv.fit_all()[-2:]
     assert cosine == pytest.approx(0.3, abs=0.02)
     assert sine == pytest.approx(0.0, abs=0.02)
+
+
+def test_companions_are_told_of_in_the_units_of_their_joint():
+    fitted = [FittedEffect(ViscousFriction(joint), np.array([0.25])) for joint in ("arm", "rail")]
+    robot = SimpleNamespace(effects=fitted, sliding_joints=("rail",))
+    notes = companion_notes(SimpleNamespace(effects=()), SimpleNamespace(model=robot))
+    assert notes[0].endswith("of arm was fitted along, though not worth a step: 0.25 N·m·s/rad")
+    assert notes[1].endswith("of rail was fitted along, though not worth a step: 0.25 N·s/m")

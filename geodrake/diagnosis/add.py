@@ -125,10 +125,11 @@ def _places(
     if tuple(where) in options:
         return [tuple(where)]
     missing = [name for name in where if (name,) not in options]
+    possible = ", ".join(" & ".join(place) for place in options)
     if missing:
         raise ArgumentError(
             f"{effect} cannot be added at {', '.join(missing)}: it is there already, or does not "
             "act at such a place.",
-            advice=f"It can be added at {', '.join(' & '.join(place) for place in options)}.",
+            advice=f"It can be added {'at ' + possible if possible else 'nowhere else'}.",
         )
     return [(name,) for name in where]

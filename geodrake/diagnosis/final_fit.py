@@ -92,8 +92,9 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
 def companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
     """What was fitted along without being a step, in words."""
     added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
+    sliding = fit.model.sliding_joints
     return [
         f"viscous friction of {f.effect.where[0]} was fitted along, though not worth a step: "
-        f"{f.parameters[0]:.3g} N·m·s/rad"
+        f"{f.parameters[0]:.3g} {'N·s/m' if f.effect.where[0] in sliding else 'N·m·s/rad'}"
         for f in added
     ]

@@ -16,6 +16,7 @@ from geodrake.diagnosis.candidates import (
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.search import PENALTY, best_trial, gain_of, try_package
+from geodrake.diagnosis.shapes import variants
 from geodrake.effects.base import Effect
 
 
@@ -70,14 +71,12 @@ def reshape(
         least: Gain from which on another shape is taken.
     """
     for effect in hypothesis.unknowns.effects:
-        variants = [
-            other
-            for other in hypothesis.dataset.effects
-            if (other.name, other.where) == (effect.name, effect.where) and other != effect
+        shapes = [
+            other for other in variants(effect, hypothesis.dataset.effects) if other != effect
         ]
-        if effect not in fixed and variants:
+        if effect not in fixed and shapes:
             reduced = hypothesis.without([effect])
-            others = [reduced.with_effects([variant]) for variant in variants]
+            others = [reduced.with_effects([shape]) for shape in shapes]
             best = max(others, key=lambda other: gain_of(hypothesis, other))
             if gain_of(hypothesis, best) > least:
                 hypothesis = best
