@@ -269,6 +269,15 @@ def test_values_of_the_book():
     np.testing.assert_allclose(Positive(2).inverse_metric_times([2.0, 3.0], [1.0, 1.0]), [4, 9])
 
 
+@pytest.mark.parametrize("step", [1e-15, -1e-12, 3e-8, 1e-5, 9.9e-4, -1.01e-3])
+def test_divergence_of_close_points_is_not_lost_in_rounding(step):
+    x = 1.0 + step
+    exact, ratio = 0.0, x - 1.0
+    for k in range(12, 1, -1):  # r − log(1 + r) = Σ (−r)ᵏ / k
+        exact += (-ratio) ** k / k
+    assert Positive().divergence([x], [1.0]) == pytest.approx(exact, rel=1e-9)
+
+
 def test_bad_arguments():
     with pytest.raises(ArgumentError, match="upper bound"):
         Interval((1.0,), (1.0,))

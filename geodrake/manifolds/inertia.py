@@ -14,6 +14,7 @@ from geodrake.inertia import (
     is_physical,
     pseudo_inertia,
     pseudo_inertia_basis,
+    pullback_metric,
 )
 from geodrake.manifolds.base import Array, Manifold
 from geodrake.manifolds.mirror import MirrorLine
@@ -58,8 +59,7 @@ class PhysicalInertia(Manifold):
 
     def metric(self, x: ArrayLike) -> Array:
         """tr(P⁻¹ P(eᵢ) P⁻¹ P(eⱼ)), (..., 10, 10), [Lee2019] Eq. (5.3.24)."""
-        solved = np.linalg.solve(pseudo_inertia(x)[..., None, :, :], _BASIS)
-        return np.einsum("...iab,...jba->...ij", solved, solved)
+        return 2.0 * pullback_metric(x)
 
     def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
         """P⁻¹(P(x) X(b) P(x)), [Lee2019] Eq. (B.4.20) without its factor 2.
