@@ -201,10 +201,14 @@ def test_contradictions_are_errors_with_the_status():
     assert caught.value.evidence["status"] == "kInfeasibleConstraints"
 
 
+def rows(*, lower=(0.0,), upper=(1.0,)):
+    return LinearConstraints(matrix=np.ones((1, 23)), lower=np.array(lower), upper=np.array(upper))
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"prior_mean": np.zeros(3)}, r"prior_mean must have shape \(23\); got \(3,\)"),
+        ({"prior_mean": np.zeros(3)}, r"prior_mean must have shape \(23,\); got \(3,\)"),
         ({"factor": np.full((2, 24), np.nan)}, "factor has 48 values that are not finite"),
         ({"inertia_blocks": (0, 5)}, "overlap"),
         ({"inertia_blocks": (0, 20)}, "leave the 23 columns"),
@@ -216,6 +220,9 @@ def test_contradictions_are_errors_with_the_status():
         ({"entropic": {3: (np.zeros(10), 1.0)}}, "no inertia block starts"),
         ({"margin": 0.0}, "margin must lie between 0 and 1"),
         ({"residual_bound": np.nan}, "residual_bound"),
+        ({"constraints": rows(lower=[0.0, 0.0])}, r"constraints.lower must have shape \(1,\)"),
+        ({"constraints": rows(upper=[-1.0])}, r"constraints \[0\]: 0 and -1"),
+        ({"constraints": rows(lower=[np.nan])}, r"constraints \[0\]: nan and 1"),
     ],
 )
 def test_bad_problems_are_refused(change, message):
@@ -226,6 +233,8 @@ def test_bad_problems_are_refused(change, message):
 def test_bad_solver_and_bad_sigma():
     with pytest.raises(ArgumentError, match="there are clarabel, scs"):
         solve_fit(example(10, **AT_BOUNDARY), solver="simplex")
+    with pytest.raises(ArgumentError, match="No conic solver 'newton' here"):
+        solve_fit(example(10), solver="newton")  # also where no solver is needed
     with pytest.raises(ArgumentError, match="sigma has values that are not positive"):
         whitened_factor(np.eye(2), [1.0, 2.0], sigma=[1.0, 0.0])
     indefinite = np.zeros((23, 23))

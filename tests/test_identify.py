@@ -155,12 +155,19 @@ BAD = {
     "neither": ({"gamma": None}, "Exactly one of gamma and residual_bound"),
     "both": ({"residual_bound": 1.0}, "Exactly one of gamma and residual_bound"),
     "gamma": ({"gamma": 0.0}, "gamma must be positive; got 0"),
-    "b": ({"b": np.ones(3)}, r"b must have shape \(24\); got \(3,\)"),
+    "b": ({"b": np.ones(3)}, r"b must have shape \(24,\); got \(3,\)"),
+    "words": ({"b": ["1", "two"]}, "b is not an array of real numbers: could not convert"),
+    "ragged": ({"A": [[1.0, 2.0], [3.0]]}, "A is not an array of real numbers"),
+    "solver": ({"solver": "simplex"}, "No conic solver 'simplex' here; there are clarabel"),
+    "no bodies": ({"prior": np.zeros((0, 10))}, "The prior has no bodies"),
     "nan": ({"b": np.full(24, np.nan)}, "b has 24 values that are not finite"),
-    "prior": ({"prior": PRIOR * np.array([[1], [-1], [1]])}, r"not physical for bodies \[1\]"),
+    "prior": (
+        {"prior": PRIOR * np.array([[1], [-1], [1]])},
+        r"not physical for bodies \[1\].*eigenvalues -",
+    ),
     "bodies": ({"prior": np.vstack([PRIOR, PRIOR])}, "30 columns, but 6 bodies of the prior need"),
     "sigma": ({"sigma": -1.0}, "sigma has values that are not positive"),
-    "sigma shape": ({"sigma": np.ones(3)}, r"sigma must have shape \(24\)"),
+    "sigma shape": ({"sigma": np.ones(3)}, r"sigma must have shape \(24,\)"),
     "ellipsoids": ({"ellipsoids": np.eye(4)}, r"ellipsoids must have shape \(3, 4, 4\)"),
     "mass": ({"total_mass": -1.0}, "total_mass must be positive"),
     "extra": ({"extra_bounds": [[0, 1]]}, r"extra_bounds must have shape \(0, 2\)"),
@@ -183,6 +190,24 @@ def test_a_residual_bound_out_of_reach_says_the_least():
     with pytest.raises(ArgumentError, match="least squared residual") as caught:
         identify(A, b, PRIOR, regularizer="pullback", residual_bound=0.9 * least)
     assert caught.value.evidence["minimum"] == pytest.approx(least, rel=1e-9)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_data_that_say_nothing_give_the_prior(regularizer):
+    A, b = np.zeros((24, 30)), np.ones(24)
+    for form in ({"gamma": 1.0}, {"residual_bound": 25.0}):
+        result = identify(A, b, PRIOR, regularizer=regularizer, **form)
+        np.testing.assert_allclose(result.phi, PRIOR, rtol=1e-7, atol=1e-9)
+
+
+def test_ellipsoids_count_by_their_symmetric_part():
+    A, b = data(9)
+    Q = np.array([ball(com, 0.3) for com in PRIOR[:, 1:4] / PRIOR[:, :1]])
+    skew = np.triu(np.full((4, 4), 50.0), 1)
+    options = {"regularizer": "entropic", "gamma": 1.0}
+    expected = identify(A, b, PRIOR, ellipsoids=Q, **options)
+    result = identify(A, b, PRIOR, ellipsoids=Q + skew - skew.T, **options)
+    np.testing.assert_allclose(result.phi, expected.phi, rtol=1e-8, atol=1e-10)
 
 
 def test_a_residual_bound_that_no_physical_body_reaches():

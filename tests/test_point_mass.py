@@ -114,9 +114,28 @@ def test_bad_points_are_refused():
         PointMasses.of_bodies(PRIOR, 5)
     with pytest.raises(ArgumentError, match=r"Bodies \[1\] have no points, or prior masses"):
         PointMasses(POINTS.positions, (POINTS.masses[0], -POINTS.masses[1]))
-    with pytest.raises(ArgumentError, match=r"masses\[1\] must have shape \(25\); got \(40,\)"):
+    with pytest.raises(ArgumentError, match=r"masses\[1\] must have shape \(25,\); got \(40,\)"):
         PointMasses(POINTS.positions, (POINTS.masses[0], POINTS.masses[0]))
     with pytest.raises(ArgumentError, match="Masses are needed for each of the 2"):
         PointMasses(POINTS.positions, POINTS.masses[:1])
-    with pytest.raises(ArgumentError, match=r"points\.parameters\(\) as the prior"):
-        identify(A, b, 1.1 * PRIOR, regularizer=PointMassKL(POINTS), gamma=1.0)
+    with pytest.raises(ArgumentError, match=r"counts must have shape \(2,\); got \(3,\)"):
+        PointMasses.of_bodies(PRIOR, [10, 10, 10])
+    with pytest.raises(ArgumentError, match=r"Bodies \[0\] are not physical"):
+        PointMasses.of_bodies(PRIOR * [[-1.0], [1.0]])
+    message = r"bodies \[1\] differ by up to 0\.08\. Pass points\.parameters\(\) as the prior"
+    with pytest.raises(ArgumentError, match=message):
+        other = PRIOR * [[1.0], [1.1]]
+        identify(A, b, other, regularizer=PointMassKL(POINTS), gamma=1.0)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bound_that_no_masses_reach_says_what_they_reach(kind):
+    A, b = data(6, rows=60, noise=1.0)
+    b = b - 2.0 * A @ PRIOR.ravel()  # negative masses would fit
+    least = nnls(A @ POINTS.matrix(), b)[1] ** 2
+    bound = 0.5 * (least + np.linalg.lstsq(A, b)[1][0])
+    with pytest.raises(ArgumentError, match="physical bodies inside all constraints") as caught:
+        identify(A, b, PRIOR, regularizer=kind(POINTS), residual_bound=bound)
+    assert caught.value.evidence["minimum"] == pytest.approx(least, rel=1e-4)
+    reached = identify(A, b, PRIOR, regularizer=kind(POINTS), residual_bound=1.001 * least)
+    assert reached.residual == pytest.approx(1.001 * least, rel=1e-5)

@@ -80,6 +80,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> LinearConstra
         return _none(prior)
     nb = len(prior)
     Q = checked("ellipsoids", ellipsoids, (nb, 4, 4))
+    Q = 0.5 * (Q + np.swapaxes(Q, 1, 2))
     wrong = np.flatnonzero(np.linalg.eigvalsh(Q[:, :3, :3])[:, -1] >= 0).tolist()
     if wrong:
         raise ArgumentError(

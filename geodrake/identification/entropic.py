@@ -10,6 +10,7 @@ from geodrake.identification.fit import FitResult
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Regularizer
 from geodrake.inertia import Array, pseudo_inertia
+from geodrake.positive_definite import relative_logarithms
 
 
 class Entropic(Regularizer):
@@ -22,8 +23,8 @@ class Entropic(Regularizer):
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """d(Φ ‖ Φ⁰)² of all bodies together."""
-        ratios = np.linalg.eigvals(np.linalg.solve(pseudo_inertia(prior), pseudo_inertia(phi)))
-        return float((ratios.real - 1.0 - np.log(ratios.real)).sum())
+        logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
+        return float((np.expm1(logs) - logs).sum())
 
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
         """The problem with an entropic prior for every body."""

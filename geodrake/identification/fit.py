@@ -16,7 +16,7 @@ from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.newton_root import bounded_minimum, first_minimum
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
-from geodrake.identification.solvers import cone_multiplier, run_solver
+from geodrake.identification.solvers import check_solver, cone_multiplier, run_solver
 from geodrake.inertia import Array, pullback_metric
 from geodrake.reduction import triangular_factor
 
@@ -83,10 +83,12 @@ def solve_fit(
         The unique minimum, with the information of data and prior together.
 
     Raises:
-        ArgumentError: The residual bound is below what any parameters reach.
+        ArgumentError: There is no such solver, or the residual bound is below what any parameters
+            reach.
         IdentificationError: The solver found no solution.
     """
     begin = time.perf_counter()
+    check_solver(solver)
     if shortcuts:
         coordinates = Coordinates.of(problem)
         x, name = _without_solver(coordinates)
@@ -185,8 +187,8 @@ def check_residual_bound(problem: FitProblem) -> None:
     minimum = float(np.square(R / np.where(scale > 0, scale, 1.0) @ least - r).sum())
     if not bound > minimum:
         raise ArgumentError(
-            f"residual_bound is {bound:.6g}, but the least squared residual that any parameters "
-            f"reach is {minimum:.6g}.",
+            f"residual_bound is {bound:.10g}, but the least squared residual that any parameters "
+            f"reach is {minimum:.10g}.",
             advice="Take a bound above that.",
             minimum=minimum,
         )

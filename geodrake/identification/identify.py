@@ -18,7 +18,7 @@ from geodrake.identification.problem import FitProblem, checked, whitened_factor
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.riemannian import Riemannian
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
 from geodrake.repairs import nearest_physical
 
 REGULARIZERS: dict[str, type[Regularizer]] = {
@@ -157,27 +157,37 @@ def physical_prior(prior: ArrayLike) -> Array:
     """A prior (nb, 10) of bodies that can exist.
 
     Raises:
-        ArgumentError: Some cannot; its evidence has `bodies` and, as `nearest`, a prior (nb, 10)
-            with the smallest bodies of the same mass and centre of mass in their place.
+        ArgumentError: There are no bodies, or some cannot exist; its evidence then has `bodies`
+            and, as `nearest`, the prior (nb, 10) of `nearest_prior`.
     """
     prior = checked("prior", prior, (None, PARAMETERS_PER_BODY))
+    if not len(prior):
+        raise ArgumentError("The prior has no bodies.", advice="Give one row for every body of A.")
     wrong = np.flatnonzero(~is_physical(prior)).tolist()
     if wrong:
-        spare = 1e-3 * prior[is_physical(prior), 0].sum() or 1.0
-        nearest = prior.copy()
-        for body in wrong:
-            nearest[body] = nearest_physical(
-                prior[body], points=np.zeros((1, 3)), spare_mass=float(spare)
-            )
+        least = np.linalg.eigvalsh(pseudo_inertia(prior[wrong]))[:, 0]
         raise ArgumentError(
             f"The prior is not physical for bodies {wrong}: their pseudo inertia is not positive "
-            "definite.",
+            f"definite, with smallest eigenvalues {', '.join(f'{value:.3g}' for value in least)}.",
             advice="Give them a mass, a centre of mass and an inertia that a solid body can have; "
             "evidence['nearest'] of this error is a prior with the least such change.",
             bodies=wrong,
-            nearest=nearest,
+            nearest=nearest_prior(prior),
         )
     return prior
+
+
+def nearest_prior(prior: Array) -> Array:
+    """A prior (nb, 10) with the smallest possible bodies in the place of impossible ones.
+
+    They keep their mass and centre of mass; those without a mass get a thousandth of all mass.
+    """
+    physical = is_physical(prior)
+    spare = float(1e-3 * prior[physical, 0].sum() or 1.0)
+    nearest = prior.copy()
+    for body in np.flatnonzero(~physical):
+        nearest[body] = nearest_physical(prior[body], points=np.zeros((1, 3)), spare_mass=spare)
+    return nearest
 
 
 def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraints:

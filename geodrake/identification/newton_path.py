@@ -230,7 +230,9 @@ def _failure(weighted: WeightedProgram, point: Iterate) -> IdentificationError:
     program = weighted.program
     G, h = program.inequalities
     E, e = program.equalities
-    missed = max((h - G @ point.z).max(initial=0.0), np.abs(E @ point.z - e).max(initial=0.0))
+    missed = float(
+        max((h - G @ point.z).max(initial=0.0), np.abs(E @ point.z - e).max(initial=0.0))
+    )
     if missed > 1e-7 * (1.0 + np.abs(point.z).max(initial=0.0)):
         cause = "The bounds and constraints contradict each other for physical bodies."
         advice = "Widen the bounds, check the ellipsoids' sign and the total mass."

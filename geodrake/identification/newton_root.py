@@ -67,7 +67,7 @@ def bounded_minimum(
             evidence has that `minimum`.
         IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
-    wanted = bound - program.floor
+    wanted = max(bound - program.floor, np.finfo(float).tiny)
     scale = (program.excess(program.middle()) + wanted) / program.strength
     low, high = float(np.log(_RIGID * scale)), float(np.log(_IDLE * scale))
     ends = (low, high)
@@ -79,7 +79,7 @@ def bounded_minimum(
         if abs(miss) <= _SAME_RESIDUAL * bound:
             return minimum, minimum.weighted.weight
         if miss > 0 and u <= ends[0]:
-            raise _out_of_reach(bound, program.floor + minimum.excess)
+            raise out_of_reach(bound, program.floor + minimum.excess)
         if miss < 0 and u >= ends[1]:
             return minimum, np.inf
         low, high = (u, high) if miss < 0 else (low, u)
@@ -100,15 +100,18 @@ def bounded_minimum(
 
 def _leap(minimum: Minimum, wanted: float) -> float:
     """Newton's change of log γ towards the wanted residual, of limited length."""
+    if minimum.excess <= 0.0:  # no parameters change the residual, or the prior fits exactly
+        return _LEAP
     distance = float(np.log(wanted / minimum.excess))
     slope = minimum.derivative() / minimum.excess
     return float(np.clip(distance / slope if slope > 0 else distance, -_LEAP, _LEAP))
 
 
-def _out_of_reach(bound: float, minimum: float) -> ArgumentError:
+def out_of_reach(bound: float, minimum: float) -> ArgumentError:
+    """What is wrong with a residual bound below the minimum that bodies reach."""
     return ArgumentError(
-        f"residual_bound is {bound:.6g}, but the least squared residual that physical bodies "
-        f"inside all constraints reach is {minimum:.6g}.",
+        f"residual_bound is {bound:.10g}, but the least squared residual that physical bodies "
+        f"inside all constraints reach is {minimum:.10g}.",
         advice="Take a bound above that.",
         minimum=minimum,
     )

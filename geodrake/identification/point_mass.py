@@ -15,7 +15,13 @@ from scipy.linalg import block_diag
 
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import checked
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, from_pseudo_inertia, pseudo_inertia
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    Array,
+    from_pseudo_inertia,
+    is_physical,
+    pseudo_inertia,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +62,21 @@ class PointMasses:
         Args:
             phi: (nb, 10) physical inertial parameters.
             counts: Number of points of every body, or of each; at least 10.
+
+        Raises:
+            ArgumentError: A shape is wrong, a body is not physical, or there are too few points.
         """
         phi = checked("phi", phi, (None, PARAMETERS_PER_BODY))
+        wrong = np.flatnonzero(~is_physical(phi)).tolist()
+        if wrong:
+            raise ArgumentError(
+                f"Bodies {wrong} are not physical, so no point masses amount to them.",
+                bodies=wrong,
+            )
+        if np.shape(counts) not in ((), (len(phi),)):
+            raise ArgumentError(f"counts must have shape ({len(phi)},); got {np.shape(counts)}.")
         numbers = np.broadcast_to(counts, len(phi)).tolist()
-        if min(numbers) < PARAMETERS_PER_BODY:
+        if min(numbers, default=PARAMETERS_PER_BODY) < PARAMETERS_PER_BODY:
             raise ArgumentError(f"counts must be at least 10; got {min(numbers)}.")
         positions = []
         for P, number in zip(pseudo_inertia(phi), numbers, strict=True):

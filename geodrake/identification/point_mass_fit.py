@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 from scipy.special import rel_entr
 
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
 from geodrake.identification.point_mass import PointMasses
@@ -95,7 +95,8 @@ class PointMassRegularizer(Regularizer):
         """The masses that fit best, by Drake's conic solver of that name, Clarabel if None.
 
         Raises:
-            ArgumentError: The prior is not that of the points, or no masses reach the residual.
+            ArgumentError: The prior is not that of the points, or no masses reach the residual
+                bound; its evidence then has the `minimum` that they reach.
             IdentificationError: The solver found no solution.
         """
         begin, solver = time.perf_counter(), solver or "clarabel"
@@ -105,7 +106,11 @@ class PointMassRegularizer(Regularizer):
         # The first solution only says how to scale the cost for the second.
         scale = 1e-2 * gamma * self.distance(0.0 * self.points.prior)
         for rough in (True, False):
-            v, weight = program.solve(self.add_cost, solver, gamma, scale, rough=rough)
+            try:
+                v, weight = program.solve(self.add_cost, solver, gamma, scale, rough=rough)
+            except IdentificationError as failure:
+                program.check_bound(solver, failure)
+                raise
             masses = program.masses(v)
             cost = gamma * self.distance(masses)
             cost += program.excess(v) if problem.residual_bound is None else 0.0
@@ -124,13 +129,16 @@ class PointMassRegularizer(Regularizer):
         return replace(problem, prior_information=information)
 
     def _check(self, prior: Array) -> None:
-        own = self.points.parameters()
+        own, scale = self.points.parameters(), float(np.abs(prior).max())
         if own.shape != prior.shape or not np.allclose(
-            own, prior, rtol=_SAME_PRIOR, atol=_SAME_PRIOR * float(np.abs(prior).max())
+            own, prior, rtol=0.0, atol=_SAME_PRIOR * scale
         ):
+            differ = f"its shape is {prior.shape} instead of {own.shape}"
+            if own.shape == prior.shape:
+                bodies = np.flatnonzero(np.abs(own - prior).max(1) > _SAME_PRIOR * scale).tolist()
+                differ = f"bodies {bodies} differ by up to {np.abs(own - prior).max():.3g}"
             raise ArgumentError(
-                f"The prior of shape {prior.shape} is not that of the point masses, whose shape is "
-                f"{own.shape}.",
+                f"The prior is not that of the point masses: {differ}.",
                 advice="Pass points.parameters() as the prior, or make points that have this one "
                 "with PointMasses.of_bodies(prior).",
             )

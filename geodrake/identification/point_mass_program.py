@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,8 @@ from pydrake.solvers import MathematicalProgram
 from scipy.linalg import block_diag
 from scipy.sparse import csc_matrix
 
+from geodrake.errors import IdentificationError
+from geodrake.identification.newton_root import out_of_reach
 from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.solvers import cone_multiplier, run_solver
@@ -108,6 +110,31 @@ class PointMassProgram:
         multiplier = cone_multiplier(result, cone) * scale
         idle = self.excess(found) < (1.0 - 1e-6) * spare or multiplier == 0.0
         return found, np.inf if idle else 2.0 * spare / multiplier
+
+    def check_bound(self, solver: str, failure: IdentificationError) -> None:
+        """Refuse a residual bound that no masses reach, which a solver calls infeasible.
+
+        Args:
+            solver: Drake's conic solver.
+            failure: What it said of the bound.
+
+        Raises:
+            ArgumentError: The bound is too low; its evidence has the `minimum` that masses reach.
+        """
+        bound = self.problem.residual_bound
+        if bound is None:
+            return
+        free = replace(self, problem=replace(self.problem, residual_bound=None))
+        start = np.zeros(self.transform.shape[1])
+        start[: len(self.points.prior)] = 1.0
+        scale = max(self.excess(start), np.finfo(float).tiny)
+        try:
+            v, _ = free.solve(lambda *_: None, solver, 1.0, scale, rough=False)
+        except IdentificationError:
+            return  # the constraints contradict each other, whatever the bound
+        minimum = self.floor + self.excess(v)
+        if bound < minimum:
+            raise out_of_reach(bound, minimum) from failure
 
     def _add_bounds(self, program: MathematicalProgram, v: Any) -> None:
         problem, N = self.problem, len(self.points.prior)

@@ -123,7 +123,7 @@ class FitProblem:
         put(self, "entropic", _entropic(self))
         put(self, "reference", _references(self))
         if self.constraints is not None:
-            checked("constraints.matrix", self.constraints.matrix, (None, p))
+            _check_constraints(self.constraints, p)
         if self.residual_bound is not None and not 0 < self.residual_bound < np.inf:
             raise ArgumentError(f"residual_bound must be positive; got {self.residual_bound:g}.")
         if not 0 < self.margin < 1:
@@ -142,13 +142,17 @@ class FitProblem:
 
 def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """The values as finite floats of a shape, where None stands for any length."""
-    array = np.asarray(values, float)
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} is not an array of real numbers: {error}.") from error
     fits = len(array.shape) == len(shape) and all(
         want in (None, got) for want, got in zip(shape, array.shape, strict=True)
     )
     if not fits:
         expected = ", ".join("any" if n is None else str(n) for n in shape)
-        raise ArgumentError(f"{name} must have shape ({expected}); got {array.shape}.")
+        comma = "," if len(shape) == 1 else ""
+        raise ArgumentError(f"{name} must have shape ({expected}{comma}); got {array.shape}.")
     wrong = np.count_nonzero(~np.isfinite(array))
     if wrong:
         raise ArgumentError(
@@ -195,6 +199,22 @@ def _bounds(problem: FitProblem, p: int) -> tuple[Array, Array]:
             advice="State it as a row of `constraints`.",
         )
     return lower, upper
+
+
+def _check_constraints(constraints: LinearConstraints, p: int) -> None:
+    k = len(checked("constraints.matrix", constraints.matrix, (None, p)))
+    lower, upper = np.asarray(constraints.lower, float), np.asarray(constraints.upper, float)
+    for name, limit in (("lower", lower), ("upper", upper)):
+        if limit.shape != (k,):
+            raise ArgumentError(f"constraints.{name} must have shape ({k},); got {limit.shape}.")
+    empty = np.flatnonzero(~(lower <= upper))
+    if len(empty):
+        limits = ", ".join(f"{lower[i]:g} and {upper[i]:g}" for i in empty)
+        raise ArgumentError(
+            f"Nothing lies between the lower and upper values of constraints {empty.tolist()}: "
+            f"{limits}.",
+            rows=empty.tolist(),
+        )
 
 
 def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:

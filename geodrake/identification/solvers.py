@@ -78,6 +78,24 @@ _OTHER_CAUSE = (
 )
 
 
+def check_solver(solver: str) -> None:
+    """Refuse a solver that there is not, or not here.
+
+    Raises:
+        ArgumentError: There is no such solver here.
+    """
+    if solver in SOLVERS and _is_usable(solver):
+        return
+    advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
+    usable = ", ".join(filter(_is_usable, SOLVERS))
+    raise ArgumentError(f"No conic solver '{solver}' here; there are {usable}.", advice=advice)
+
+
+def _is_usable(solver: str) -> bool:
+    kind = SOLVERS[solver]()
+    return bool(kind.available() and kind.enabled())
+
+
 def run_solver(
     program: MathematicalProgram, solver: str, *, rough: bool = False
 ) -> MathematicalProgramResult:
@@ -95,12 +113,7 @@ def run_solver(
         ArgumentError: There is no such solver here.
         IdentificationError: The solver found no solution; its `evidence` has the status.
     """
-    usable = [name for name, kind in SOLVERS.items() if kind().available() and kind().enabled()]
-    if solver not in usable:
-        reason = " MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
-        raise ArgumentError(
-            f"No solver '{solver}' here; there are {', '.join(usable)}.", advice=reason.strip()
-        )
+    check_solver(solver)
     if solver == "csdp":
         program = _without_squares(program)
     if not SOLVERS[solver]().AreProgramAttributesSatisfied(program):

@@ -15,6 +15,7 @@ from geodrake.effects import Effect, EffortDelay
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification import IdentificationResult
 from geodrake.identification.cross_validation import HeldOut, hold_out
+from geodrake.identification.identify import nearest_prior
 from geodrake.identification.log_fits import LogFits, log_unknowns
 from geodrake.identification.weighing import Weighing, weigh
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
@@ -33,7 +34,6 @@ from geodrake.model_identification.results import (
     ModelIdentification,
 )
 from geodrake.motion import JointLog
-from geodrake.repairs import nearest_physical
 
 _BY_LOAD = "load_dependent_friction"
 _MOST_ITERATIONS = 10
@@ -196,20 +196,13 @@ def _weighted(
 def _check_prior(model: RobotModel) -> None:
     wrong = [name for name, ok in zip(model.bodies, is_physical(model.phi), strict=True) if not ok]
     if wrong:
-        spare = 1e-3 * max(float(model.phi[:, 0].sum()), 1.0)
-        nearest = np.array(
-            [
-                phi if ok else nearest_physical(phi, points=np.zeros((1, 3)), spare_mass=spare)
-                for phi, ok in zip(model.phi, is_physical(model.phi), strict=True)
-            ]
-        )
         raise ArgumentError(
             f"The model's inertial parameters of {', '.join(wrong)} are those of no body, so they "
             "cannot be a prior.",
             advice="Load the model from its URDF, SDF or MJCF file, which repairs them; "
             "evidence['nearest'] of this error has the nearest ones.",
             bodies=wrong,
-            nearest=nearest,
+            nearest=nearest_prior(model.phi),
         )
 
 
