@@ -9,6 +9,7 @@ from geodrake.identification import (
     PointMasses,
     PointMassEuclidean,
     PointMassKL,
+    Riemannian,
     compare_regularizers,
     identify,
     least_squares,
@@ -78,6 +79,13 @@ def test_bad_comparisons_are_refused():
         compare_regularizers(A, b, PRIOR, gamma=1.0, regularizers=["entropic", "entropic"])
     with pytest.raises(ArgumentError, match='no regularizer "ridge"'):
         compare_regularizers(A, b, PRIOR, gamma=1.0, reference="ridge")
+
+
+def test_a_named_reference_has_the_settings_of_its_regularizer():
+    A, b = data(2)
+    kinds = [Riemannian(starts=("entropic", "prior")), "entropic"]
+    found = compare_regularizers(A, b, PRIOR, gamma=1.0, reference="riemannian", regularizers=kinds)
+    assert found.results["riemannian"].minima.starts == ("entropic", "prior")
 
 
 def test_least_squares_is_that_of_numpy():

@@ -179,6 +179,8 @@ def test_bad_arguments_are_refused():
         geodesic_least_squares(A, b, PRIOR, gamma=1.0, method="gradient")
     with pytest.raises(ArgumentError, match="gamma must be positive; got -1"):
         geodesic_least_squares(A, b, PRIOR, gamma=-1.0)
+    with pytest.raises(ArgumentError, match="must be positive; got 1e-08, 0"):
+        geodesic_least_squares(A, b, PRIOR, gamma=1.0, max_iterations=0)
     with pytest.raises(ArgumentError, match="A has 21 columns, but 2 bodies of the prior have 20"):
         geodesic_least_squares(np.hstack([A, A[:, :1]]), b, PRIOR, gamma=1.0)
     with pytest.raises(ArgumentError, match="None of the 1 rows has a projection"):

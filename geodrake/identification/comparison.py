@@ -71,7 +71,8 @@ def compare_regularizers(
         b: (m,) measurements.
         prior: (nb, 10) physical inertial parameters.
         gamma: γ > 0 of the reference.
-        reference: The regularizer that γ belongs to.
+        reference: The regularizer that γ belongs to; a name means the one of `regularizers` that
+            has it, if there is one.
         regularizers: Names or regularizers to compare, such as `PointMassKL(points)`.
         **options: Further arguments of `identify`, the same for all.
 
@@ -83,7 +84,8 @@ def compare_regularizers(
     names = [kind.name for kind in kinds]
     if len(set(names)) < len(names):
         raise ArgumentError(f"Each regularizer can be compared once; got {', '.join(names)}.")
-    first_kind = regularizer_of(reference)
+    own = dict(zip(names, kinds, strict=True))
+    first_kind = own.get(str(reference)) or regularizer_of(reference)
     first = identify(A, b, prior, regularizer=first_kind, gamma=gamma, **options)
     results = {}
     for kind in kinds:

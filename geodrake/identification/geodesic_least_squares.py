@@ -84,6 +84,10 @@ def geodesic_least_squares(
         raise ArgumentError(f"There is no method '{method}'; there are {', '.join(METHODS)}.")
     if not (np.isfinite(gamma) and gamma > 0):
         raise ArgumentError(f"gamma must be positive; got {gamma:g}.")
+    if not (tolerance > 0 and max_iterations > 0):
+        raise ArgumentError(
+            f"tolerance and max_iterations must be positive; got {tolerance:g}, {max_iterations}."
+        )
     prior = physical_prior(prior)
     rows = whitened(A, b, sigma=sigma)
     if rows.shape[1] - 1 != prior.size:
