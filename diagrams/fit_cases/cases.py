@@ -14,6 +14,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from geodrake.identification import FitProblem, identify, whitened_factor
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.entropic import Entropic
+from geodrake.identification.identify import build_problem
 from geodrake.inertia import inertial_parameters
 from geodrake.kinematics import KinematicTree
 from geodrake.regressor import inverse_dynamics_regressor
@@ -63,17 +64,11 @@ class Case:
 
     def problem(self, gamma: float) -> FitProblem:
         """The entropic fit on the triangular factor of the data."""
-        p, size = self.A.shape[1], self.prior.size
-        free = np.full(size, np.inf)
-        bounds = np.empty((0, 2)) if self.extra_bounds is None else self.extra_bounds
-        problem = FitProblem(
-            factor=whitened_factor(self.A, self.b, sigma=self.sigma),
-            inertia_blocks=tuple(range(0, size, 10)),
-            prior_mean=np.append(self.prior.ravel(), np.zeros(p - size)),
-            prior_information=np.zeros((p, p)),
-            lower=np.append(-free, bounds[:, 0]),
-            upper=np.append(free, bounds[:, 1]),
-            constraints=BodyConstraints(ellipsoids=self.ellipsoids).rows(self.prior, p),
+        problem = build_problem(
+            whitened_factor(self.A, self.b, sigma=self.sigma),
+            self.prior,
+            constraints=BodyConstraints(ellipsoids=self.ellipsoids),
+            extra_bounds=self.extra_bounds,
         )
         return Entropic().regularize(problem, self.prior, gamma)
 
