@@ -22,6 +22,7 @@ _TO_MATRIX = pseudo_inertia_basis().reshape(PARAMETERS_PER_BODY, 16)
 _TO_DUAL = dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
 _USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a direction of P by, on the fast way
+_GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _WELL_INSIDE = 1e-12  # det P over the product of its diagonal
 
 
@@ -165,13 +166,25 @@ def _body_step(phi: Array, b: Array, time: float) -> Array:
         if np.abs(rates).max(initial=0.0) * abs(time) <= _USUAL_GROWTH:
             root = (L @ axes) * np.exp((-0.5 * time) * rates)[..., None, :]
             P = root @ root.swapaxes(-1, -2)
+            diagonal = np.diagonal(P, axis1=-2, axis2=-1)
+            if (
+                not 1 / _GREATEST
+                < diagonal.min(initial=1.0)
+                <= diagonal.max(initial=1.0)
+                < _GREATEST
+            ):
+                return _careful_step(phi, b, time)
             # (det P over the product of its diagonal does not depend on units.)
-            shape = np.linalg.det(P) / np.diagonal(P, axis1=-2, axis2=-1).prod(-1)
+            shape = np.linalg.det(P) / diagonal.prod(-1)
             if shape.min(initial=1.0) > _WELL_INSIDE:
                 return _parameters(P)
     except np.linalg.LinAlgError:
         pass
-    # Long steps, and bodies at the edge of what can exist, take the careful way.
+    return _careful_step(phi, b, time)
+
+
+def _careful_step(phi: Array, b: Array, time: float) -> Array:
+    """The natural step for long steps, and for bodies at the edge of what can exist."""
     body = PhysicalInertia()
     return body.retract(phi, -time * body.inverse_metric_times(phi, b))
 
@@ -182,7 +195,7 @@ def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
     growth = slack * b * -time
     if np.abs(growth).max(initial=0.0) <= _USUAL_GROWTH:
         stepped = x + slack * np.expm1(growth)
-        if (stepped > lower).all():
+        if (stepped > lower).all() and stepped.max() < _GREATEST:
             return np.asarray(stepped)
     above = Interval(tuple(lower.tolist()), (np.inf,) * len(lower))
     return above.retract(x, slack * growth)

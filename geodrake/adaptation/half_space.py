@@ -18,6 +18,7 @@ from geodrake.manifolds import Interval, PhysicalInertia, Product
 
 _NEAR = 1e-14  # how near to the end of its interval λ is looked for, relative to the interval
 _MOST_DOUBLINGS = 100
+_LARGEST_CHANGE = 1e6  # of a part of P, beyond which rounding of the others would show
 
 
 def half_space_projection(manifold: Product, x: Array, a: Array, limit: float) -> Array | None:
@@ -50,7 +51,7 @@ def half_space_projection(manifold: Product, x: Array, a: Array, limit: float) -
 
 
 def _move_bodies(phi: Array, a: Array, weights: Array, limit: float) -> Array | None:
-    """Inertial parameters (k, 10) with Σ aᵀ φ = limit, from ones with more; None if none is found.
+    """Inertial parameters (k, 10) with Σ aᵀ φ = limit, from ones with more; None if too far.
 
     Args:
         phi: (k, 10) parameters of the bodies.
@@ -80,5 +81,8 @@ def _move_bodies(phi: Array, a: Array, weights: Array, limit: float) -> Array | 
     if not surplus(last) <= 0:
         return None
     push = brentq(surplus, 0.0, last, xtol=1e-300, rtol=1e-15)
-    root = (L @ axes) / np.sqrt(1.0 + push * s / weights[:, None])[:, None, :]
+    change = 1.0 + push * s / weights[:, None]
+    if change.max() > _LARGEST_CHANGE or change.min() < 1.0 / _LARGEST_CHANGE:
+        return None
+    root = (L @ axes) / np.sqrt(change)[:, None, :]
     return from_pseudo_inertia(root @ root.swapaxes(-1, -2))

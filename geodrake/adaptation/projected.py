@@ -18,8 +18,7 @@ from geodrake.manifolds import Manifold, Product
 from geodrake.projections import Polyhedron, bregman_projection
 
 _MOST_CUTS = 60
-_MOST_SHORTENINGS = 4
-_LONGEST_STEP = 3.0  # in the metric, of a step that ends outside
+_SHORTENED = (8.0, 2.0)  # lengths in the metric of steps in place of ones that are too long
 _CUT_TOLERANCE = 1e-9  # distance outside of the set, in the metric, that counts as inside
 _ROUNDING = 1e-13  # of a limit, relative to its terms
 
@@ -74,25 +73,29 @@ class ProjectedLaw(UpdateLaw):
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
         """The estimate after dt seconds, projected onto C ([Lee2019] Eq. (5.4.59)).
 
-        A step that leaves C is no longer than three in the manifold's metric, and shorter, up to no
-        step at all, where its end cannot be projected.
+        Steps may be of any length. Only where the end of one is so near to the edge of the manifold
+        that rounding hides its projection, it is shortened to eight, and then to two in the
+        manifold's metric.
 
         Raises:
-            ConvergenceError: The estimate itself cannot be projected onto C.
+            ConvergenceError: No step can be projected onto C, most likely because C does not meet
+                the manifold.
         """
         p = self.law.step(parameters, b, dt)
         if not (self._set.values(p) > 0).any():
             return p
-        # vᵀ g v = −γ⁻¹ vᵀ b for the rate v, without g.
-        speed = -np.dot(self.law.rate(parameters, b), b) / self.law.gamma
+        try:
+            return self.project(p)
+        except GeodrakeError:
+            # vᵀ g v = −γ⁻¹ vᵀ b for the rate v, without g.
+            speed = -np.dot(self.law.rate(parameters, b), b) / self.law.gamma
         length = float(dt * np.sqrt(max(speed, 0.0)))
-        time = dt * min(1.0, _LONGEST_STEP / length) if length > 0 else dt
-        with np.errstate(all="ignore"):  # an attempt that overflows is one that failed
-            for _ in range(_MOST_SHORTENINGS):
+        for most in _SHORTENED:
+            if length > most:
                 try:
-                    return self.project(self.law.step(parameters, b, time))
-                except (GeodrakeError, np.linalg.LinAlgError):
-                    time *= 0.25
+                    return self.project(self.law.step(parameters, b, dt * most / length))
+                except GeodrakeError:
+                    continue
         return self.project(parameters)
 
     def project(self, parameters: ArrayLike) -> Array:

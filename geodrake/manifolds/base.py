@@ -80,7 +80,8 @@ class Manifold(abc.ABC):
         parameters without any bound. `PhysicalInertia`, `Positive` and `Free` follow their
         geodesics. Other manifolds have no geodesics in closed form: they slow the straight line
         down so that it reaches the edge only in the limit. Where the result is so close to the edge
-        that rounding puts it outside, the step is shortened.
+        that rounding puts it outside, or beyond 1e60, the step is shortened: repeated long steps do
+        not overflow.
         """
         x, v = np.broadcast_arrays(np.asarray(x, float), np.asarray(v, float))
         point, share = self._retract(x, v), np.ones(x.shape[:-1])

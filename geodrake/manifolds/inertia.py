@@ -29,6 +29,7 @@ _UNIT_TANGENTS = np.array(
 _TO_MATRIX = _BASIS.reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
+_GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 
 
@@ -110,7 +111,10 @@ class PhysicalInertia(Manifold):
         return from_pseudo_inertia(side @ np.swapaxes(side, -1, -2))
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
-        return is_physical(x, tolerance=_ROUNDING)
+        size = np.abs(x).max(-1)
+        return (
+            is_physical(x, tolerance=_ROUNDING) & (size < _GREATEST) & (x[..., 0] > 1 / _GREATEST)
+        )
 
     @staticmethod
     def _rates(x: ArrayLike, v: ArrayLike) -> Array:

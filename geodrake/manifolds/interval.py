@@ -13,6 +13,7 @@ from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
 from geodrake.manifolds.mirror import MirrorLine
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
+_GREATEST = 1e60
 _LEAST_SLACK = 1e-150  # whose inverse square is still a number
 
 
@@ -125,6 +126,9 @@ class Interval(Manifold):
         most = float(rates.max(initial=0.0))
         speed = float(np.sqrt((b * b / self._curvature(x)).sum()))
         return MirrorLine(point, value, 1.0 / most if most > 0 else np.inf, 1.0 / speed)
+
+    def _well_inside(self, x: Array) -> NDArray[np.bool_]:
+        return self.contains(x) & (np.abs(x) < _GREATEST).all(-1)
 
     def _retract(self, x: Array, v: Array) -> Array:
         """Each parameter by itself: geodesic with one bound, the slowed line with two."""

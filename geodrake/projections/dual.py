@@ -102,14 +102,27 @@ class State:
         """The greatest of the errors."""
         return float(self.errors.max())
 
-    def newton_step(self) -> State | None:
-        """The state after a damped Newton step of all multipliers; None if there is none."""
+    @cached_property
+    def direction(self) -> Array | None:
+        """Newton's step (k,) of the multipliers; None if there is none."""
         held = self.multipliers * self.lengths
         d = least_change(self.rows / self.lengths[:, None], *self.gaps, held)
-        if d is None or not np.isfinite(d).all() or not d.any():
+        if d is None or not np.isfinite(d).all():
             return None
-        near = bool(np.linalg.norm(d / self.lengths @ self.rows) < _NEAR)
-        return self._moved(d / self.lengths, full=True, near=near)
+        return np.asarray(d / self.lengths)
+
+    @property
+    def newton_length(self) -> float:
+        """Length of Newton's step in the metric at y, which bounds the distance to the optimum."""
+        d = self.direction
+        return np.inf if d is None else float(np.linalg.norm(d @ self.rows))
+
+    def newton_step(self) -> State | None:
+        """The state after a damped Newton step of all multipliers; None if there is none."""
+        d = self.direction
+        if d is None or not d.any():
+            return None
+        return self._moved(d, full=True, near=self.newton_length < _NEAR)
 
     def single_step(self, row: int) -> State | None:
         """The state in which one row is exact, by its own multiplier alone; None if it is."""

@@ -12,7 +12,7 @@ from geodrake.projections.dual import State
 _SLOW = 0.5  # share of the error that a Newton step may leave before single rows are tried
 _EXACT = 1e-13  # error after which there is nothing to gain
 _PRECISE = 1e-8  # error below which steps only polish
-_LOOSE = 0.1  # error on the path
+_LOOSE = 0.3  # length of the next Newton step on the path
 _LEAST_WEIGHT = 1e-24
 _LONG, _SHORT = 1e-3, 4.0  # factors of the weight on the way away from x and on the way back
 
@@ -69,17 +69,29 @@ def _along_path(start: State, max_iterations: int) -> State:
     quadratic model of a Newton step is good for small steps only. A small w makes x great, and then
     the path is that of interior-point methods.
     """
-    weight, state = 1.0, start
+    weight, state, found = 1.0, start, False
     try:
         while weight > _LEAST_WEIGHT:
             start, weight = start.weighted(_LONG), _LONG * weight
-            state = solved(start, _LOOSE, max_iterations)
-            if state.error <= _LOOSE:
+            state, found = _centered(start, max_iterations)
+            if found:
                 break
-        while weight < 1.0 and state.error <= _LOOSE:
+        while weight < 1.0 and found:
             factor = min(_SHORT, 1.0 / weight)
             weight = weight * factor if factor == _SHORT else 1.0
-            state = solved(state.weighted(factor), _LOOSE, max_iterations)
+            state, found = _centered(state.weighted(factor), max_iterations)
     except (ArgumentError, np.linalg.LinAlgError):
         return state
     return solved(state, _EXACT, max_iterations) if weight == 1.0 else state
+
+
+def _centered(state: State, max_iterations: int) -> tuple[State, bool]:
+    """A state on the path, and whether it is near enough to the path."""
+    for _ in range(max_iterations):
+        if state.newton_length < _LOOSE:
+            return state, True
+        following = state.newton_step() or state.single_step(int(np.argmax(state.errors)))
+        if following is None:
+            break
+        state = following
+    return state, False
