@@ -145,6 +145,9 @@ class State:
             full: Whether d is a step by itself, t = 1, that may be good enough.
             near: Whether it is known to be, so that rounding cannot spoil the search.
         """
+        b = self.limits.matrix.T @ d
+        if not b.any():  # rows that contradict each other: the dual rises, and y stays
+            return None
         held = self.multipliers
         moving, back = d != 0, held * d < 0
         equal = self.limits.lower == self.limits.upper
@@ -156,7 +159,7 @@ class State:
             return None
         turn = back & ~equal
         kinks = np.where(turn, -held / np.where(turn, d, 1.0), np.inf)
-        line = self.manifold.mirror_line(self.y, self.limits.matrix.T @ d)
+        line = self.manifold.mirror_line(self.y, b)
         if near and kinks.min() >= 1.0 and line.longest > 1.0:
             t = 1.0
         else:
