@@ -62,11 +62,24 @@ def base_wrench_regressor(
     resting = np.zeros((len(q), 6))
     samples = (q, np.hstack([v, resting]), np.hstack([vd, resting]))
     regressor = np.zeros((len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
-    for part, blocks in pieces(_on_a_free_world(tree), samples):
+    for part, blocks in pieces(on_a_free_world(tree), samples):
         for mobilizer, block in blocks:
             first = PARAMETERS_PER_BODY * mobilizer.body
             regressor[part, :, first : first + PARAMETERS_PER_BODY] = block.transpose(2, 1, 0)
-    return regressor if X_WP is None else _wrench_map(_poses(X_WP, len(q))) @ regressor
+    return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor
+
+
+def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
+    """(6, 6) or (count, 6, 6) matrices that turn wrenches about Wo in W into those about Po in P.
+
+    Args:
+        X_WP: Pose of P, one or (count, 4, 4).
+        count: Number of samples.
+
+    Raises:
+        ArgumentError: X_WP is no pose.
+    """
+    return _wrench_map(_poses(X_WP, count))
 
 
 def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
@@ -140,7 +153,7 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
     return poses
 
 
-def _on_a_free_world(tree: KinematicTree) -> KinematicTree:
+def on_a_free_world(tree: KinematicTree) -> KinematicTree:
     """The tree on a world that could move, at rest; efforts are asked of its six velocities only.
 
     The virtual work of the robot's efforts on a rigid motion of everything is that of the wrench

@@ -48,12 +48,34 @@ def pieces(
         body and the body's block (10, k, n) of the regressor, for the k velocities in `dofs` and
         the n samples. The next body overwrites the block.
     """
+    work = _Workspace(tree, min(len(samples[0]), piece_size(tree)))
+    for part, piece in _parts(tree, samples):
+        yield part, _blocks(tree, piece, work)
+
+
+def motion_pieces(
+    tree: KinematicTree, samples: Samples
+) -> Iterator[tuple[slice, Samples, list[Array]]]:
+    """Cuts samples into pieces, as `pieces` does, for what needs all bodies of a piece at once.
+
+    Yields:
+        Which samples a piece has, its (nq, n), (nv, n) and (nv, n) positions, velocities and
+        accelerations, and for every mobilizer the motion (5, 3 + 2k, n) of the body that it moves:
+        the columns ω, α and a, then k angular and k linear parts of the motion subspace. The next
+        piece overwrites the motions.
+    """
+    work = _Workspace(tree, min(len(samples[0]), piece_size(tree)))
+    for part, piece in _parts(tree, samples):
+        yield part, piece, [motion for _, motion in _motions(tree, piece, work)]
+
+
+def _parts(tree: KinematicTree, samples: Samples) -> Iterator[tuple[slice, Samples]]:
+    """Samples in pieces that fit the cache, with the samples as the last axis."""
     count, size = len(samples[0]), piece_size(tree)
-    work = _Workspace(tree, min(count, size))
     for start in range(0, count, size):
         part = slice(start, min(start + size, count))
         q, v, vd = (np.ascontiguousarray(x[part].T) for x in samples)
-        yield part, _blocks(tree, q, v, vd, work)
+        yield part, (q, v, vd)
 
 
 class _Workspace:
@@ -82,21 +104,36 @@ class _Workspace:
 
 
 def _blocks(
-    tree: KinematicTree, q: Array, v: Array, vd: Array, work: _Workspace
+    tree: KinematicTree, piece: Samples, work: _Workspace
 ) -> Iterator[tuple[Mobilizer, Array]]:
     """The blocks of one piece, inboard bodies first."""
+    for mobilizer, motion in _motions(tree, piece, work):
+        if mobilizer.body >= 0:
+            yield mobilizer, _body_block(motion, work)
+
+
+def _motions(
+    tree: KinematicTree, piece: Samples, work: _Workspace
+) -> Iterator[tuple[Mobilizer, Array]]:
+    """The motions of one piece, inboard bodies first."""
+    q, v, vd = piece
     count = q.shape[1]
     for mobilizer, storage in zip(tree.mobilizers, work.motions, strict=True):
         if mobilizer.parent >= 0:
             parent = work.motions[mobilizer.parent][:, :, :count]
         else:
-            parent = np.zeros((5, _COLUMNS, 1))
-            parent[:, _ACCEL, 0] = -mobilizer.gravity * tree.gravity[_CYCLE, None]
+            parent = world_motion(tree, mobilizer)
         own = mobilizer.velocities
         motion = storage[:, :, :count]
         _move(mobilizer, parent, (q[mobilizer.positions], v[own], vd[own]), work, out=motion)
-        if mobilizer.body >= 0:
-            yield mobilizer, _body_block(motion, work)
+        yield mobilizer, motion
+
+
+def world_motion(tree: KinematicTree, mobilizer: Mobilizer) -> Array:
+    """Motion (5, 3, 1) of the world at the root of a robot: at rest, accelerated against g."""
+    motion = np.zeros((5, _COLUMNS, 1))
+    motion[:, _ACCEL, 0] = -mobilizer.gravity * tree.gravity[_CYCLE, None]
+    return motion
 
 
 def _move(

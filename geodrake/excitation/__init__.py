@@ -1,0 +1,1 @@
+"""Excitation: which motion tells a robot's parameters best, and what a given one can tell."""

@@ -1,0 +1,132 @@
+"""Gradients of regressors with respect to the motion, by one pass back through the recursion.
+
+What an excitation criterion needs of the derivatives of a regressor is their sum with weights W of
+its size, of every sample apart:
+
+    ∂/∂(q, v, v̇)  Σ W ∘ Y(q, v, v̇)
+
+[Lee2019] Appendix B.3 (Algorithms 2 to 4) carries the derivatives with respect to every parameter
+of a trajectory outwards and wrenches inwards. Reversed, the same chain of products carries one
+covector a body inwards, whatever the number of trajectory parameters is: the cost is that of a few
+regressors, linear in samples. What trajectories make of it is a linear map (`MotionFamily`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.reverse_recursion import MotionGradient, reverse_recursion
+from geodrake.floating_base import on_a_free_world, wrench_map
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.kinematics import KinematicTree
+from geodrake.regressor import checked_samples
+
+
+def inverse_dynamics_regressor_gradient(
+    plant: MultibodyPlant | KinematicTree,
+    q: ArrayLike,
+    v: ArrayLike,
+    vd: ArrayLike,
+    weights: ArrayLike,
+) -> MotionGradient:
+    """Gradient of Σ W ∘ Y, with Y the regressor of inverse dynamics.
+
+    Args:
+        plant: A finalized plant, or its tree.
+        q: (N, nq) positions.
+        v: (N, nv) velocities.
+        vd: (N, nv) accelerations v̇.
+        weights: (N, nv, 10 nb) W. With W = λ φᵀ it is the gradient of λᵀ τ, of efforts.
+
+    Raises:
+        ArgumentError: A shape does not fit the plant, or a value is not finite.
+        ModelError: The plant has a joint that is not supported.
+    """
+    tree, samples = checked_samples(plant, q, v, vd)
+    weights = _checked_weights(
+        weights, (len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
+    )
+    return reverse_recursion(tree, samples, weights)
+
+
+def base_wrench_regressor_gradient(
+    plant: MultibodyPlant | KinematicTree,
+    q: ArrayLike,
+    v: ArrayLike,
+    vd: ArrayLike,
+    weights: ArrayLike,
+    *,
+    X_WP: RigidTransform | ArrayLike | None = None,
+) -> MotionGradient:
+    """Gradient of Σ W ∘ Y, with Y the regressor of the base wrench.
+
+    Args:
+        plant: A finalized plant with any base, or its tree.
+        q: (N, nq) positions.
+        v: (N, nv) velocities.
+        vd: (N, nv) accelerations v̇.
+        weights: (N, 6, 10 nb) W.
+        X_WP: Frame of the wrench as in `base_wrench_regressor`, one pose or (N, 4, 4), which does
+            not depend on the motion, such as a force plate's.
+
+    Raises:
+        ArgumentError: A shape does not fit the plant, a value is not finite, or X_WP is no pose.
+        ModelError: The plant has a joint that is not supported.
+    """
+    tree, (q, v, vd) = checked_samples(plant, q, v, vd)
+    weights = _checked_weights(weights, (len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
+    if X_WP is not None:
+        weights = np.swapaxes(wrench_map(X_WP, len(q)), -1, -2) @ weights
+    nv, resting = tree.num_velocities, np.zeros((len(q), 6))
+    samples = (q, np.hstack([v, resting]), np.hstack([vd, resting]))
+    rows = np.concatenate([np.zeros((len(q), nv, weights.shape[-1])), weights], axis=1)
+    gradient = reverse_recursion(on_a_free_world(tree), samples, rows)
+    return MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
+
+
+def regressor_jacobian(
+    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """All derivatives of the regressor of inverse dynamics, one sample after the other.
+
+    This is the form of [Lee2019] Algorithm 3, and needs its memory: for a criterion use
+    `inverse_dynamics_regressor_gradient`.
+
+    Args:
+        plant: A finalized plant, or its tree.
+        q: (N, nq) positions.
+        v: (N, nv) velocities.
+        vd: (N, nv) accelerations v̇.
+
+    Returns:
+        ∂Y/∂q (N, nv, 10 nb, nq), ∂Y/∂v (N, nv, 10 nb, nv) and ∂Y/∂v̇ (N, nv, 10 nb, nv).
+
+    Raises:
+        ArgumentError: A shape does not fit the plant, or a value is not finite.
+        ModelError: The plant has a joint that is not supported.
+    """
+    tree, samples = checked_samples(plant, q, v, vd)
+    shape = tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies)
+    entries = np.eye(shape[0] * shape[1]).reshape(-1, *shape)
+    rows = [
+        reverse_recursion(tree, tuple(np.repeat(x[None], len(entries), 0) for x in sample), entries)  # type: ignore[arg-type]
+        for sample in zip(*samples, strict=True)
+    ]
+    return tuple(  # type: ignore[return-value]
+        np.stack([getattr(row, name).reshape(*shape, -1) for row in rows])
+        for name in ("q", "v", "vd")
+    )
+
+
+def _checked_weights(weights: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.asarray(weights, float)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ArgumentError(
+            f"The weights have the shape {array.shape} and {np.sum(~np.isfinite(array))} values "
+            f"that are not finite; the regressor has the shape {shape}."
+        )
+    return array
