@@ -52,6 +52,7 @@ LAYERS = (
     "diagnosis",
     "model_identification",
     "adaptation",
+    "online_estimation",
     "systems",
     "loops",
     # What the user sees.

@@ -98,6 +98,11 @@ class ControlModel:
         """Number 10 nb of inertial parameters, which come first."""
         return PARAMETERS_PER_BODY * len(self.bodies)
 
+    @property
+    def single_joints(self) -> bool:
+        """Whether every joint has one degree of freedom, so that q̇ is the rate of q."""
+        return self._all_single
+
     def phi(self, parameters: Array) -> Array:
         """(nb, 10) inertial parameters of a parameter vector (p,)."""
         return parameters[: self.num_inertial].reshape(-1, PARAMETERS_PER_BODY)

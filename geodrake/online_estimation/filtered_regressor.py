@@ -1,0 +1,119 @@
+"""Regressor rows of inverse dynamics from samples without accelerations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from geodrake.control_regressor import ControlModel
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredRegressor:
+    """Low-passed inverse dynamics, from positions, velocities and efforts.
+
+    The effort is d/dt (Y_p p) − Y_c p, so over a sampling interval its mean is
+
+        Ȳ p = mean effort,   Ȳ = (Y_p(t) − Y_p(t − h)) / h − mean Y_c,
+
+    which needs no acceleration. Both sides pass through the same low-pass filters λ / (s + λ), so
+    that the rows stay true and the noise of velocities does not get through. An interval at whose
+    ends something is missing is left out of both sides, which keeps the rows true as well.
+
+    The memory of the filter is one vector, so that a Drake Context can hold it.
+
+    Attributes:
+        control: The robot.
+        period: Sampling interval h, s.
+        bandwidth: λ, 1/s.
+        order: Number of filters after each other.
+        held_effort: Whether the effort at an instant is the one that acted since the last instant,
+            as that of a sampled controller; else it is a sample of an effort that changes smoothly.
+    """
+
+    control: ControlModel
+    period: float
+    bandwidth: float = 20.0
+    order: int = 2
+    held_effort: bool = False
+
+    def __post_init__(self) -> None:
+        if not (0 < self.period < np.inf and 0 < self.bandwidth < np.inf and self.order >= 1):
+            raise ArgumentError(
+                "A filtered regressor needs a positive period and bandwidth and at least one "
+                f"filter; got {self.period} s, {self.bandwidth} 1/s and {self.order}."
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (nv, p + 1) of the rows: the regressor, and the effort as its last column."""
+        return len(self.control.joints), len(self.control.prior) + 1
+
+    @property
+    def size(self) -> int:
+        """Length of the memory."""
+        rows, columns = self.shape
+        return 1 + (self.order + 1) * rows * columns
+
+    @cached_property
+    def _pass(self) -> float:
+        """Share of what is new that one filter lets through."""
+        return float(-np.expm1(-self.bandwidth * self.period))
+
+    def start(self) -> Array:
+        """The memory before the first sample."""
+        return np.zeros(self.size)
+
+    def advanced(self, memory: Array, q: Array, qd: Array, effort: Array) -> Array:
+        """The memory after one more sample; whatever is not finite ends an interval.
+
+        Args:
+            memory: (size,) of the last sample, not changed.
+            q: (nq,) positions.
+            qd: (nv,) velocities.
+            effort: (nv,) efforts.
+        """
+        after = memory.copy()
+        known = bool(memory[0])
+        stack = after[1:].reshape(self.order + 1, *self.shape)
+        # The interval's rows are [now] − [before], with the filters linear in both.
+        before = stack[-1].copy()
+        now, following = self._ends(q, qd, effort)
+        if not np.isfinite(now).all():
+            after[0] = 0.0
+            return after
+        stack[-1], after[0] = following, 1.0
+        if known:
+            rows = now - before
+            for i in range(self.order):
+                stack[i] += self._pass * (rows - stack[i])
+                rows = stack[i]
+        return after
+
+    def skipped(self, memory: Array) -> Array:
+        """The memory after a sample that is missing."""
+        after = memory.copy()
+        after[0] = 0.0
+        return after
+
+    def rows(self, memory: Array) -> tuple[Array, Array]:
+        """Filtered regressor Y (nv, p) and efforts (nv,), N·m or N: Y p = effort."""
+        rows, columns = self.shape
+        start = 1 + (self.order - 1) * rows * columns
+        both = memory[start : start + rows * columns].reshape(rows, columns)
+        return both[:, :-1], both[:, -1]
+
+    def _ends(self, q: Array, qd: Array, effort: Array) -> tuple[Array, Array]:
+        """What a sample adds to the interval that it ends, and takes off the one it begins."""
+        momentum, drift = self.control.at(q, qd, qd, np.zeros_like(qd)).momentum_regressors
+        now, following = np.empty(self.shape), np.empty(self.shape)
+        moved, half = momentum / self.period, 0.5 * drift
+        np.subtract(moved, half, out=now[:, :-1])
+        np.add(moved, half, out=following[:, :-1])
+        now[:, -1] = effort if self.held_effort else 0.5 * effort
+        following[:, -1] = 0.0 if self.held_effort else -0.5 * effort
+        return now, following

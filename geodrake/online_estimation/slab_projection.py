@@ -1,0 +1,156 @@
+"""Bregman projection onto the slabs of one sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.inertia import Array
+from geodrake.manifolds import Manifold
+from geodrake.online_estimation.mirror_map import Covectors, MirrorMap, Point
+
+_MOST_STEPS = 50  # of Newton's method, on one set of rows
+_SHRUNK = 0.7  # share of the error that a full step may leave
+_ROUNDING = 1e-5  # error that is left where rounding ends Newton's method
+_EDGE = 1e-6  # of the tolerance, outside of which a row is not yet outside
+
+
+@dataclass(frozen=True, eq=False)
+class _Face:
+    """Rows that bind.
+
+    Attributes:
+        bound: (m,) which rows.
+        rows: The rows.
+        target: (m,) values that they are to have.
+        scale: (m,) what their errors are measured in.
+    """
+
+    bound: NDArray[np.intp]
+    rows: Covectors
+    target: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, rows: Covectors, bound: NDArray[np.intp], target: Array, scale: Array) -> _Face:
+        """The rows that are bound, of all rows."""
+        own = Covectors(*(part[bound] for part in (rows.X, rows.X_light, rows.a, rows.a_light)))
+        return cls(bound, own, target[bound], scale[bound])
+
+
+@dataclass(frozen=True, eq=False)
+class SlabProjection:
+    """The nearest estimate with |Y p − effort| ≤ ε in every row, [Lee2019] Eq. (2.2.11).
+
+    For the multipliers λ of the rows that bind, the projection is the y with
+    ∇h(y) = ∇h(x) − Yᵀ λ, and Y y falls monotonically with λ: a handful of unknowns, found by
+    Newton's method however many parameters there are.
+
+    If the truth p is in the slabs, then D(p‖y) ≤ D(p‖x), and with a relaxation as well.
+
+    Attributes:
+        manifold: A product of `PhysicalInertia` and `Interval` factors.
+        accuracy: Error of a row's value that is small enough, relative to its tolerance and to how
+            far it was outside.
+    """
+
+    manifold: Manifold
+    accuracy: float = 1e-9
+
+    @cached_property
+    def _map(self) -> MirrorMap:
+        return MirrorMap.of(self.manifold)
+
+    def project(
+        self, p: Array, Y: Array, effort: Array, tolerance: Array, *, relaxation: float = 1.0
+    ) -> Array | None:
+        """The projection (n,) of an estimate.
+
+        Args:
+            p: (n,) estimate inside of the manifold.
+            Y: (k, n) rows.
+            effort: (k,) their values.
+            tolerance: (k,) ε > 0 of each.
+            relaxation: Share of the multipliers that is applied, in (0, 1]: less follows noise
+                less.
+
+        Returns:
+            The estimate itself if it is in all slabs; None if no point of the manifold is found.
+        """
+        error = Y @ p - effort
+        active = np.abs(error) > (1.0 + _EDGE) * tolerance
+        if not active.any():
+            return p
+        rows, point = self._map.covectors(Y), self._map.point(p)
+        side = np.where(active, np.sign(error), 0.0)
+        scale = np.maximum(np.abs(error), tolerance)
+        multipliers = np.zeros(len(Y))
+        for _ in range(3 * len(Y)):
+            face = _Face.of(rows, np.flatnonzero(side), effort + side * tolerance, scale)
+            found = self._solved(point, face, multipliers[face.bound])
+            if found is None:
+                return None
+            y = found[1]
+            multipliers[:] = 0.0
+            multipliers[face.bound] = found[0]
+            wrong = multipliers * side < 0
+            if wrong.any():
+                worst = np.argmin(multipliers * side)
+                multipliers[worst], side[worst] = 0.0, 0.0
+                continue
+            values = self._map.values(y, rows) - effort
+            outside = np.abs(values) - tolerance
+            outside[side != 0] = -np.inf
+            if not (outside > max(_EDGE, self.accuracy) * scale).any():
+                if relaxation < 1.0:
+                    y = self._map.moved(point, rows, relaxation * multipliers) or y
+                return self._map.parameters(y)
+            worst = np.argmax(outside / scale)
+            side[worst] = np.sign(values[worst])
+        return None
+
+    def _solved(self, x: Point, face: _Face, start: Array) -> tuple[Array, Point] | None:
+        """Multipliers and point at which the rows of a face have their targets.
+
+        Newton's method for the least of a convex function of the multipliers.
+        """
+        own, scale, multipliers = face.rows, face.scale, start
+        first = self._map.moved(x, own, start)
+        if first is None:
+            first, multipliers = x, np.zeros(len(start))
+        y = first
+        error = self._map.values(y, own) - face.target
+        for _ in range(_MOST_STEPS):
+            size = np.abs(error / scale).max(initial=0.0)
+            if size <= self.accuracy:
+                return multipliers, y
+            direction = _solve_scaled(self._map.products(y, own), error)
+            following = multipliers + direction
+            moved = self._map.moved(x, own, following)
+            if moved is not None:
+                left = self._map.values(moved, own) - face.target
+            if moved is None or not np.abs(left / scale).max() < _SHRUNK * size:
+                # The function is self-concordant, so this step stays inside and makes progress.
+                length = np.sqrt(max(float(error @ direction) / self._map.lightest, 0.0))
+                following = multipliers + direction / (1.0 + length)
+                moved = self._map.moved(x, own, following)
+                if moved is None:
+                    return None
+                left = self._map.values(moved, own) - face.target
+            multipliers, y, error = following, moved, left
+        return (
+            (multipliers, y)
+            if np.abs(error / scale).max() < max(_ROUNDING, self.accuracy)
+            else None
+        )
+
+
+def _solve_scaled(products: Array, error: Array) -> NDArray[np.float64]:
+    """Newton's direction, with rows of unit length so that dependent ones do no harm."""
+    lengths = np.sqrt(np.maximum(np.diagonal(products), 1e-300))
+    scaled = products / lengths / lengths[:, None]
+    scaled.flat[:: len(scaled) + 1] += 1e-12
+    return np.asarray(np.linalg.solve(scaled, error / lengths) / lengths)

@@ -1,0 +1,164 @@
+"""Computed torque with a model that adapts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues
+
+from geodrake.adaptation import (
+    AdaptationLaw,
+    ProjectedLaw,
+    UpdateLaw,
+    computed_torque_covector,
+    error_weight,
+    prediction_covector,
+)
+from geodrake.control_regressor import ControlModel
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+from geodrake.online_estimation import FilteredRegressor
+from geodrake.systems.adaptive_controller import AdaptiveController, Covector
+from geodrake.systems.safeguards import Safeguards, Seen
+
+
+class AdaptiveComputedTorqueController(AdaptiveController):
+    """Tracks a motion by computed torque and adapts the model ([Lee2019] §5.2.1.1).
+
+    .. pydrake_system::
+
+        name: AdaptiveComputedTorqueController
+        input_ports:
+        - estimated_state
+        - desired_state
+        - desired_acceleration
+        - acceleration (without a filter)
+        output_ports:
+        - actuation
+        - parameters
+        - lyapunov (if the truth is given)
+
+    With e = (q − q_d, q̇ − q̇_d) and Aᵀ P + P A = −𝟙 for the error dynamics A,
+
+        actuation = M̂ (q̈_d − K_v ė − K_p e) + b̂(q, q̇)               [Lee2019] Eq. (5.2.4)
+
+    Adaptation is one of two:
+
+    - By the measured `acceleration` (nv), rad/s² or m/s²: b = Y(q, q̇, q̈)ᵀ M̂⁻¹ Bᵀ P e, Eq. (5.2.9),
+      and `lyapunov` is ½ eᵀ P e + γ D(p‖p̂).
+    - With a `bandwidth`, by the filtered regressor, which needs no acceleration: b is the gradient
+      of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f), of the controller's own efforts. `lyapunov`
+      is γ D(p‖p̂), which never rises, whatever tracking does. This needs a time step, and the whole
+      effort that moves the robot to be this controller's.
+
+    M̂ is invertible while the estimate is physical, which the natural law sees to.
+
+    What happens when inputs are missing is told in `AdaptiveController`; a measured acceleration
+    that is not finite only makes adaptation wait.
+    """
+
+    def __init__(
+        self,
+        control: ControlModel,
+        law: UpdateLaw | None,
+        *,
+        rate: ArrayLike = 10.0,
+        bandwidth: float | None = None,
+        time_step: float = 1e-3,
+        parameters: ArrayLike | None = None,
+        truth: ArrayLike | None = None,
+        safeguards: Safeguards | None = None,
+    ) -> None:
+        """Constructs the system.
+
+        Args:
+            control: The robot.
+            law: How the estimate moves; None for a controller that does not adapt.
+            rate: λ of both poles of each joint's error, 1/s: K_v = 2 λ and K_p = λ².
+            bandwidth: Bandwidth of the filtered regressor, 1/s; None for the acceleration port.
+            time_step: Period of control and adaptation, s; zero for continuous time.
+            parameters: (p,) first estimate; that of the model if None.
+            truth: (p,) true parameters, for the port `lyapunov`.
+            safeguards: Limits; none if None, but for sensors that stand still.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
+                not fit.
+        """
+        nv = len(control.joints)
+        poles = np.broadcast_to(np.asarray(rate, float), (nv,))
+        self._K_p, self._K_v = poles**2, 2.0 * poles
+        self._P = error_weight(self._K_p, self._K_v, np.eye(2 * nv))
+        self._filter: FilteredRegressor | None = None
+        if bandwidth is not None:
+            if time_step == 0:
+                raise ArgumentError(
+                    "The filtered regressor needs a time step.",
+                    advice="Use the acceleration port in continuous time.",
+                )
+            self._filter = FilteredRegressor(
+                control, period=time_step, bandwidth=bandwidth, held_effort=True
+            )
+        super().__init__(
+            control,
+            law,
+            time_step=time_step,
+            parameters=parameters,
+            truth=truth,
+            safeguards=safeguards or Safeguards(),
+        )
+        if self._filter is None:
+            self._measured_port = self.DeclareVectorInputPort("acceleration", BasicVector(nv))
+        else:
+            self._memory = self.DeclareDiscreteState(self._filter.start())
+
+    def _effort(self, p: Array, seen: Seen) -> tuple[Array, Covector]:
+        e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
+        wanted = seen.a_d - self._K_v * e[self._nv :] - self._K_p * e[: self._nv]
+        effort = self.control.at(seen.q, seen.qd, seen.qd, wanted).effort(p)
+        return effort, lambda context: self._covector(context, p, seen, e)
+
+    def _covector(self, context: Context, p: Array, seen: Seen, e: Array) -> Array | None:
+        if self._filter is not None:
+            return None  # adapted to in the update
+        acceleration = self._measured_port.Eval(context)
+        if not np.isfinite(acceleration).all():
+            return None
+        sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
+        return computed_torque_covector(sample.regressor, sample.mass_matrix(p), self._P, e)
+
+    def _update(self, context: Context, state: DiscreteValues) -> None:
+        super()._update(context, state)
+        if self._filter is None or self.law is None:
+            return
+        memory = context.get_discrete_state(self._memory).value()
+        seen, _ = self._look(context, self._watched(context))
+        if not seen.trusted:
+            state.set_value(self._memory, self._filter.skipped(memory))
+            return
+        memory = self._filter.advanced(memory, seen.q, seen.qd, self._held(context))
+        state.set_value(self._memory, memory)
+        p = self.parameters(context)
+        rows = self._filter.rows(memory)
+        state.set_value(0, self._adapted(p, lambda _: self._prediction_error(p, *rows), context))
+
+    def _prediction_error(self, p: Array, Y: Array, effort: Array) -> Array:
+        """Y_fᵀ W (Y_f p̂ − u_f), W such that one step cannot overshoot."""
+        b = prediction_covector(Y, p, effort)
+        law = self.law.law if isinstance(self.law, ProjectedLaw) else self.law
+        if not isinstance(law, AdaptationLaw):
+            return b
+        pulls = law.manifold.inverse_metric_times(p, Y)
+        # The greatest eigenvalue of Y g⁻¹ Yᵀ is at most its trace.
+        reach = self._time_step / law.gamma * float(np.einsum("ij,ij->", Y, pulls))
+        return b / (1.0 + reach)
+
+    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+        if self._filter is not None:
+            return 0.0
+        e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
+        return float(0.5 * e @ self._P @ e)
+
+    def _resting(self, seen: Seen) -> bool:
+        r = seen.qd - seen.v_d + 0.5 * self._K_v * (seen.q - seen.q_d)
+        return bool((np.abs(r) < self._safe.dead_zone).all())

@@ -1,0 +1,297 @@
+"""Base of the adaptive controllers: ports, state, and what happens when something is missing."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    ContinuousState,
+    DependencyTicket,
+    DiscreteValues,
+    LeafSystem,
+    ValueProducer,
+)
+
+from geodrake.adaptation import UpdateLaw
+from geodrake.control_regressor import ControlModel
+from geodrake.errors import GeodrakeError
+from geodrake.inertia import Array
+from geodrake.systems.requirements import (
+    checked_estimate,
+    checked_time_step,
+    manifold_of,
+    require_single_joints,
+)
+from geodrake.systems.safeguards import Safeguards, Seen, Watch
+
+_PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
+
+
+Covector = Callable[[Context], Array | None]
+"""Gives the covector b (p,) for the update law; None where there is nothing to adapt to."""
+
+
+@dataclass(frozen=True, eq=False)
+class ControlResult:
+    """What a controller makes of one sample.
+
+    Attributes:
+        effort: (nv,) effort to be applied, within its limits.
+        covector: Gives the covector for the update law; None where adaptation waits.
+    """
+
+    effort: Array
+    covector: Covector | None
+
+
+class AdaptiveController(LeafSystem):
+    """Base of the adaptive controllers.
+
+    With a time step, actuation and estimate are discrete states: sampled at every step from the
+    inputs, and held. Without one, the estimate is a continuous state and actuation follows the
+    inputs at once.
+
+    Actuation is always finite, and the estimate stays in its manifold (where the law has one):
+
+    - A measured state that is not finite, or that stands still while it says that the robot moves
+      (with a time step only), is replaced by the desired one: feedforward of the model. Adaptation
+      waits.
+    - A desired motion that is not finite is replaced by rest at the last desired position (without
+      a time step: at the measured one). Adaptation waits.
+    - Without any of both, and where numbers overflow, the last actuation is held (without a time
+      step: none is applied).
+    - Efforts beyond their limits are cut off, and adaptation waits.
+    """
+
+    def __init__(
+        self,
+        control: ControlModel,
+        law: UpdateLaw | None,
+        *,
+        time_step: float,
+        parameters: ArrayLike | None,
+        truth: ArrayLike | None,
+        safeguards: Safeguards,
+    ) -> None:
+        """Declares what all adaptive controllers have.
+
+        Args:
+            control: The robot.
+            law: How the estimate moves; None for a controller that does not adapt.
+            time_step: Period of control and adaptation, s; zero for continuous time.
+            parameters: (p,) first estimate; that of the model if None.
+            truth: (p,) true parameters, for the port `lyapunov`.
+            safeguards: Limits.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
+                not fit.
+        """
+        LeafSystem.__init__(self)
+        self.control, self.law, self._safe = control, law, safeguards
+        self._nv = nv = len(control.joints)
+        self._size = len(control.prior)
+        self._time_step = checked_time_step(time_step)
+        require_single_joints(control)
+        self._manifold = manifold_of(law)
+        start = checked_estimate(control, self._manifold, parameters)
+        self._truth = None if truth is None else checked_estimate(control, self._manifold, truth)
+        self._limits = safeguards.limits(nv)
+        self._rests = bool(np.any(np.asarray(safeguards.dead_zone) > 0))
+        patience = np.inf if time_step == 0 else safeguards.stale_time / time_step
+        self._watch = Watch(nv, max(patience, 1.0))
+        self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
+        self._desired_port = self.DeclareVectorInputPort("desired_state", BasicVector(2 * nv))
+        self._acceleration_port = self.DeclareVectorInputPort(
+            "desired_acceleration", BasicVector(nv)
+        )
+        self._inputs = {
+            self._state_port.ticket(),
+            self._desired_port.ticket(),
+            self._acceleration_port.ticket(),
+        }
+        if time_step > 0:
+            self._declare_discrete(start)
+        else:
+            self._declare_continuous(start)
+
+    def _declare_discrete(self, start: Array) -> None:
+        parameters, actuation, _ = (
+            self.DeclareDiscreteState(value)
+            for value in (start, np.zeros(self._nv), self._watch.start())
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(self._time_step, 0.0, self._update)
+        self._declare_outputs(
+            self.discrete_state_ticket(parameters), {self.discrete_state_ticket(actuation)}
+        )
+
+    def _declare_continuous(self, start: Array) -> None:
+        self.DeclareContinuousState(BasicVector(start))
+        producer = ValueProducer(
+            allocate=lambda: AbstractValue.Make(object()), calc=self._calc_result
+        )
+        # Both actuation and derivatives need it.
+        self._result = self.DeclareCacheEntry("result", producer, {*self._inputs, self.xc_ticket()})
+        self._declare_outputs(self.xc_ticket(), {self._result.ticket()})
+
+    def _declare_outputs(
+        self, estimate: DependencyTicket, actuation: set[DependencyTicket]
+    ) -> None:
+        self.DeclareVectorOutputPort(
+            "actuation", BasicVector(self._nv), self._calc_actuation, actuation
+        )
+        self.DeclareVectorOutputPort(
+            "parameters", BasicVector(self._size), self._calc_parameters, {estimate}
+        )
+        if self._truth is not None:
+            self.DeclareVectorOutputPort(
+                "lyapunov", BasicVector(1), self._calc_lyapunov, {*self._inputs, estimate}
+            )
+
+    @abc.abstractmethod
+    def _effort(self, p: Array, seen: Seen) -> tuple[Array, Covector]:
+        """Effort (nv,) before limits, and the covector; only the latter may read other ports."""
+
+    @abc.abstractmethod
+    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+        """V_t."""
+
+    @abc.abstractmethod
+    def _resting(self, seen: Seen) -> bool:
+        """Whether the tracking error is within the dead zone."""
+
+    @property
+    def time_step(self) -> float:
+        """Period of control and adaptation, s; zero for continuous time."""
+        return self._time_step
+
+    def parameters(self, context: Context) -> Array:
+        """The estimate (p,) in a Context."""
+        if self._time_step > 0:
+            return np.array(context.get_discrete_state(_PARAMETERS).value())
+        return np.array(context.get_continuous_state_vector().CopyToVector())
+
+    def set_parameters(self, context: Context, parameters: ArrayLike) -> None:
+        """Puts an estimate (p,) into a Context.
+
+        Raises:
+            ArgumentError: It is not in the manifold of the law, or has the wrong length.
+        """
+        p = checked_estimate(self.control, self._manifold, parameters)
+        if self._time_step > 0:
+            context.SetDiscreteState(_PARAMETERS, p)
+        else:
+            context.SetContinuousState(p)
+
+    def _look(self, context: Context, memory: Array) -> tuple[Seen, Array]:
+        return self._watch.look(
+            memory,
+            self._state_port.Eval(context),
+            self._desired_port.Eval(context),
+            self._acceleration_port.Eval(context),
+        )
+
+    def _controlled(self, p: Array, seen: Seen) -> ControlResult | None:
+        """Effort and covector at what was seen; None if the effort is not a number."""
+        if not seen.known:
+            return None
+        with np.errstate(all="ignore"):
+            try:
+                effort, covector = self._effort(p, seen)
+                if not np.isfinite(effort).all():
+                    return None
+                applied = effort
+                if self._limits is not None:
+                    applied = np.clip(effort, -self._limits, self._limits)
+                waits = (
+                    self.law is None
+                    or not seen.trusted
+                    or bool((applied != effort).any())
+                    or (self._rests and self._resting(seen))
+                )
+                return ControlResult(applied, None if waits else covector)
+            except np.linalg.LinAlgError:
+                return None
+
+    def _watched(self, context: Context) -> Array:
+        """What the watch remembers, (3 nv + 1,)."""
+        return np.asarray(context.get_discrete_state(_WATCH).value())
+
+    def _held(self, context: Context) -> Array:
+        """The actuation (nv,) since the last update."""
+        return np.asarray(context.get_discrete_state(_ACTUATION).value())
+
+    def _adapted(self, p: Array, covector: Covector, context: Context) -> Array:
+        """The estimate after a time step; as it was where it cannot be moved."""
+        if self.law is None:
+            return p
+        with np.errstate(all="ignore"):
+            try:
+                b = covector(context)
+                following = p if b is None else self.law.step(p, b, self._time_step)
+            except (GeodrakeError, np.linalg.LinAlgError):
+                return p
+        return following if np.isfinite(following).all() else p
+
+    def _update(self, context: Context, state: DiscreteValues) -> None:
+        p = context.get_discrete_state(_PARAMETERS).value()
+        seen, memory = self._look(context, self._watched(context))
+        state.set_value(_WATCH, memory)
+        result = self._controlled(p, seen)
+        if result is not None:
+            state.set_value(_ACTUATION, result.effort)
+            if result.covector is not None:
+                state.set_value(_PARAMETERS, self._adapted(p, result.covector, context))
+
+    def _calc_result(self, context: Context, value: AbstractValue) -> None:
+        seen, _ = self._look(context, self._watch.start())
+        p = context.get_continuous_state_vector().CopyToVector()
+        value.set_value(self._controlled(p, seen))
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        """The rate of the update law."""
+        if self._time_step > 0:  # no continuous state
+            return
+        p = context.get_continuous_state_vector().CopyToVector()
+        derivatives.get_mutable_vector().SetFromVector(self._rate_of(p, context))
+
+    def _rate_of(self, p: Array, context: Context) -> Array:
+        """The rate of an estimate (p,); zero where it cannot be moved."""
+        result = self._result.Eval(context)
+        if self.law is None or result is None or result.covector is None:
+            return np.zeros(len(p))
+        with np.errstate(all="ignore"):
+            try:
+                b = result.covector(context)
+                rate = np.zeros(len(p)) if b is None else self.law.rate(p, b)
+            except np.linalg.LinAlgError:
+                return np.zeros(len(p))
+        return rate if np.isfinite(rate).all() else np.zeros(len(p))
+
+    def _calc_actuation(self, context: Context, output: BasicVector) -> None:
+        if self._time_step > 0:
+            output.SetFromVector(self._held(context))
+        else:
+            result = self._result.Eval(context)
+            output.SetFromVector(np.zeros(self._nv) if result is None else result.effort)
+
+    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self.parameters(context))
+
+    def _calc_lyapunov(self, context: Context, output: BasicVector) -> None:
+        if self._truth is None:
+            return
+        p, truth, value = self.parameters(context), self._truth, 0.0
+        if self.law is not None:
+            value += float(self.law.parameter_error(truth, p))
+        seen, _ = self._look(context, self._watch.start())
+        if seen.trusted:
+            value += self._tracking_energy(truth, seen)
+        output.SetFromVector([value if np.isfinite(value) else np.finfo(float).max])

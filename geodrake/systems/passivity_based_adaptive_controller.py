@@ -1,0 +1,135 @@
+"""The adaptive controller of Slotine and Li."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.adaptation import UpdateLaw, tracking_energy
+from geodrake.control_regressor import ControlModel
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+from geodrake.systems.adaptive_controller import AdaptiveController, Covector
+from geodrake.systems.safeguards import Safeguards, Seen
+
+
+@dataclass(frozen=True, eq=False)
+class FixedGains:
+    """Constant diagonal gains K and Λ.
+
+    Attributes:
+        damping: K, N·m·s/rad or N·s/m; one for all joints or (nv,).
+        rate: Λ, 1/s; one for all joints or (nv,).
+    """
+
+    damping: ArrayLike
+    rate: ArrayLike
+
+
+@dataclass(frozen=True)
+class VaryingGains:
+    """K = λ M̂(q) and Λ = λ 𝟙, [Lee2019] Remark 5.1: stiffer where there is more inertia.
+
+    Attributes:
+        rate: λ, 1/s.
+    """
+
+    rate: float = 10.0
+
+
+class PassivityBasedAdaptiveController(AdaptiveController):
+    """Tracks a motion and adapts the model, by the passivity of robots ([Lee2019] §5.2.1.2).
+
+    .. pydrake_system::
+
+        name: PassivityBasedAdaptiveController
+        input_ports:
+        - estimated_state
+        - desired_state
+        - desired_acceleration
+        output_ports:
+        - actuation
+        - parameters
+        - lyapunov (if the truth is given)
+
+    With v = q̇_d − Λ (q − q_d), a = v̇ and r = q̇ − v, for gains that are fixed or vary with M̂,
+
+        actuation = Y(q, q̇, v, a) p̂ − K r          [Lee2019] Eq. (5.2.10), b = Yᵀ r
+        actuation = Y(q, q̇, v, a − λ r) p̂          [Lee2019] Remark 5.1, b = Y(…, a − λ r)ᵀ r
+
+    and the law moves p̂ by b. `lyapunov` is ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises
+    except by what a time step adds; it leaves out the first term while an input is missing.
+
+    `actuation` (nv) is N·m or N in the order of velocities, `parameters` (p) that of ControlModel,
+    states are q and then q̇. What happens when inputs are missing is told in `AdaptiveController`.
+    """
+
+    def __init__(
+        self,
+        control: ControlModel,
+        law: UpdateLaw | None,
+        *,
+        gains: VaryingGains | FixedGains = VaryingGains(),
+        time_step: float = 1e-3,
+        parameters: ArrayLike | None = None,
+        truth: ArrayLike | None = None,
+        safeguards: Safeguards | None = None,
+    ) -> None:
+        """Constructs the system.
+
+        Args:
+            control: The robot.
+            law: How the estimate moves; None for a controller that does not adapt.
+            gains: The gains.
+            time_step: Period of control and adaptation, s; zero for continuous time.
+            parameters: (p,) first estimate; that of the model if None.
+            truth: (p,) true parameters, for the port `lyapunov`.
+            safeguards: Limits; none if None, but for sensors that stand still.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
+                not fit.
+        """
+        nv = len(control.joints)
+        self._varying = isinstance(gains, VaryingGains)
+        self._rate = _positive(gains.rate, nv, "rates")
+        damping = 1.0 if isinstance(gains, VaryingGains) else gains.damping
+        self._damping = _positive(damping, nv, "damping gains")
+        super().__init__(
+            control,
+            law,
+            time_step=time_step,
+            parameters=parameters,
+            truth=truth,
+            safeguards=safeguards or Safeguards(),
+        )
+
+    def _error(self, seen: Seen) -> tuple[Array, Array, Array]:
+        """v, a and r, each (nv,)."""
+        v = seen.v_d - self._rate * (seen.q - seen.q_d)
+        return v, seen.a_d - self._rate * (seen.qd - seen.v_d), seen.qd - v
+
+    def _effort(self, p: Array, seen: Seen) -> tuple[Array, Covector]:
+        v, a, r = self._error(seen)
+        if self._varying:
+            sample = self.control.at(seen.q, seen.qd, v, a - self._rate * r)
+            return sample.effort(p), lambda _: sample.covector(r)
+        sample = self.control.at(seen.q, seen.qd, v, a)
+        return sample.effort(p) - self._damping * r, lambda _: sample.covector(r)
+
+    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+        r = self._error(seen)[2]
+        sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
+        return tracking_energy(sample.mass_matrix(truth), r)
+
+    def _resting(self, seen: Seen) -> bool:
+        return bool((np.abs(self._error(seen)[2]) < self._safe.dead_zone).all())
+
+
+def _positive(values: ArrayLike, nv: int, name: str) -> Array:
+    found = np.asarray(values, float)
+    if found.shape not in ((), (nv,)) or not ((found > 0) & np.isfinite(found)).all():
+        raise ArgumentError(f"Expected positive {name}, one or {nv}; got {found.tolist()}.")
+    return np.broadcast_to(found, (nv,))

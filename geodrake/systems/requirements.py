@@ -1,0 +1,77 @@
+"""What the systems ask of their arguments."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw
+from geodrake.control_regressor import ControlModel
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+from geodrake.manifolds import Manifold
+
+
+def checked_time_step(time_step: float) -> float:
+    """A time step of zero or more, s.
+
+    Raises:
+        ArgumentError: It is not.
+    """
+    if not 0 <= time_step < np.inf:
+        raise ArgumentError(f"A time step is zero or more seconds; got {time_step}.")
+    return time_step
+
+
+def require_single_joints(control: ControlModel) -> None:
+    """Checks that positions are as many as velocities, joint by joint.
+
+    Raises:
+        ArgumentError: They are not.
+    """
+    if not control.single_joints:
+        raise ArgumentError(
+            "Controllers and estimators need joints of one degree of freedom each; this robot has "
+            "others.",
+            advice="Weld the base, or use geodrake.control_regressor from Python.",
+        )
+
+
+def manifold_of(law: UpdateLaw | None) -> Manifold | None:
+    """The manifold on which a law moves an estimate; None if the law does not tell."""
+    law = law.law if isinstance(law, ProjectedLaw) else law
+    return law.manifold if isinstance(law, AdaptationLaw) else None
+
+
+def checked_estimate(
+    control: ControlModel, manifold: Manifold | None, parameters: ArrayLike | None
+) -> Array:
+    """A copy of parameters (p,) that an estimate can start from; those of the model if None.
+
+    Args:
+        control: The robot.
+        manifold: Where the estimate lives, if that is known.
+        parameters: (p,) the parameters.
+
+    Raises:
+        ArgumentError: They are not as many as the robot's, not finite or not in the manifold.
+    """
+    p = np.array(control.prior if parameters is None else parameters, float)
+    if p.shape != control.prior.shape or not np.isfinite(p).all():
+        raise ArgumentError(
+            f"The robot has {len(control.prior)} parameters; got an array of shape "
+            f"{p.shape}{' that is not finite' if not np.isfinite(p).all() else ''}."
+        )
+    if manifold is None:
+        return p
+    if manifold.dimension != len(p):
+        raise ArgumentError(
+            f"The law moves {manifold.dimension} parameters; the robot has {len(p)}.",
+            advice="Make manifold and ControlModel from the same RobotModel.",
+        )
+    if not manifold.contains(p):
+        raise ArgumentError(
+            f"These parameters are not inside of the law's manifold: {p.tolist()}.",
+            advice="Start from a physical estimate, friction and the like above zero.",
+        )
+    return p

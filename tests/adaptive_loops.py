@@ -1,0 +1,112 @@
+"""Closed loops of small robots for the tests of adaptive systems."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake.adaptation import natural_adaptation, parameter_manifold
+from geodrake.control_regressor import ControlModel
+from geodrake.effects import ViscousFriction
+from geodrake.inertia import from_pseudo_inertia, pseudo_inertia, to_spatial_inertia
+from geodrake.loops import add_adaptive_loop
+from geodrake.model import FittedEffect, load_description
+
+MODELS = Path(__file__).parents[1] / "models"
+DAMPING = 0.3
+
+
+def pendulum_model():
+    """The double pendulum with viscous friction."""
+    model = load_description(MODELS / "double_pendulum.urdf")
+    effects = tuple(FittedEffect(ViscousFriction(j), np.array([DAMPING])) for j in model.joints)
+    return replace(model, effects=effects)
+
+
+MODEL = pendulum_model()
+CONTROL = ControlModel.of(MODEL)
+MANIFOLD = parameter_manifold(MODEL)
+TRUTH = CONTROL.prior
+EFFECTS = [(fitted.effect, fitted.parameters) for fitted in MODEL.effects]
+
+
+def pendulum_plant(time_step=0.0, *, payload=None, limits=None, reverse=False, damping=DAMPING):
+    """A finalized plant of the double pendulum, with its friction as Drake's own damping."""
+    plant = MultibodyPlant(time_step)
+    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    indices = plant.GetJointIndices()
+    for index in reversed(indices) if reverse else indices:
+        joint = plant.get_mutable_joint(index)
+        if joint.num_velocities() == 1:
+            joint.set_default_damping_vector([damping])
+            effort = np.inf if limits is None else limits
+            plant.AddJointActuator(f"motor_{joint.name()}", joint, effort)
+    if payload is not None:
+        body = plant.GetBodyByName(MODEL.bodies[-1])
+        extra = plant.AddRigidBody("payload", to_spatial_inertia(payload))
+        plant.WeldFrames(body.body_frame(), extra.body_frame())
+    plant.Finalize()
+    return plant
+
+
+def motion(size=0.8, duration=20.0):
+    """A smooth motion of the double pendulum."""
+    t = np.linspace(0.0, duration, round(10 * duration) + 1)
+    q = size * np.sin(np.outer([1.3, 2.1], t) + np.array([[0.0], [0.4]]))
+    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q)
+
+
+def perturbed(size, seed=0, truth=TRUTH, control=CONTROL):
+    """A wrong estimate: bodies changed by congruences, friction by factors."""
+    rng = np.random.default_rng(seed)
+    phi = control.phi(truth)
+    G = np.eye(4) + size * rng.normal(size=(len(phi), 4, 4))
+    wrong = from_pseudo_inertia(G @ pseudo_inertia(phi) @ G.transpose(0, 2, 1))
+    mu = truth[control.num_inertial :]
+    return np.concatenate([wrong.ravel(), mu * np.exp(size * rng.normal(size=len(mu)))])
+
+
+def natural(gamma=1.0):
+    return natural_adaptation(MANIFOLD, gamma)
+
+
+def closed_loop(controller, *, plant=None, size=0.8, effects=(), log_period=1e-2):
+    """A builder with a loop in it."""
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(plant or pendulum_plant())
+    loop = add_adaptive_loop(
+        builder, plant, controller, motion(size), effects=effects, log_period=log_period
+    )
+    return builder, loop
+
+
+def simulator(diagram, context=None, *, step=1e-3, accuracy=1e-6):
+    """A simulator that is exact enough between the samples of a controller."""
+    found = Simulator(diagram) if context is None else Simulator(diagram, context)
+    config = SimulatorConfig(
+        integration_scheme="runge_kutta3", max_step_size=step, accuracy=accuracy
+    )
+    ApplySimulatorConfig(config, found)
+    return found
+
+
+def run(controller, duration, **options):
+    """Times and logs of a loop from the start of the motion."""
+    builder, loop = closed_loop(controller, **options)
+    diagram = builder.Build()
+    found = simulator(diagram, loop.context(diagram))
+    found.Initialize()
+    found.AdvanceTo(duration)
+    return loop.logged(found.get_context())
+
+
+def tracking_error(logs):
+    """Greatest error of position (N,), rad."""
+    n = logs["actuation"].shape[1]
+    return np.abs(logs["state"] - logs["desired_state"])[:, :n].max(1)
