@@ -21,7 +21,8 @@ that hangs from a link, and turns with it, takes ten lines:
 its effects are passed on as `extra`. Further fields are shape parameters, and `candidates` says
 which values of them to try (see `StribeckFriction`). What an effect needs to know of more than one
 joint it gets by overriding `rows` (see `CoupledFriction`); what acts on a body derives from
-`BodyEffect` (see `Payload`).
+`BodyEffect` (see `Payload`). Excitation needs derivatives of the columns; `slopes` gives them, and
+without it they are taken by differences.
 """
 
 from __future__ import annotations

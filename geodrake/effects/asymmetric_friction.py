@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 
@@ -34,3 +35,8 @@ class AsymmetricFriction(JointEffect):
         """[max(sgn v, 0), min(sgn v, 0), max(v, 0), min(v, 0)]."""
         s, v = joint.sign_v, joint.v
         return [np.maximum(s, 0.0), np.minimum(s, 0.0), np.maximum(v, 0.0), np.minimum(v, 0.0)]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """Where each direction is, one by sgn v or v."""
+        s, v = joint.sign_v, joint.v
+        return [{"sign_v": s > 0}, {"sign_v": s < 0}, {"v": v > 0}, {"v": v < 0}]

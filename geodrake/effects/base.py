@@ -18,8 +18,22 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.effects.gradient import RobotGradient, joint_gradient
+from geodrake.effects.robot_motion import JointMotion, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
+
+__all__ = [
+    "Array",
+    "BodyEffect",
+    "Effect",
+    "JointEffect",
+    "JointMotion",
+    "JointPairEffect",
+    "Parameter",
+    "RobotMotion",
+    "require_positive",
+]
 
 Array = NDArray[np.float64]
 
@@ -35,74 +49,6 @@ class Parameter:
     unit: str
     lower: float = -np.inf
     upper: float = np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class JointMotion:
-    """Motion of one joint, each field (N,): what a joint effect is a function of.
-
-    Attributes:
-        q: Position, rad or m.
-        v: Velocity, rad/s or m/s.
-        vd: Acceleration, rad/s² or m/s².
-        load: Effort the rigid-body model needs at this joint, N·m or N (never the measured one).
-        sign_v: Direction of motion in [-1, 1]: sgn(v), smoothed where |v| is too small to tell.
-    """
-
-    q: Array
-    v: Array
-    vd: Array
-    load: Array
-    sign_v: Array
-
-
-@dataclass(frozen=True, eq=False)
-class RobotMotion:
-    """Motion of all joints over N samples, as effects see it.
-
-    Attributes:
-        joints: Names of the nv velocities.
-        q: (N, nv) position belonging to each velocity (NaN for joints of several degrees).
-        v: (N, nv) velocities.
-        vd: (N, nv) accelerations.
-        load: (N, nv) effort that the rigid-body model needs.
-        sign_width: (nv,) speed below which the direction of motion is not known.
-        body_columns: Maps a body name to its (N, nv, 10) inertial regressor.
-    """
-
-    joints: tuple[str, ...]
-    q: Array
-    v: Array
-    vd: Array
-    load: Array
-    sign_width: Array
-    body_columns: Callable[[str], Array]
-
-    def joint(self, name: str) -> JointMotion:
-        """The motion of one joint.
-
-        Raises:
-            ArgumentError: There is no such joint.
-        """
-        i = self.index(name)
-        v = self.v[:, i]
-        return JointMotion(
-            self.q[:, i], v, self.vd[:, i], self.load[:, i], self.direction(v, self.sign_width[i])
-        )
-
-    def index(self, name: str) -> int:
-        """The column of a joint; ArgumentError if there is no such joint."""
-        if name not in self.joints:
-            raise ArgumentError(
-                f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
-            )
-        return self.joints.index(name)
-
-    @staticmethod
-    def direction(v: Array, width: float | Array) -> Array:
-        """Smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0."""
-        known = np.asarray(width) == 0
-        return np.where(known, np.sign(v), np.tanh(v / np.where(known, 1.0, width)))
 
 
 class Effect(abc.ABC):
@@ -148,6 +94,19 @@ class Effect(abc.ABC):
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
         """Effort needed because of the effect, (N, nv): the force law is its negative."""
         return self.regressor(motion) @ np.asarray(mu, float)
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
+        """Gradient of Σ weights ∘ regressor with respect to the motion, for excitation.
+
+        Args:
+            motion: The motion, of N samples.
+            weights: (N, nv, k) weights of the regressor's entries.
+
+        Returns:
+            The gradient, or None if the effect does not know it: it is then taken by differences.
+        """
+        del motion, weights
+        return None
 
     @property
     def manifold(self) -> Manifold:
@@ -218,6 +177,20 @@ class JointEffect(Effect):
             )
         usable = [self._usable(column, len(motion.v)) for column in columns]
         return {self.joint: np.stack(usable, -1)}
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
+        """Of each column, its derivatives by `JointMotion` field; fields left out have none.
+
+        `sign_v` is a field of its own: how it depends on v is known. None if the effect does not
+        know them: they are then taken by differences.
+        """
+        del joint
+        return None
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+        """Gradient of Σ weights ∘ regressor with respect to the motion; see `Effect.gradient`."""
+        slopes = self.slopes(motion.joint(self.joint))
+        return joint_gradient(motion, self.joint, self.columns, slopes, weights)
 
     def _usable(self, column: ArrayLike, count: int) -> Array:
         try:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 
@@ -23,3 +25,8 @@ class CoulombFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[sgn v]."""
         return [joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """One by sgn v."""
+        del joint
+        return [{"sign_v": 1.0}]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.effects.base import Array, JointPairEffect, Parameter, RobotMotion
+from geodrake.effects.gradient import RobotGradient, sign_slope
 from geodrake.errors import ArgumentError
 
 
@@ -45,6 +46,17 @@ class CoupledFriction(JointPairEffect):
         width = np.hypot(motion.sign_width[i], motion.sign_width[j])
         columns = np.stack([motion.direction(w, width), w], -1)
         return {self.joints[0]: columns, self.joints[1]: self.sign * columns}
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+        """Of both columns by w, which is how both joints' speeds enter."""
+        i, j = map(motion.index, self.joints)
+        w = motion.v[:, i] + self.sign * motion.v[:, j]
+        width = np.hypot(motion.sign_width[i], motion.sign_width[j])
+        both = weights[:, i] + self.sign * weights[:, j]
+        by_w = both[:, 0] * sign_slope(motion.direction(w, width), width) + both[:, 1]
+        gradient = RobotGradient.zero(motion)
+        gradient.v[:, i], gradient.v[:, j] = by_w, self.sign * by_w
+        return gradient
 
     @classmethod
     def candidates(cls, joints: tuple[str, str]) -> tuple[CoupledFriction, ...]:

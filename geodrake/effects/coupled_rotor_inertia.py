@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.effects.base import Array, JointPairEffect, Parameter, RobotMotion
+from geodrake.effects.gradient import RobotGradient
 
 
 @dataclass(frozen=True)
@@ -32,3 +33,10 @@ class CoupledRotorInertia(JointPairEffect):
             i: motion.vd[:, motion.index(j), np.newaxis],
             j: motion.vd[:, motion.index(i), np.newaxis],
         }
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+        """Of either column by the other joint's v̇."""
+        i, j = map(motion.index, self.joints)
+        gradient = RobotGradient.zero(motion)
+        gradient.vd[:, i], gradient.vd[:, j] = weights[:, j, 0], weights[:, i, 0]
+        return gradient

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 
@@ -25,3 +26,8 @@ class EffortOffset(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[1]."""
         return [np.ones_like(joint.v)]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """None."""
+        del joint
+        return [{}]

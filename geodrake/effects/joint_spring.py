@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 from geodrake.errors import ArgumentError
@@ -45,6 +46,11 @@ class JointSpring(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[(q − q_c)^n, 1]."""
         return [(joint.q - self.center) ** self.exponent, np.ones_like(joint.q)]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """Of (q − q_c)^n by q."""
+        n = self.exponent
+        return [{"q": n * (joint.q - self.center) ** (n - 1)}, {}]
 
     @classmethod
     def candidates(cls, joint: str, peak_speed: float) -> tuple[JointSpring, ...]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 
@@ -28,3 +29,8 @@ class LoadDependentFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|τ_model| sgn v]."""
         return [np.abs(joint.load) * joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """Of |τ_model| by the load, times sgn v."""
+        load, s = joint.load, joint.sign_v
+        return [{"load": np.sign(load) * s, "sign_v": np.abs(load)}]

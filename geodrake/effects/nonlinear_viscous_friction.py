@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
 
@@ -36,6 +37,13 @@ class NonlinearViscousFriction(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|v|^α sgn v]."""
         return [np.abs(joint.v) ** self.exponent * joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """Of |v|^α by v, times sgn v."""
+        speed = np.abs(joint.v)
+        moving = np.where(speed > 0, speed, 1.0)
+        slope = self.exponent * moving ** (self.exponent - 1.0) * np.sign(joint.v)
+        return [{"v": slope * joint.sign_v, "sign_v": speed**self.exponent}]
 
     @property
     def distinct(self) -> bool:

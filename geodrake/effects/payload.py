@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion
+from geodrake.effects.gradient import RobotGradient
 from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from geodrake.manifolds import Manifold, PhysicalInertia
 
@@ -46,3 +47,7 @@ class Payload(BodyEffect):
     def regressor(self, motion: RobotMotion) -> Array:
         """The link's inertial regressor, (N, nv, 10)."""
         return motion.body_columns(self.body)
+
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+        """The weights themselves, of the link's inertial regressor."""
+        return replace(RobotGradient.zero(motion), bodies={self.body: weights})

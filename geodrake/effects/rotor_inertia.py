@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
 
@@ -23,3 +25,8 @@ class RotorInertia(JointEffect):
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[v̇]."""
         return [joint.vd]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """One by v̇."""
+        del joint
+        return [{"vd": 1.0}]

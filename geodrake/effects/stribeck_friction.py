@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
 
@@ -39,6 +40,15 @@ class StribeckFriction(JointEffect):
         """[exp(−|v / v_s|^α) sgn v]."""
         fading = np.exp(-(np.abs(joint.v / self.stribeck_velocity) ** self.exponent))
         return [fading * joint.sign_v]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """Of exp(−|v / v_s|^α) by v, times sgn v."""
+        u = np.abs(joint.v / self.stribeck_velocity)
+        fading = np.exp(-(u**self.exponent))
+        moving = np.where(u > 0, u, 1.0)
+        steepness = self.exponent * moving ** (self.exponent - 1.0) / self.stribeck_velocity
+        slope = -fading * steepness * np.sign(joint.v)
+        return [{"v": slope * joint.sign_v, "sign_v": fading}]
 
     @classmethod
     def candidates(cls, joint: str, peak_speed: float) -> tuple[StribeckFriction, ...]:

@@ -1,0 +1,130 @@
+"""Poses and Jacobians of a robot's bodies, for effects that act on bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.kinematics import KinematicTree
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """Where a body B is, and how velocities move it, over N samples.
+
+    Attributes:
+        rotation: (N, 3, 3) R_WB.
+        position: (N, 3) p_WoBo_W, m.
+        angular: (N, 3, nv) Jacobian of the angular velocity, in W.
+        linear: (N, 3, nv) Jacobian of the velocity of Bo, in W.
+        dofs: Indices of the velocities that move B.
+    """
+
+    rotation: Array
+    position: Array
+    angular: Array
+    linear: Array
+    dofs: tuple[int, ...]
+
+    def jacobian_at(self, p_BoP_B: Array) -> Array:
+        """(N, 3, nv) Jacobian, in W, of the velocity of the point P of B at p_BoP_B (3,), m."""
+        arm = self.rotation @ np.asarray(p_BoP_B, float)
+        return self.linear + np.cross(self.angular, arm[:, :, None], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotBodies:
+    """The bodies of a robot in N configurations; nothing is computed before it is asked for.
+
+    Attributes:
+        tree: The robot's kinematics.
+        q: (N, nq) positions in Drake's order.
+        phi: (nb, 10) inertial parameters of the bodies.
+    """
+
+    tree: KinematicTree
+    q: Array
+    phi: Array
+
+    @property
+    def gravity(self) -> Array:
+        """(3,) gravity in the world frame, m/s²."""
+        return self.tree.gravity
+
+    def motion(self, body: str) -> BodyMotion:
+        """Pose and Jacobian of a body.
+
+        Raises:
+            ArgumentError: There is no such body.
+        """
+        if body not in self._motions:
+            raise ArgumentError(
+                f"There is no moving body {body!r}.",
+                advice=f"Bodies are: {', '.join(self.tree.bodies)}.",
+            )
+        return self._motions[body]
+
+    def mass_center(self, body: str) -> Array:
+        """(3,) p_BoBcm_B, m; the origin of a body without mass."""
+        m, *moment = self.phi[self.tree.bodies.index(body), :4].tolist()
+        return np.array(moment) / m if m > 0.0 else np.zeros(3)
+
+    def gravity_efforts(self) -> Array:
+        """(N, nv, 3) effort that holding the bodies needs for each unit of gravity, kg·m.
+
+        Of gravity g (3,) in the world frame, the needed effort is `gravity_efforts() @ g`.
+        """
+        held = np.zeros((len(self.q), self.tree.num_velocities, 3))
+        for mobilizer in self.tree.mobilizers:
+            if mobilizer.body >= 0 and mobilizer.gravity:
+                body = self.tree.bodies[mobilizer.body]
+                mass = float(self.phi[mobilizer.body, 0])
+                if mass > 0.0:
+                    J = self.motion(body).jacobian_at(self.mass_center(body))
+                    held -= mass * J.transpose(0, 2, 1)
+        return held
+
+    @cached_property
+    def _motions(self) -> dict[str, BodyMotion]:
+        return dict(self._outwards())
+
+    def _outwards(self) -> Iterator[tuple[str, BodyMotion]]:
+        n, nv = len(self.q), self.tree.num_velocities
+        world = np.broadcast_to(np.eye(3), (n, 3, 3))
+        none = np.zeros((n, 3, nv))
+        frames: list[BodyMotion] = []
+        for mobilizer in self.tree.mobilizers:
+            parent = BodyMotion(world, np.zeros((n, 3)), none, none, ())
+            if mobilizer.parent >= 0:
+                parent = frames[mobilizer.parent]
+            joint, q = mobilizer.motion, self.q[:, mobilizer.positions]
+            R_PB = (joint.rotation @ joint.features(q.T)).T.reshape(-1, 3, 3)
+            p_PoMo_P = joint.offset + q @ joint.translation.T
+            arm = (parent.rotation @ p_PoMo_P[..., None])[..., 0]
+            angular = parent.angular.copy()
+            linear = parent.linear + np.cross(angular, arm[:, :, None], axis=1)
+            own = mobilizer.velocities
+            angular[:, :, own] = parent.rotation @ joint.angular
+            linear[:, :, own] = parent.rotation @ joint.linear
+            at_joint = BodyMotion(
+                parent.rotation @ R_PB, parent.position + arm, angular, linear, mobilizer.dofs
+            )
+            offset = at_joint.rotation @ mobilizer.p_MoBo_B
+            frames.append(
+                BodyMotion(
+                    at_joint.rotation,
+                    at_joint.position + offset,
+                    angular,
+                    at_joint.jacobian_at(mobilizer.p_MoBo_B),
+                    mobilizer.dofs,
+                )
+            )
+            if mobilizer.body >= 0:
+                yield self.tree.bodies[mobilizer.body], frames[-1]

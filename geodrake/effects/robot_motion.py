@@ -1,0 +1,81 @@
+"""Motion as effects see it: by joint, with the rigid bodies' effort as load."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Motion of one joint, each field (N,): what a joint effect is a function of.
+
+    Attributes:
+        q: Position, rad or m.
+        v: Velocity, rad/s or m/s.
+        vd: Acceleration, rad/s² or m/s².
+        load: Effort the rigid-body model needs at this joint, N·m or N (never the measured one).
+        sign_v: Direction of motion in [-1, 1]: sgn(v), smoothed where |v| is too small to tell.
+    """
+
+    q: Array
+    v: Array
+    vd: Array
+    load: Array
+    sign_v: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RobotMotion:
+    """Motion of all joints over N samples, as effects see it.
+
+    Attributes:
+        joints: Names of the nv velocities.
+        q: (N, nv) position belonging to each velocity (NaN for joints of several degrees).
+        v: (N, nv) velocities.
+        vd: (N, nv) accelerations.
+        load: (N, nv) effort that the rigid-body model needs.
+        sign_width: (nv,) speed below which the direction of motion is not known.
+        body_columns: Maps a body name to its (N, nv, 10) inertial regressor.
+    """
+
+    joints: tuple[str, ...]
+    q: Array
+    v: Array
+    vd: Array
+    load: Array
+    sign_width: Array
+    body_columns: Callable[[str], Array]
+
+    def joint(self, name: str) -> JointMotion:
+        """The motion of one joint.
+
+        Raises:
+            ArgumentError: There is no such joint.
+        """
+        i = self.index(name)
+        v = self.v[:, i]
+        return JointMotion(
+            self.q[:, i], v, self.vd[:, i], self.load[:, i], self.direction(v, self.sign_width[i])
+        )
+
+    def index(self, name: str) -> int:
+        """The column of a joint; ArgumentError if there is no such joint."""
+        if name not in self.joints:
+            raise ArgumentError(
+                f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
+            )
+        return self.joints.index(name)
+
+    @staticmethod
+    def direction(v: Array, width: float | Array) -> Array:
+        """Smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0."""
+        known = np.asarray(width) == 0
+        return np.where(known, np.sign(v), np.tanh(v / np.where(known, 1.0, width)))
