@@ -19,12 +19,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from statistics import fmean, pstdev
 from typing import Any
@@ -32,66 +29,26 @@ from typing import Any
 from ambidex.arm import Arm
 from ambidex.draws import NAMES, Plan, run_draw
 from ambidex.measurements import TRAINING, Measurements, measure
+from resumable.draws import results_of
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 VERSION = 1
 """Of what a draw is; one more when kept draws of older versions must not be used."""
 GAMMA = 0.03  # the source's, (N·m)²
 COUNTS = (10, 30, 100, 300, 1000, TRAINING)
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def run(plan: Plan, measured: Measurements, *, cache: Path | None, workers: int) -> list[Any]:
     """Rows of all draws, from the cache as far as they are there."""
-    done = read_cache(cache, plan)
-    missing = [draw for draw in range(plan.draws) if draw not in done]
     task = partial(run_draw, plan=plan, measured=measured)
-    for draw, rows in track(
-        finished(task, missing, workers), description="draws", total=len(missing), transient=True
-    ):
-        done[draw] = rows
-        if cache is not None:
-            with cache.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"key": key(plan), "draw": draw, "rows": rows}) + "\n")
-    return [row for draw in range(plan.draws) for row in done[draw]]
-
-
-def finished(task: Any, draws: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
-    """Draws as they are done, in processes of their own."""
-    if workers < 2:
-        yield from ((draw, task(draw)) for draw in draws)
-        return
-    os.environ.update(ONE_THREAD)  # processes that are spawned read it before numpy is there
-    quietly = {"initializer": signal.signal, "initargs": (signal.SIGINT, signal.SIG_DFL)}
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), **quietly) as pool:
-        futures = {pool.submit(task, draw): draw for draw in draws}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    found = results_of(task, range(plan.draws), key=key(plan), cache=cache, workers=workers)
+    return [row for rows in found for row in rows]
 
 
 def key(plan: Plan) -> dict[str, Any]:
     """What a kept draw must have been made with."""
     return {"version": VERSION, **asdict(plan), "counts": list(plan.counts), "draws": None}
-
-
-def read_cache(cache: Path | None, plan: Plan) -> dict[int, Any]:
-    """Draws that are in the cache; a last line cut short by an interruption does not count."""
-    done: dict[int, Any] = {}
-    if cache is None or not cache.is_file():
-        return done
-    for line in cache.read_text(encoding="utf-8").splitlines():
-        try:
-            kept = json.loads(line)
-        except json.JSONDecodeError:
-            continue
-        if kept["key"] == key(plan) and kept["draw"] < plan.draws:
-            done[kept["draw"]] = kept["rows"]
-    return done
 
 
 def summarize(rows: Sequence[Any], plan: Plan) -> list[dict[str, Any]]:

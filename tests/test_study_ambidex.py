@@ -21,6 +21,7 @@ sys.path.insert(0, str(ROOT / "diagrams"))
 import ambidex_arm as study  # noqa: E402
 from ambidex import arm as robot  # noqa: E402
 from ambidex import draws, measurements  # noqa: E402
+from resumable.draws import kept  # noqa: E402
 
 PLAN = draws.Plan(draws=2, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
 AWARE = ("pullback", "entropic", "riemannian", "point_mass_euclidean", "point_mass_kl")
@@ -204,9 +205,10 @@ class TestCache:
         cache = tmp_path / "draws.jsonl"
         monkeypatch.setattr(study, "run_draw", lambda draw, **_: [{"draw": draw}])
         study.run(PLAN, None, cache=cache, workers=1)
-        assert len(study.read_cache(cache, PLAN)) == 2
-        assert not study.read_cache(cache, replace(PLAN, gamma=0.1))
-        assert len(study.read_cache(cache, replace(PLAN, draws=1))) == 1
+        assert len(kept(cache, study.key(PLAN))) == 2
+        assert not kept(cache, study.key(replace(PLAN, gamma=0.1)))
+        fewer = study.run(replace(PLAN, draws=1), None, cache=cache, workers=1)
+        assert fewer == [{"draw": 0}]
 
 
 def _never(draw, **_):
