@@ -1,0 +1,284 @@
+"""What a motion shall tell: which parameters, measured by what, with which noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from scipy.linalg import block_diag
+
+from geodrake.base_parameters import BaseParameters, base_parameters
+from geodrake.effects import Effect, RobotMotion
+from geodrake.errors import ArgumentError
+from geodrake.floating_base import base_wrench_regressor
+from geodrake.identification.dataset import is_payload
+from geodrake.identification.unknowns import payload_reference
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.manifolds import PhysicalInertia
+from geodrake.model import FittedEffect, RobotModel
+from geodrake.motion import Motion
+from geodrake.plant import position_limits, velocity_limits
+from geodrake.regressor import inverse_dynamics, inverse_dynamics_regressor
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_SIGN_SHARE = 0.02  # of a joint's fastest speed, over which its friction changes sign
+_EFFECT_SHARE = 0.1  # of a joint's effort that an effect of unknown size is thought to have
+_RANDOM_SAMPLES = 200
+_WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """A motion as a target's measurements see it.
+
+    Attributes:
+        motion: (N, ·) motion.
+        regressor: (N, m, p) regressor X of the measurements, not weighted by the noise.
+        seen: The motion as effects see it; None where no effect is unknown.
+    """
+
+    motion: Motion
+    regressor: Array
+    seen: RobotMotion | None
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """Unknown parameters of a robot, and the measurements that shall tell them.
+
+    Attributes:
+        model: The robot.
+        bodies: Names of the bodies whose inertial parameters are unknown, ten each.
+        effects: Effects with unknown parameters and their nominal values; payloads come first.
+        noise: (m,) deviations of the measurements of one sample: nv efforts, N·m or N, or the six
+            components of a base wrench, N·m and N.
+        sign_width: (nv,) speed over which friction changes sign, rad/s or m/s.
+        X_WP: Frame of the base wrench, if that is what is measured; None for efforts.
+        seed: Of the random motions that base parameters are found with.
+    """
+
+    model: RobotModel
+    bodies: tuple[str, ...]
+    effects: tuple[FittedEffect, ...]
+    noise: Array
+    sign_width: Array
+    X_WP: RigidTransform | None = None
+    seed: int = 0
+
+    @property
+    def payloads(self) -> tuple[FittedEffect, ...]:
+        """The payloads among the effects."""
+        return tuple(fitted for fitted in self.effects if is_payload(fitted.effect))
+
+    @property
+    def further(self) -> tuple[FittedEffect, ...]:
+        """The effects that are no payloads."""
+        return self.effects[len(self.payloads) :]
+
+    @cached_property
+    def columns(self) -> Indices:
+        """Columns of the inertial regressor that belong to unknown parameters."""
+        carriers = [fitted.effect.where[0] for fitted in self.payloads]
+        at = np.array([self.model.bodies.index(n) for n in (*self.bodies, *carriers)], np.intp)
+        return (PARAMETERS_PER_BODY * at[:, None] + np.arange(PARAMETERS_PER_BODY)).ravel()
+
+    @cached_property
+    def inertial_prior(self) -> Array:
+        """(blocks, 10) nominal inertial parameters: bodies, then payloads."""
+        phi, own = self.model.phi.copy(), {fitted.effect for fitted in self.payloads}
+        for fitted in self.model.effects:
+            if is_payload(fitted.effect) and fitted.effect not in own:
+                phi[self.model.bodies.index(fitted.effect.where[0])] += fitted.parameters
+        rows = [phi[self.model.bodies.index(name)] for name in self.bodies]
+        for fitted in self.payloads:
+            known = bool(is_physical(fitted.parameters))
+            rows.append(np.asarray(fitted.parameters) if known else payload_reference())
+        return np.array(rows).reshape(-1, PARAMETERS_PER_BODY)
+
+    @property
+    def size(self) -> int:
+        """Number p of unknown parameters."""
+        return len(self.columns) + sum(len(f.effect.parameters) for f in self.further)
+
+    @cached_property
+    def prior(self) -> Array:
+        """(p,) nominal parameters."""
+        return np.concatenate([self.inertial_prior.ravel(), *(f.parameters for f in self.further)])
+
+    @cached_property
+    def metric_root(self) -> Array:
+        """(p, p) L with G₀⁻¹ = L Lᵀ, of the metric (B.1.7) on bodies and dx²/(2 x²) on effects."""
+        inverse = 2.0 * PhysicalInertia().inverse_metric_times(
+            self.inertial_prior[:, None], np.eye(PARAMETERS_PER_BODY)
+        )
+        blocks = [np.linalg.cholesky(block) for block in inverse]
+        return np.asarray(block_diag(*blocks, np.sqrt(2.0) * np.diag(self.effect_sizes)))
+
+    @cached_property
+    def effect_sizes(self) -> Array:
+        """(k,) size of each parameter of an effect: its nominal value, if it has one.
+
+        A parameter of value zero is thought to explain a tenth of the joint's effort in random
+        motion.
+        """
+        sizes = np.abs(np.concatenate([np.zeros(0), *(f.parameters for f in self.further)]))
+        if np.all(sizes > 0):
+            return sizes
+        motion = self.random_motion
+        X = self.measure(motion).regressor[:, :, len(self.columns) :]
+        effort = _EFFECT_SHARE * np.abs(self.model.motion(motion).load)
+        overlap = np.square(X).sum((0, 1))
+        typical = np.einsum("nik,ni->k", np.abs(X), effort) / np.where(overlap > 0, overlap, 1.0)
+        return np.where(sizes > 0, sizes, np.where(typical > 0, typical, 1.0))
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        """The combinations that can be told at all; their inertial part is that of the robot."""
+        X = self.measure(self.random_motion).regressor / self.noise[:, None]
+        return base_parameters(X, extra=self.size - len(self.columns))
+
+    @cached_property
+    def labels(self) -> tuple[str, ...]:
+        """What the base parameters are, in words."""
+        carriers = tuple(f"payload of {fitted.effect.where[0]}" for fitted in self.payloads)
+        names = [
+            f"{parameter.name} of {fitted.effect.name} of {'/'.join(fitted.effect.where)}"
+            for fitted in self.further
+            for parameter in fitted.effect.parameters
+        ]
+        return self.base.labels((*self.bodies, *carriers), extra=names)
+
+    @cached_property
+    def random_motion(self) -> Motion:
+        """A motion through all positions whose accelerations matter as much as gravity."""
+        random, nv = np.random.default_rng(self.seed), len(self.model.joints)
+        count = max(_RANDOM_SAMPLES, 3 * self.size)
+        q = random.uniform(*_ranges(self.model.plant), (count, self.model.plant.num_positions()))
+        v, vd = random.uniform(-1.0, 1.0, (2, count, nv))
+        still, phi = np.zeros_like(v), self.model.total_phi
+        held = inverse_dynamics(self.model.tree, q, still, still, phi)
+        moved = inverse_dynamics(self.model.tree, q, v, vd, phi) - held
+        heaviness = np.linalg.norm(held) / np.linalg.norm(moved)
+        rate = np.sqrt(heaviness) if heaviness > _WEIGHTLESS else 1.0
+        return Motion(q, rate * v, rate**2 * vd)
+
+    def measure(self, motion: Motion) -> Measurement:
+        """The regressor of the measurements of a motion."""
+        tree, samples = self.model.tree, (motion.q, motion.v, motion.vd)
+        if self.X_WP is not None:
+            Y = base_wrench_regressor(tree, *samples, X_WP=self.X_WP)
+            return Measurement(motion, Y[:, :, self.columns], None)
+        Y = inverse_dynamics_regressor(tree, *samples)
+        seen = self.model.motion(motion, sign_width=self.sign_width, regressor=Y)
+        every = np.array_equal(self.columns, np.arange(Y.shape[2]))
+        parts = [Y if every else Y[:, :, self.columns]]
+        parts += [fitted.effect.regressor(seen) for fitted in self.further]
+        return Measurement(motion, np.concatenate(parts, axis=2), seen)
+
+
+def make_target(
+    model: RobotModel,
+    *,
+    noise: ArrayLike | None = None,
+    bodies: Sequence[str] | None = None,
+    effects: Sequence[FittedEffect | Effect] | None = None,
+    sign_width: ArrayLike | None = None,
+    X_WP: RigidTransform | None = None,
+    seed: int = 0,
+) -> Target:
+    """What a motion of a robot shall tell.
+
+    Args:
+        model: The robot; its parameters are the nominal ones.
+        noise: Deviation of the measurements: one, or one a joint (N·m or N); of a base wrench, one
+            for each of nx, ny, nz, fx, fy, fz. Default: what the model was fitted with, else one.
+        bodies: Names of the bodies with unknown inertial parameters. All by default; their prior
+            includes payloads that the model has, unless those are among `effects`.
+        effects: Effects with unknown parameters. Those of the model that are no payloads by
+            default. An `Effect` without values is thought to have a typical size.
+        sign_width: Speed over which friction changes sign; 2 % of each joint's fastest by default.
+        X_WP: Frame of the base wrench, if a force plate or base sensor is what measures. Effects
+            do not show there.
+        seed: Of the random motions that base parameters are found with.
+
+    Raises:
+        ArgumentError: The noise is not positive, or there is no such body, or nothing is unknown.
+    """
+    nv = len(model.joints)
+    if bodies is None:
+        bodies = model.bodies
+    if effects is None:
+        effects = [f for f in model.effects if not is_payload(f.effect) and X_WP is None]
+    known = tuple(
+        e if isinstance(e, FittedEffect) else FittedEffect(e, np.zeros(len(e.parameters)))
+        for e in effects
+    )
+    known = tuple(fitted for fitted in known if fitted.effect.parameters)
+    ordered = tuple(sorted(known, key=lambda fitted: not is_payload(fitted.effect)))
+    carriers = [fitted.effect.where[0] for fitted in known if is_payload(fitted.effect)]
+    for name in (*bodies, *carriers):
+        if name not in model.bodies:
+            raise ArgumentError(
+                f"There is no body {name!r}.", advice=f"Bodies are: {', '.join(model.bodies)}."
+            )
+    if not bodies and not ordered:
+        raise ArgumentError(
+            "There is nothing to be told: no body and no effect is unknown.",
+            advice="Name bodies or effects.",
+        )
+    if X_WP is not None and any(not is_payload(fitted.effect) for fitted in ordered):
+        raise ArgumentError(
+            "A base wrench does not show what happens inside a robot, such as friction.",
+            advice="Leave the effects out, or measure efforts.",
+        )
+    if noise is None:
+        noise = 1.0 if model.effort_noise is None or X_WP is not None else model.effort_noise
+    rows = model.joints if X_WP is None else ("nx", "ny", "nz", "fx", "fy", "fz")
+    fastest = velocity_limits(model.plant)
+    widths = np.where(np.isfinite(fastest), _SIGN_SHARE * fastest, _SIGN_SHARE)
+    return Target(
+        model,
+        tuple(bodies),
+        ordered,
+        _checked_noise(noise, rows),
+        widths if sign_width is None else np.broadcast_to(np.asarray(sign_width, float), (nv,)),
+        X_WP,
+        seed,
+    )
+
+
+def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
+    """(m,) deviations.
+
+    Raises:
+        ArgumentError: They are not positive, or not as many as measurements.
+    """
+    given = np.asarray(noise, float)
+    if given.shape not in ((), (1,), (len(rows),)):
+        raise ArgumentError(f"The noise is one number or {len(rows)}; got the shape {given.shape}.")
+    values = np.broadcast_to(given, (len(rows),)).copy()
+    if not (np.isfinite(values) & (values > 0)).all():
+        wrong = [n for n, x in zip(rows, values.tolist(), strict=True) if not 0 < x < np.inf]
+        raise ArgumentError(
+            f"The noise of {', '.join(wrong)} is not a positive number: {values.tolist()}.",
+            advice="Without noise every motion tells everything exactly. Give the deviation of the "
+            "measured efforts, such as 1 % of the largest one.",
+            wrong=wrong,
+        )
+    return values
+
+
+def _ranges(plant: MultibodyPlant) -> tuple[Array, Array]:
+    """Range of random positions: all of a turn, and of sliding joints what the limits allow."""
+    lower, upper = (np.array(x, float) for x in position_limits(plant))
+    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+    sliding = [j.position_start() for j in joints if j.type_name() == "prismatic"]
+    limited = np.isin(np.arange(len(lower)), sliding) & np.isfinite(lower) & np.isfinite(upper)
+    return np.where(limited, lower, -np.pi), np.where(limited, upper, np.pi)
