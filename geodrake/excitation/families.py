@@ -1,0 +1,286 @@
+"""Families of motions: positions, velocities and accelerations linear in a few coefficients.
+
+Every joint has coefficients c of its own, and at times t
+
+    q = Φ₀(t) c,   v = Φ₁(t) c,   v̇ = Φ₂(t) c,
+
+so that a gradient with respect to the motion becomes one with respect to c by Φᵀ.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline
+
+from geodrake.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+_INDEPENDENT = 1e-9  # relative size of a condition that the others do not imply
+
+
+class MotionFamily(abc.ABC):
+    """Motions of one joint, linear in `count` coefficients.
+
+    Class attributes:
+        name: Name in commands and reports.
+        timed: Whether the samples of a motion follow each other in time, so that a robot can
+            execute it.
+    """
+
+    name: ClassVar[str]
+    timed: ClassVar[bool] = True
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> int:
+        """Number of coefficients of a joint."""
+
+    @property
+    @abc.abstractmethod
+    def length(self) -> float:
+        """Duration, s; zero if samples do not follow each other."""
+
+    @property
+    @abc.abstractmethod
+    def fastest(self) -> float:
+        """Shortest time in which the motion does something, s: a period, or between knots."""
+
+    @abc.abstractmethod
+    def basis(self, times: ArrayLike) -> Array:
+        """(3, N, count) matrices Φ₀, Φ₁, Φ₂ at times (N,), s."""
+
+    def times(self, samples: int) -> Array:
+        """(samples,) uniform instants from start to end, s."""
+        return np.linspace(0.0, self.length, samples)
+
+    def limit_times(self, share: float = 0.05) -> Array:
+        """Instants at which limits are to hold: so close that nothing happens between them."""
+        return self.times(max(2, int(np.ceil(self.length / (share * self.fastest))) + 1))
+
+    def conditions(self, *, rest: bool, start: bool) -> Array:
+        """Independent rows E (k, count) of what is fixed at the ends: E c is given.
+
+        Args:
+            rest: Whether velocity and acceleration are zero at start and end.
+            start: Whether the position at the start is given; it is the last row.
+
+        Raises:
+            ArgumentError: They leave no coefficient free.
+        """
+        position, velocity, acceleration = self.basis([0.0, self.length])
+        rows = [*velocity, *acceleration] if rest else []
+        kept: list[Array] = []
+        for row in [*rows, position[0]] if start else rows:
+            if _is_new(row, kept):
+                kept.append(row)
+        if len(kept) >= self.count:
+            raise ArgumentError(
+                f"A {self.name} motion of {self.count} coefficients a joint cannot meet "
+                f"{len(kept)} conditions at its ends and move.",
+                advice="Give it more coefficients.",
+            )
+        return np.array(kept).reshape(-1, self.count)
+
+    def random(self, rng: np.random.Generator, joints: int) -> Array:
+        """(count, joints) random coefficients of a motion about zero, of any size."""
+        return rng.normal(size=(self.count, joints))
+
+
+@dataclass(frozen=True)
+class FourierMotion(MotionFamily):
+    """A Fourier series, [Lee2019] Eq. (4.6.62).
+
+        q = c₀ + Σⱼ aⱼ cos jωt + bⱼ sin jωt
+
+    with the coefficients c₀ (unless left out), a₁, b₁, a₂, b₂, …
+
+    Attributes:
+        duration: Length of the motion, s.
+        modes: Number of harmonics.
+        frequency: ω, rad/s; one period in the whole duration if None.
+        offset: Whether there is a c₀.
+    """
+
+    duration: float = 10.0
+    modes: int = 5
+    frequency: float | None = None
+    offset: bool = True
+
+    name = "fourier"
+
+    def __post_init__(self) -> None:
+        if not (0 < self.duration < np.inf and self.modes >= 1 and self.omega > 0):
+            raise ArgumentError(
+                f"A Fourier motion needs a positive duration and frequency and at least one mode; "
+                f"got {self.duration} s, {self.frequency} rad/s and {self.modes}."
+            )
+
+    @property
+    def omega(self) -> float:
+        """Base frequency ω, rad/s."""
+        return 2.0 * np.pi / self.duration if self.frequency is None else self.frequency
+
+    @property
+    def count(self) -> int:
+        """Two coefficients a mode, and the offset."""
+        return 2 * self.modes + self.offset
+
+    @property
+    def length(self) -> float:
+        """The duration, s."""
+        return self.duration
+
+    @property
+    def fastest(self) -> float:
+        """Period of the last mode, s."""
+        return 2.0 * np.pi / (self.omega * self.modes)
+
+    def basis(self, times: ArrayLike) -> Array:
+        """(3, N, count): 1, cos jωt, sin jωt and their derivatives."""
+        t = np.atleast_1d(np.asarray(times, float))
+        rates = self.omega * np.arange(1, self.modes + 1)
+        cosine, sine = np.cos(np.outer(t, rates)), np.sin(np.outer(t, rates))
+        slopes, curvatures = (
+            (-rates * sine, rates * cosine),
+            (-(rates**2) * x for x in (cosine, sine)),
+        )
+        pairs = (cosine, sine), slopes, tuple(curvatures)
+        first = 1 if self.offset else 0
+        Phi = np.zeros((3, len(t), self.count))
+        for order, (even, odd) in enumerate(pairs):
+            Phi[order, :, first::2], Phi[order, :, first + 1 :: 2] = even, odd
+        Phi[0, :, :first] = 1.0
+        return Phi
+
+    def random(self, rng: np.random.Generator, joints: int) -> Array:
+        """Random coefficients, those of higher modes smaller, without an offset."""
+        coefficients = rng.normal(size=(self.count, joints))
+        first = 1 if self.offset else 0
+        modes = np.arange(1, self.modes + 1)
+        coefficients[first:] /= np.repeat(modes, 2)[:, None]
+        coefficients[:first] = 0.0
+        return coefficients
+
+
+@dataclass(frozen=True)
+class SplineMotion(MotionFamily):
+    """A B-spline with uniform knots, clamped at both ends.
+
+    Attributes:
+        duration: Length of the motion, s.
+        points: Number of control points, which are the coefficients.
+        degree: Degree of the polynomials, 3 to 5: five makes even the jerk smooth.
+    """
+
+    duration: float = 10.0
+    points: int = 16
+    degree: int = 5
+
+    name = "spline"
+
+    def __post_init__(self) -> None:
+        if not (0 < self.duration < np.inf and 3 <= self.degree <= 5 and self.points > self.degree):
+            raise ArgumentError(
+                f"A spline motion needs a positive duration, a degree of 3 to 5 and more control "
+                f"points than that; got {self.duration} s, {self.degree} and {self.points}."
+            )
+
+    @property
+    def count(self) -> int:
+        """The control points."""
+        return self.points
+
+    @property
+    def length(self) -> float:
+        """The duration, s."""
+        return self.duration
+
+    @property
+    def fastest(self) -> float:
+        """Two intervals between knots, s."""
+        return 2.0 * self.duration / (self.points - self.degree)
+
+    @property
+    def knots(self) -> Array:
+        """(points + degree + 1,) knots, s."""
+        inner = np.linspace(0.0, self.duration, self.points - self.degree + 1)
+        return np.concatenate([np.zeros(self.degree), inner, np.full(self.degree, self.duration)])
+
+    def basis(self, times: ArrayLike) -> Array:
+        """(3, N, count): basis functions and their derivatives."""
+        t = np.atleast_1d(np.asarray(times, float))
+        spline = BSpline(self.knots, np.eye(self.points), self.degree)
+        return np.stack([spline(t, nu=order) for order in range(3)])
+
+
+@dataclass(frozen=True)
+class FreeSamples(MotionFamily):
+    """Samples that need not follow each other: q, v and v̇ of each are coefficients.
+
+    They bound what a motion can tell, and suit robots that are measured point by point.
+
+    Attributes:
+        samples: Number of samples.
+    """
+
+    samples: int = 50
+
+    name = "samples"
+    timed: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        if self.samples < 1:
+            raise ArgumentError(f"There must be at least one sample; got {self.samples}.")
+
+    @property
+    def count(self) -> int:
+        """Three coefficients a sample: all q, then all v, then all v̇."""
+        return 3 * self.samples
+
+    @property
+    def length(self) -> float:
+        """Zero."""
+        return 0.0
+
+    @property
+    def fastest(self) -> float:
+        """Zero."""
+        return 0.0
+
+    def times(self, samples: int) -> Array:
+        """Zeros, one for each sample there is."""
+        del samples
+        return np.zeros(self.samples)
+
+    def limit_times(self, share: float = 0.05) -> Array:
+        """Zeros, one for each sample there is."""
+        del share
+        return np.zeros(self.samples)
+
+    def basis(self, times: ArrayLike) -> Array:
+        """(3, samples, count): each picks its third of the coefficients, whatever the time."""
+        del times
+        return np.eye(self.count).reshape(3, self.samples, self.count)
+
+    def conditions(self, *, rest: bool, start: bool) -> Array:
+        """None: there is neither start nor end."""
+        del rest, start
+        return np.zeros((0, self.count))
+
+
+def _is_new(row: Array, rows: list[Array]) -> bool:
+    """Whether a row is independent of others."""
+    if not rows:
+        return bool(row.any())
+    units = np.array([r / np.linalg.norm(r) for r in rows]).T
+    size = np.linalg.norm(row)
+    if not size > 0:
+        return False
+    rest = row / size - units @ np.linalg.lstsq(units, row / size)[0]
+    return bool(np.linalg.norm(rest) > _INDEPENDENT)
