@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    InputPort,
+    OutputPort,
+    System,
+)
 from pydrake.systems.primitives import (
     LogVectorOutput,
     MatrixGain,
@@ -34,6 +41,7 @@ class AdaptiveLoop:
         controller: The controller.
         effect_force: What acts on the plant beside rigid bodies, if anything.
         state: Positions and velocities of the plant.
+        measured_state: What the controller sees of them.
         desired_state: Desired positions and velocities.
         desired_acceleration: Desired accelerations.
         actuation: Efforts of the controller, by velocity.
@@ -46,6 +54,7 @@ class AdaptiveLoop:
     controller: AdaptiveController
     effect_force: EffectForce | None
     state: OutputPort
+    measured_state: OutputPort
     desired_state: OutputPort
     desired_acceleration: OutputPort
     actuation: OutputPort
@@ -104,6 +113,7 @@ def add_adaptive_loop(
     effects: Sequence[tuple[Effect, ArrayLike]] = (),
     sign_width: ArrayLike = 1e-2,
     log_period: float | None = None,
+    sensor: System | None = None,
 ) -> AdaptiveLoop:
     """Makes a plant follow a motion under an adaptive controller.
 
@@ -115,6 +125,8 @@ def add_adaptive_loop(
         effects: Effects and their linear parameters μ that act on the plant, see `EffectForce`.
         sign_width: Speed below which dry friction fades on the plant, rad/s or m/s.
         log_period: Period of the logs, s; None for none.
+        sensor: What the controller sees the plant through, such as noise: a system with one input
+            and one output for positions and velocities; added to the builder. Nothing if None.
 
     Raises:
         ArgumentError: Plant, controller and motion do not fit together, or a joint has no actuator.
@@ -124,7 +136,12 @@ def add_adaptive_loop(
     desired = builder.AddSystem(TrajectorySource(motion, 1))
     acceleration = builder.AddSystem(TrajectorySource(motion.MakeDerivative(2)))
     actuation = controller.GetOutputPort("actuation")
-    builder.Connect(plant.get_state_output_port(), controller.GetInputPort("estimated_state"))
+    measured = plant.get_state_output_port()
+    if sensor is not None:
+        builder.AddSystem(sensor)
+        builder.Connect(measured, sensor.get_input_port())
+        measured = sensor.get_output_port()
+    builder.Connect(measured, controller.GetInputPort("estimated_state"))
     builder.Connect(desired.get_output_port(), controller.GetInputPort("desired_state"))
     builder.Connect(acceleration.get_output_port(), controller.GetInputPort("desired_acceleration"))
     if controller.HasInputPort("acceleration"):
@@ -155,6 +172,7 @@ def add_adaptive_loop(
         controller,
         force,
         ports["state"],
+        measured,
         ports["desired_state"],
         acceleration.get_output_port(),
         actuation,

@@ -7,8 +7,8 @@ import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
+from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from geodrake.adaptation import natural_adaptation, parameter_manifold
 from geodrake.control_regressor import ControlModel
@@ -76,12 +76,18 @@ def natural(gamma=1.0):
     return natural_adaptation(MANIFOLD, gamma)
 
 
-def closed_loop(controller, *, plant=None, size=0.8, effects=(), log_period=1e-2):
+def closed_loop(controller, *, plant=None, size=0.8, effects=(), log_period=1e-2, sensor=None):
     """A builder with a loop in it."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(plant or pendulum_plant())
     loop = add_adaptive_loop(
-        builder, plant, controller, motion(size), effects=effects, log_period=log_period
+        builder,
+        plant,
+        controller,
+        size if isinstance(size, Trajectory) else motion(size),
+        effects=effects,
+        log_period=log_period,
+        sensor=sensor,
     )
     return builder, loop
 
@@ -110,3 +116,55 @@ def tracking_error(logs):
     """Greatest error of position (N,), rad."""
     n = logs["actuation"].shape[1]
     return np.abs(logs["state"] - logs["desired_state"])[:, :n].max(1)
+
+
+class FaultySensor(LeafSystem):
+    """A sensor of positions and velocities that has faults.
+
+    Args:
+        size: Length of what it measures.
+        fault: Maps time, the value and the last value before `start` to what it says instead.
+        start: From when on, s.
+        stop: Until when, s.
+    """
+
+    def __init__(self, size, fault, start=0.0, stop=np.inf):
+        LeafSystem.__init__(self)
+        self._fault, self._start, self._stop = fault, start, stop
+        self._input = self.DeclareVectorInputPort("true", BasicVector(size))
+        self._last = self.DeclareDiscreteState(size)
+        self.DeclarePeriodicDiscreteUpdateEvent(2e-3, 0.0, self._keep)
+        self.DeclareVectorOutputPort("measured", BasicVector(size), self._measure)
+
+    def _keep(self, context, state):
+        if context.get_time() < self._start:
+            state.set_value(self._last, self._input.Eval(context))
+
+    def _measure(self, context, output):
+        value, t = self._input.Eval(context), context.get_time()
+        if self._start <= t < self._stop:
+            value = self._fault(t, value, context.get_discrete_state(self._last).value())
+        output.SetFromVector(value)
+
+
+def nothing(t, value, last):
+    return np.full(len(value), np.nan)
+
+
+def infinite(t, value, last):
+    return np.where(np.arange(len(value)) == 1, np.inf, value)
+
+
+def frozen(t, value, last):
+    return last
+
+
+def noisy(position, velocity):
+    """A fault of Gaussian noise of these sizes, rad and rad/s, new every other millisecond."""
+
+    def fault(t, value, last):
+        noise = np.random.default_rng(round(500 * t)).normal(size=len(value))
+        half = len(value) // 2
+        return value + noise * np.repeat([position, velocity], half)
+
+    return fault

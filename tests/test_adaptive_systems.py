@@ -1,4 +1,4 @@
-"""The adaptive controllers in Drake diagrams: the guarantees of the source, the life of a system."""
+"""Adaptive controllers in Drake diagrams: the guarantees of the source, the life of a system."""
 
 import numpy as np
 import pytest

@@ -120,27 +120,34 @@ class AdaptiveComputedTorqueController(AdaptiveController):
 
     def _covector(self, context: Context, p: Array, seen: Seen, e: Array) -> Array | None:
         if self._filter is not None:
-            return None  # adapted to in the update
+            return None  # adaptation is by the filtered rows
         acceleration = self._measured_port.Eval(context)
         if not np.isfinite(acceleration).all():
             return None
         sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
         return computed_torque_covector(sample.regressor, sample.mass_matrix(p), self._P, e)
 
-    def _update(self, context: Context, state: DiscreteValues) -> None:
-        super()._update(context, state)
-        if self._filter is None or self.law is None:
-            return
+    def _following(
+        self,
+        context: Context,
+        state: DiscreteValues,
+        p: Array,
+        seen: Seen,
+        covector: Covector | None,
+    ) -> Array:
+        if self._filter is None:
+            return super()._following(context, state, p, seen, covector)
+        if self.law is None:
+            return p
         memory = context.get_discrete_state(self._memory).value()
-        seen, _ = self._look(context, self._watched(context))
         if not seen.trusted:
             state.set_value(self._memory, self._filter.skipped(memory))
-            return
+            return p
+        # (Efforts at their limits are known as well, so adaptation need not wait for them.)
         memory = self._filter.advanced(memory, seen.q, seen.qd, self._held(context))
         state.set_value(self._memory, memory)
-        p = self.parameters(context)
         rows = self._filter.rows(memory)
-        state.set_value(0, self._adapted(p, lambda _: self._prediction_error(p, *rows), context))
+        return self._adapted(p, lambda _: self._prediction_error(p, *rows), context)
 
     def _prediction_error(self, p: Array, Y: Array, effort: Array) -> Array:
         """Y_fᵀ W (Y_f p̂ − u_f), W such that one step cannot overshoot."""

@@ -32,6 +32,7 @@ from geodrake.systems.requirements import (
 from geodrake.systems.safeguards import Safeguards, Seen, Watch
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
+_QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
 Covector = Callable[[Context], Array | None]
@@ -68,6 +69,9 @@ class AdaptiveController(LeafSystem):
     - Without any of both, and where numbers overflow, the last actuation is held (without a time
       step: none is applied).
     - Efforts beyond their limits are cut off, and adaptation waits.
+
+    Large errors that no parameters can explain, as of a motion that the motors cannot make, still
+    move the estimate whenever no limit is reached. A `ProjectedLaw` keeps it where it makes sense.
     """
 
     def __init__(
@@ -202,23 +206,22 @@ class AdaptiveController(LeafSystem):
         """Effort and covector at what was seen; None if the effort is not a number."""
         if not seen.known:
             return None
-        with np.errstate(all="ignore"):
-            try:
-                effort, covector = self._effort(p, seen)
-                if not np.isfinite(effort).all():
-                    return None
-                applied = effort
-                if self._limits is not None:
-                    applied = np.clip(effort, -self._limits, self._limits)
-                waits = (
-                    self.law is None
-                    or not seen.trusted
-                    or bool((applied != effort).any())
-                    or (self._rests and self._resting(seen))
-                )
-                return ControlResult(applied, None if waits else covector)
-            except np.linalg.LinAlgError:
-                return None
+        try:
+            effort, covector = self._effort(p, seen)
+        except np.linalg.LinAlgError:
+            return None
+        if not np.isfinite(effort).all():
+            return None
+        applied = effort
+        if self._limits is not None:
+            applied = np.clip(effort, -self._limits, self._limits)
+        waits = (
+            self.law is None
+            or not seen.trusted
+            or bool((applied != effort).any())
+            or (self._rests and self._resting(seen))
+        )
+        return ControlResult(applied, None if waits else covector)
 
     def _watched(self, context: Context) -> Array:
         """What the watch remembers, (3 nv + 1,)."""
@@ -232,14 +235,14 @@ class AdaptiveController(LeafSystem):
         """The estimate after a time step; as it was where it cannot be moved."""
         if self.law is None:
             return p
-        with np.errstate(all="ignore"):
-            try:
-                b = covector(context)
-                following = p if b is None else self.law.step(p, b, self._time_step)
-            except (GeodrakeError, np.linalg.LinAlgError):
-                return p
+        try:
+            b = covector(context)
+            following = p if b is None else self.law.step(p, b, self._time_step)
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return p
         return following if np.isfinite(following).all() else p
 
+    @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:
         p = context.get_discrete_state(_PARAMETERS).value()
         seen, memory = self._look(context, self._watched(context))
@@ -247,9 +250,23 @@ class AdaptiveController(LeafSystem):
         result = self._controlled(p, seen)
         if result is not None:
             state.set_value(_ACTUATION, result.effort)
-            if result.covector is not None:
-                state.set_value(_PARAMETERS, self._adapted(p, result.covector, context))
+        covector = None if result is None else result.covector
+        following = self._following(context, state, p, seen, covector)
+        if following is not p:
+            state.set_value(_PARAMETERS, following)
 
+    def _following(
+        self,
+        context: Context,
+        state: DiscreteValues,
+        p: Array,
+        seen: Seen,
+        covector: Covector | None,
+    ) -> Array:
+        """The estimate (p,) after a time step."""
+        return p if covector is None else self._adapted(p, covector, context)
+
+    @_QUIETLY
     def _calc_result(self, context: Context, value: AbstractValue) -> None:
         seen, _ = self._look(context, self._watch.start())
         p = context.get_continuous_state_vector().CopyToVector()
@@ -262,17 +279,17 @@ class AdaptiveController(LeafSystem):
         p = context.get_continuous_state_vector().CopyToVector()
         derivatives.get_mutable_vector().SetFromVector(self._rate_of(p, context))
 
+    @_QUIETLY
     def _rate_of(self, p: Array, context: Context) -> Array:
         """The rate of an estimate (p,); zero where it cannot be moved."""
         result = self._result.Eval(context)
         if self.law is None or result is None or result.covector is None:
             return np.zeros(len(p))
-        with np.errstate(all="ignore"):
-            try:
-                b = result.covector(context)
-                rate = np.zeros(len(p)) if b is None else self.law.rate(p, b)
-            except np.linalg.LinAlgError:
-                return np.zeros(len(p))
+        try:
+            b = result.covector(context)
+            rate = np.zeros(len(p)) if b is None else self.law.rate(p, b)
+        except np.linalg.LinAlgError:
+            return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
 
     def _calc_actuation(self, context: Context, output: BasicVector) -> None:
@@ -285,6 +302,7 @@ class AdaptiveController(LeafSystem):
     def _calc_parameters(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self.parameters(context))
 
+    @_QUIETLY
     def _calc_lyapunov(self, context: Context, output: BasicVector) -> None:
         if self._truth is None:
             return
