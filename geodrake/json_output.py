@@ -12,6 +12,7 @@ from dataclasses import asdict
 from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
+from geodrake.drafting import Draft, effect_name
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
@@ -73,6 +74,41 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
         "error": _errors(**tables),
         "failing": [asdict(case) for case in explanation.after.failing],
         "notes": list(explanation.notes),
+    }
+
+
+def draft_dict(draft: Draft) -> dict[str, Any]:
+    """Drafted formulas: where, in words, coefficients, held-out RMS before and after.
+
+    Args:
+        draft: The result of `geodrake.drafting.draft_effects`.
+    """
+    return {
+        "effects": [
+            {
+                "name": effect_name(effect.formula.joint),
+                "joint": effect.formula.joint,
+                "formula": effect.formula.words(),
+                "coefficients": {
+                    p.name: {"value": value, "deviation": deviation, "unit": p.unit}
+                    for p, value, deviation in zip(
+                        effect.formula.parameters,
+                        effect.coefficients,
+                        effect.deviations,
+                        strict=True,
+                    )
+                },
+                "rms_before": effect.rms_before,
+                "rms_after": effect.rms_after,
+                "floor": effect.floor,
+                "false_alarm_probability": effect.false_alarm_probability,
+                "indistinguishable_from": effect.rivals,
+            }
+            for effect in draft.effects
+        ],
+        "correlates": [asdict(correlate) for correlate in draft.correlates],
+        "needless": [{"effect": e.name, "where": e.where} for e in draft.needless],
+        "error": _errors(before=draft.before, after=draft.after),
     }
 
 

@@ -33,6 +33,7 @@ class HiddenEffects:
         rotor: Joint -> (gear ratio, inertia of the rotor).
         belt: (i, j) -> (F, c) of a motor that turns with v_i + v_j.
         payload: (mass, centre, gyration radius) of a ball held by the last link.
+        law: Further torques (n,) as a function of q and v, for effects that no catalogue has.
         late: By how much logged efforts lag behind, s.
     """
 
@@ -45,6 +46,7 @@ class HiddenEffects:
     rotor: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     belt: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
     payload: tuple[float, tuple[float, float, float], float] | None = None
+    law: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     late: float = 0.0
 
 
@@ -138,6 +140,12 @@ def resistance(hidden, n) -> Callable:
         root = np.sqrt(v * v + BREAKAWAY_SPEED**2)
         f = height * v / root + wet * v + constant + stiffness * (q - rest)
         slope = np.diag(height * BREAKAWAY_SPEED**2 / root**3 + wet)
+        if hidden.law is not None:
+            f = f + hidden.law(q, v)
+            steps = 1e-5 * np.eye(n)
+            slope = slope + np.stack(
+                [(hidden.law(q, v + h) - hidden.law(q, v - h)) / 2e-5 for h in steps], 1
+            )
         for row, F, c in belts:
             w = row @ v
             root_w = np.hypot(w, BREAKAWAY_SPEED)

@@ -50,6 +50,7 @@ LAYERS = (
     "identification",
     "excitation",
     "diagnosis",
+    "drafting",
     "model_identification",
     "adaptation",
     "online_estimation",

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geodrake.cli.options import AddOptions, DemoOptions, IdentifyOptions, Options, taking
+from geodrake.cli.options import (
+    AddOptions,
+    DemoOptions,
+    ExplainOptions,
+    IdentifyOptions,
+    Options,
+    taking,
+)
 from geodrake.cli.version import version
 
 if TYPE_CHECKING:
@@ -104,10 +111,15 @@ def add(options: AddOptions) -> None:
 
 
 @app.command()
-@taking(Options)
-def explain(options: Options) -> None:
+@taking(ExplainOptions)
+def explain(options: ExplainOptions) -> None:
     """Compare, diagnose and add, until only noise is left or nothing explains the rest."""
-    _explain(options)
+    if options.draft_effect is None:
+        _explain(options)
+        return
+    from geodrake.cli.drafting import run_drafting
+
+    run_drafting(options, options.draft_effect)
 
 
 @app.command()

@@ -19,7 +19,7 @@ LOG_HELP = "CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What compare, diagnose, add and explain are told."""
+    """What all commands on a model and logs are told."""
 
     model: Annotated[Path, typer.Argument(metavar="MODEL", help=MODEL_HELP)]
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=LOG_HELP)]
@@ -49,6 +49,20 @@ class Options:
     debug: Annotated[
         bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
     ] = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplainOptions(Options):
+    """What explain is told."""
+
+    draft_effect: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.py",
+            help="Search a formula for what stays unexplained, and write it as an effect of your "
+            "own, to be used with --effects.",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +158,7 @@ class DemoOptions:
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
 
 
-T = TypeVar("T", Options, AddOptions, IdentifyOptions, DemoOptions)
+T = TypeVar("T", Options, ExplainOptions, AddOptions, IdentifyOptions, DemoOptions)
 
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:

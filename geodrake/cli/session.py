@@ -115,13 +115,13 @@ def run(command: Command[R], options: Options) -> None:
             )
 
         makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
-        targets.write(fitted, {**makers, **command.makers(result)})
+        written = targets.write(fitted, {**makers, **command.makers(result)})
     if options.json == STDOUT:
         print(numbers, end="")
     console = make_console(stderr=options.json == STDOUT)
     console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
     command.show(console, result, Wording(fitted, extra))
-    show_saved(console, targets.files)
+    show_saved(console, written)
 
 
 def _own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

@@ -29,6 +29,7 @@ _SAVED = {
     "export": "model file with the identified inertias",
     "ellipsoids": "ellipsoids",
     "meshcat": "page of ellipsoids",
+    "draft-effect": "drafted effects",
 }
 
 

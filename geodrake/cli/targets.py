@@ -22,6 +22,7 @@ _SUFFIXES = {
     "export": (".urdf", ".sdf", ".xml", ".mjcf", ".world"),
     "ellipsoids": (".png", ".pdf", ".svg"),
     "meshcat": (".html", ".htm"),
+    "draft-effect": (".py",),
 }
 
 
@@ -70,12 +71,17 @@ class Targets:
                 reason = f"cannot be written: {error.strerror or error}"
                 raise _refusal(name, path, reason, "Choose another place.") from error
 
-    def write(self, model: RobotModel, makers: Mapping[str, Callable[[], str | bytes]]) -> None:
+    def write(
+        self, model: RobotModel, makers: Mapping[str, Callable[[], str | bytes]]
+    ) -> dict[str, Path]:
         """Write what was asked for, each file whole or not at all; contents are made first.
 
         Args:
             model: The model to save.
-            makers: Option -> makes the content of its file.
+            makers: Option -> makes the content of its file; nothing is written without one.
+
+        Returns:
+            Option -> file, those written.
 
         Raises:
             OutputError: A file cannot be written after all.
@@ -87,6 +93,7 @@ class Targets:
             write_whole(self.files[name], content)
         if self.save:
             save_model(model, self.save)
+        return {name: path for name, path in self.files.items() if name in {*contents, "save"}}
 
 
 def _check_kind(name: str, path: Path) -> None:

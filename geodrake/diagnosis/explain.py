@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from geodrake.diagnosis.case import error_table, open_case
+from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact import searched
 from geodrake.diagnosis.final_fit import companion_notes, final_fit
 from geodrake.diagnosis.forward import Progress
-from geodrake.diagnosis.hypothesis import first_hypothesis
+from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import refit_step, steps_of
 from geodrake.effects.base import Effect
@@ -22,6 +22,21 @@ from geodrake.motion import JointLog
 
 NOISE_MARGIN = 1.25
 """Errors up to this many times the noise floor count as noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Investigation:
+    """An explanation, and what it rests on.
+
+    Attributes:
+        explanation: The explanation.
+        case: The case, with the columns of what was found.
+        hypothesis: What was found, fitted fold by fold to that case.
+    """
+
+    explanation: Explanation
+    case: Case
+    hypothesis: Hypothesis
 
 
 def explain(
@@ -51,8 +66,15 @@ def explain(
     Raises:
         LogError: A log cannot be used.
     """
-    criteria = criteria or Criteria()
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
+    return investigate(case, criteria=criteria, progress=progress).explanation
+
+
+def investigate(
+    case: Case, *, criteria: Criteria | None = None, progress: Progress | None = None
+) -> Investigation:
+    """Explain a case that has columns for candidates; see `explain`."""
+    criteria, model = criteria or Criteria(), case.model
     before = comparison(case)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     tune = model.information is None
@@ -62,7 +84,7 @@ def explain(
     steps = steps_of(case, trail, fit) or refit_step(case, start, fit, criteria)
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if steps else before.errors
-    return Explanation(
+    explanation = Explanation(
         verdict_of(errors, bool(steps)),
         steps,
         before.errors,
@@ -73,6 +95,7 @@ def explain(
         after if steps else before,
         (*case.notes, *(companion_notes(trail.end.unknowns, fit) if steps else ())),
     )
+    return Investigation(explanation, after_case, end.moved(after_case.dataset, delay=0))
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:

@@ -91,6 +91,12 @@ class Hypothesis:
         """This hypothesis against the effort with another delay."""
         return settle(replace(self, delay=delay))
 
+    def moved_columns(self, dataset: Dataset) -> Indices:
+        """(p,) columns of the unknowns in another dataset of the same bodies and effects."""
+        columns = [np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)]
+        columns += [dataset.effect_columns(effect) for effect in self.unknowns.effects]
+        return np.concatenate(columns)
+
     def moved(self, dataset: Dataset, *, delay: int, iterations: int = 2) -> Hypothesis:
         """This hypothesis on another dataset of the same bodies that has its effects, refitted.
 
@@ -99,9 +105,7 @@ class Hypothesis:
             delay: Index of the delay among those of the dataset.
             iterations: Most refits.
         """
-        columns = [np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)]
-        columns += [dataset.effect_columns(effect) for effect in self.unknowns.effects]
-        unknowns = replace(self.unknowns, columns=np.concatenate(columns))
+        unknowns = replace(self.unknowns, columns=self.moved_columns(dataset))
         moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delay)
         return settle(moved, iterations=iterations)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from geodrake.visualization.draft import draft_figure, render_drafted
 from geodrake.visualization.figures import (
     candidate_figure,
     joint_error_figure,
@@ -26,10 +27,12 @@ __all__ = [
     "candidate_figure",
     "comparison_figures",
     "diagnosis_figures",
+    "draft_figure",
     "effort_figure",
     "joint_error_figure",
     "render_comparison",
     "render_diagnosis",
+    "render_drafted",
     "render_explanation",
     "render_identification",
     "report_figures",

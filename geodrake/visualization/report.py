@@ -133,7 +133,12 @@ def render_diagnosis(
 
 
 def render_explanation(
-    explanation: Explanation, *, title: str, model_name: str, log_names: Sequence[str]
+    explanation: Explanation,
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+    more: Sequence[Section] = (),
 ) -> str:
     """The report of an explanation; arguments as for `render_comparison`.
 
@@ -148,6 +153,7 @@ def render_explanation(
         sections.parameters_section(explanation, units),
         _with_pictures(joints, figures, "joint_errors"),
         sections.failing_section(explanation.after),
+        *more,
         _figures_section(figures, without=("steps", "joint_errors")),
         sections.method_section(explanation.after, refitted=True),
         sections.notes_section(explanation.notes),

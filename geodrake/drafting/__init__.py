@@ -1,0 +1,24 @@
+"""Formulas for what stays unexplained: a sparse search, and effect classes written out.
+
+`draft_effects` explains as `geodrake.diagnosis.explain` does, and then searches sums of products of
+simple functions of positions, velocities, accelerations and loads for what takes the rest away.
+`source_of` writes what it found as effect classes of the user's own.
+"""
+
+from geodrake.drafting.draft import draft_effects, draft_rest
+from geodrake.drafting.formula import Factor, Formula, Term
+from geodrake.drafting.results import Correlate, Draft, DraftedEffect
+from geodrake.drafting.source import effect_name, source_of
+
+__all__ = [
+    "Correlate",
+    "Draft",
+    "DraftedEffect",
+    "Factor",
+    "Formula",
+    "Term",
+    "draft_effects",
+    "draft_rest",
+    "effect_name",
+    "source_of",
+]

@@ -1,0 +1,223 @@
+"""Effects that no catalogue has: a formula is found, written out, and runs as it is."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake import load_model
+from geodrake.diagnosis.case import open_case
+from geodrake.diagnosis.explain import explain
+from geodrake.diagnosis.hypothesis import first_hypothesis
+from geodrake.diagnosis.results import ErrorTable, JointError
+from geodrake.drafting import Draft, DraftedEffect, Factor, Formula, Term, draft_effects, source_of
+from geodrake.drafting.screening import Screen
+from geodrake.drafting.term_columns import TermColumns
+from geodrake.drafting.vocabulary import vocabulary
+from geodrake.effects import load_effect_file
+from geodrake.identification.model_fit import effects_of, model_unknowns
+from geodrake.identification.reduce import reduce_logs
+from geodrake.motion import Motion
+from geodrake.systems import EffectForce
+
+pytest.importorskip("pinocchio")
+
+from pinocchio_logs import (
+    MODELS,
+    HiddenEffects,
+    perturbed,
+    random_motion,
+    record,
+    robot,
+    simulate,
+    without_effects,
+)
+
+JOINTS = load_model(MODELS / "arm6.urdf").joints
+YAW, SHOULDER, ELBOW, ROLL, PITCH, SPIN = JOINTS
+
+
+def smooth_sign(v):
+    return v / np.hypot(v, 5e-3)
+
+
+def at(joint, value):
+    """A torque at one joint."""
+    torque = np.zeros(6)
+    torque[joint] = value
+    return torque
+
+
+INVENTED = {
+    "brake that another joint's position tightens": (
+        lambda q, v: at(2, 3.0 * (1.2 + np.sin(q[3])) * smooth_sign(v[2])),
+        ELBOW,
+        {(ELBOW, "sign_v"), (ROLL, "q")},
+    ),
+    "spring that acts past an angle": (
+        lambda q, v: at(1, 0.6 * np.log1p(np.exp((q[1] - 0.2) / 0.02))),
+        SHOULDER,
+        {(SHOULDER, "q")},
+    ),
+    "friction that grows with a neighbour's speed": (
+        lambda q, v: at(3, 0.9 * abs(v[2]) * smooth_sign(v[3])),
+        ROLL,
+        {(ROLL, "sign_v"), (ELBOW, "v")},
+    ),
+    "hose that hangs from the sum of two angles": (
+        lambda q, v: at(4, 0.5 * np.cos(q[4] + q[3])),
+        PITCH,
+        {(PITCH, "q"), (ROLL, "q")},
+    ),
+    "damper that another joint's position opens": (
+        lambda q, v: at(0, 4.0 * q[1] * v[0]),
+        YAW,
+        {(YAW, "v"), (SHOULDER, "q")},
+    ),
+    "gyroscope that the file knows nothing of": (
+        lambda q, v: at(3, 0.3 * v[4] * v[5]),
+        ROLL,
+        {(PITCH, "v"), (SPIN, "v")},
+    ),
+}
+"""Law, joint, and the signals that it is a function of."""
+
+
+def recording(law, seed, *, seconds=24.0):
+    """A log of an arm whose bodies are 20 % off, and that has a law of its own."""
+    rng, file = np.random.default_rng(seed), robot("arm6")
+    rows = simulate(
+        perturbed(file, rng, 0.2),
+        file,
+        random_motion(file, rng),
+        HiddenEffects(law=law),
+        seconds,
+    )
+    return record("invented", rows, rng, joints=file.names[1:]).log
+
+
+@pytest.mark.parametrize("name", INVENTED)
+def test_invented_effects(name, tmp_path):
+    law, joint, signals = INVENTED[name]
+    log, model = recording(law, 3), load_model(MODELS / "arm6.urdf")
+    explanation, draft = draft_effects(model, [log])
+    assert explanation.verdict == "unexplained"
+    (effect,) = draft.effects
+    assert effect.formula.joint == joint
+    assert frozenset().union(*(term.signals for term in effect.formula.terms)) == signals
+    assert draft.after.nrms < 1.15 * draft.after.floor_nrms
+    assert effect.rms_after < 0.3 * effect.rms_before
+    assert any(c.joint == joint and c.share > 0.5 for c in draft.correlates)
+
+    file = tmp_path / "my_effect.py"
+    file.write_text(source_of(draft))
+    (written,) = load_effect_file(file)
+    assert written().where == (joint,)
+    assert written.candidates("another joint", 1.0) == []
+
+
+def test_a_written_effect_explains(tmp_path):
+    """The file as `--effects` takes it: the verdict is then that all is explained."""
+    law, joint, _ = INVENTED["gyroscope that the file knows nothing of"]
+    log, model = recording(law, 5), load_model(MODELS / "arm6.urdf")
+    file = tmp_path / "my_effect.py"
+    file.write_text(source_of(draft_effects(model, [log])[1]))
+    (written,) = load_effect_file(file)
+    found = explain(model, [log], extra=[written])
+    assert [(step.effect, step.where) for step in found.steps] == [(written.name, (joint,))]
+    assert found.verdict == "explained"
+
+
+def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
+    formula = Formula(
+        ELBOW,
+        (
+            Term(()),
+            Term((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "above", 0.25))),
+            Term((Factor(ELBOW, "v"), Factor(SPIN, "v", "drag"))),
+            Term((Factor(YAW, "vd"), Factor(YAW, "q", "cosine_twice"))),
+            Term((Factor(SHOULDER, "q", "below", -0.5),)),
+            Term((Factor(SHOULDER, "load", "size"), Factor(YAW, "q", "square"))),
+        ),
+    )
+    model, six = load_model(MODELS / "arm6.urdf"), np.arange(6.0)
+    drafted = DraftedEffect(formula, six, six, 2.0, 1.0, 0.9, 0.0, (), six, six, six)
+    errors = ErrorTable((JointError(ELBOW, 1.0, 3.0, 0.9),))
+    draft = Draft((drafted,), (), (), errors, errors, ("a log",))
+    file = tmp_path / "written.py"
+    file.write_text(source_of(draft))
+    assert max(map(len, file.read_text().splitlines())) <= 100
+    (written,) = load_effect_file(file)
+    rng = np.random.default_rng(0)
+    seen = model.motion(Motion(*rng.normal(size=(3, 20, 6))), sign_width=0.01)
+    expected = TermColumns(formula).rows(seen)[ELBOW]
+    np.testing.assert_allclose(written().rows(seen)[ELBOW], expected, rtol=1e-5, atol=1e-12)
+    # By hand: the second column.
+    q, v = seen.q, seen.v
+    by_hand = np.tanh(v[:, 2] / 0.01) * np.maximum(q[:, 3] - 0.25, 0.0)
+    np.testing.assert_allclose(expected[:, 1], by_hand, rtol=1e-12)
+
+    direct = Formula(ELBOW, formula.terms[:3])
+    plant = load_model(MODELS / "arm6.urdf").plant
+    force = EffectForce(plant, [(TermColumns(direct), [0.5, 2.0, 3.0])], sign_width=0.01)
+    builder = DiagramBuilder()
+    builder.AddSystem(force)
+    builder.ExportInput(force.GetInputPort("state"))
+    builder.ExportOutput(force.GetOutputPort("generalized_force"))
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    diagram.get_input_port(0).FixValue(context, np.concatenate([q[0], v[0]]))
+    output = diagram.get_output_port(0).Eval(context)
+    wanted = np.zeros(6)
+    wanted[2] = -expected[0, :3] @ [0.5, 2.0, 3.0]
+    np.testing.assert_allclose(output, wanted, rtol=1e-12)
+
+
+def test_screen_agrees_with_cross_validation():
+    """Held-out errors by the formulas of the screen, and by refitting with each candidate."""
+    log = recording(INVENTED["damper that another joint's position opens"][0], 2, seconds=12.0)
+    model = load_model(MODELS / "arm6.urdf")
+    case = open_case(model, [log], candidates=False)
+    reach = dict.fromkeys(JOINTS, (-1.0, 1.0))
+    terms = tuple(vocabulary(YAW, JOINTS, reach)[::37])
+    columns = TermColumns(Formula(YAW, terms))
+    dataset = reduce_logs(
+        model, case.trajectories, case.folds, effects=[*effects_of(model), columns]
+    )
+    hypothesis = first_hypothesis(dataset, model_unknowns(dataset, model))
+    screen = Screen.of(hypothesis, dataset, columns)
+    before, after = screen.next_terms(())
+    j = JOINTS.index(YAW)
+    np.testing.assert_allclose(before, hypothesis.held_out.sse[:, j], rtol=1e-5)
+    numbers = dataset.effect_columns(columns)
+    free = np.array([np.inf])
+    for k in np.flatnonzero(np.isfinite(after).all(0)):
+        exact = hypothesis.cv.with_candidate(numbers[[k]], np.zeros((1, 1)), -free, free)
+        np.testing.assert_allclose(after[:, k], exact.sse[:, j], rtol=1e-4)
+
+
+def test_nothing_to_draft():
+    draft = draft_effects(load_model(MODELS / "arm6.urdf"), [without_effects("arm6", 4).log])[1]
+    assert draft.effects == ()
+    assert draft.correlates == ()
+    assert draft.before.nrms == draft.after.nrms
+
+
+def test_coloured_noise_is_no_formula():
+    log = without_effects("arm6", 101, colour=0.8).log
+    assert draft_effects(load_model(MODELS / "arm6.urdf"), [log])[1].effects == ()
+
+
+def test_vocabulary_has_nothing_twice():
+    terms = vocabulary(YAW, JOINTS, dict.fromkeys(JOINTS, (-1.0, 2.0)))
+    assert len({frozenset(term.factors) for term in terms}) == len(terms) > 500
+    assert Term(()) in terms
+
+
+def test_words_and_units():
+    term = Term((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "sine")))
+    assert term.words(ELBOW) == "its direction of motion times sine of the position of wrist_roll"
+    assert term.unit == "N·m"
+    assert Term((Factor(ELBOW, "v"), Factor(ROLL, "v", "size"))).unit == "N·m/(rad/s·rad/s)"
+    assert Term((Factor(ELBOW, "q", "above", 0.25),)).words(ELBOW) == (
+        "its position beyond 0.25 upwards"
+    )
