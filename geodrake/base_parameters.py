@@ -256,7 +256,7 @@ def _scales(factor: Array, bodies: int) -> Array:
 def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Indices:
     """(rank,) independent columns, by preference those of bodies near the base, I before m."""
     split = bodies * PARAMETERS_PER_BODY
-    order = np.arange(split).reshape(bodies, -1)[:, _PREFERENCE].ravel()
+    order = np.arange(split).reshape(-1, PARAMETERS_PER_BODY)[:, _PREFERENCE].ravel()
     order = np.concatenate([order, np.arange(split, scaled.shape[1])])
     basis = np.zeros((len(scaled), rank))
     kept: list[int] = []

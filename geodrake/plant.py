@@ -149,7 +149,7 @@ _KEPT = (
 
 def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:
     """Welds the free roots to the world unless they shall float; says what is worth saying."""
-    roots = _free_roots(plant)
+    roots = free_roots(plant)
     if floating:
         return [] if roots else ["The file attaches the robot to the world, so nothing floats."]
     for body in roots:
@@ -159,7 +159,7 @@ def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:
     return [f"{names} are roots of their own; each is welded to the world."] if roots[1:] else []
 
 
-def _free_roots(plant: MultibodyPlant) -> list[RigidBody]:
+def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
     """The root of each tree that no joint connects to the world."""
     tree = list(range(plant.num_bodies()))
     children = set()

@@ -25,7 +25,7 @@ TIMED = [
 
 
 def trajectory_of(family, model, seed=0):
-    coefficients = family.random(np.random.default_rng(seed), len(model.joints))
+    coefficients = np.random.default_rng(seed).normal(size=(family.count, len(model.joints)))
     return ExcitationTrajectory(family, coefficients, model.joints, joint_order(model))
 
 
@@ -58,7 +58,7 @@ class TestTimed:
         coarse, fine = family.limit_times(), np.linspace(0.0, family.length, 4001)
         assert coarse[0] == 0.0 and coarse[-1] == family.length
         for seed in range(5):
-            c = family.random(np.random.default_rng(seed), 4)
+            c = np.random.default_rng(seed).normal(size=(family.count, 4))
             found, peak = (np.abs(family.basis(t) @ c).max(1) for t in (coarse, fine))
             assert (peak <= 1.02 * found).all()
 

@@ -1,1 +1,65 @@
-"""Excitation: which motion tells a robot's parameters best, and what a given one can tell."""
+"""Excitation: which motion tells a robot's parameters best, and what a given one can tell.
+
+    limits = motion_limits(model, acceleration=5.0)
+    target = make_target(model, noise=0.1)                    # what is unknown, measured how well
+    result = design_excitation(target, limits, trajectory=FourierMotion(10.0, 5))
+    write_trajectory(result.trajectory, "motion.csv", model)
+
+A motion is judged by the eigenvalues of its information matrix, normalized so that neither frames
+nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
+"""
+
+from geodrake.excitation.collision_geometry import Solid
+from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.criteria import CRITERIA, Criterion
+from geodrake.excitation.design import (
+    DesignOptions,
+    DesignProgress,
+    ExcitationResult,
+    SeedOutcome,
+    design_excitation,
+)
+from geodrake.excitation.families import FourierMotion, FreeSamples, MotionFamily, SplineMotion
+from geodrake.excitation.information import Objective
+from geodrake.excitation.limits import MotionLimits, motion_limits
+from geodrake.excitation.margins import LimitUse
+from geodrake.excitation.normalization import NORMALIZATIONS
+from geodrake.excitation.regressor_gradient import (
+    base_wrench_regressor_gradient,
+    inverse_dynamics_regressor_gradient,
+    regressor_jacobian,
+)
+from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.target import Target, make_target
+from geodrake.excitation.trajectory import ExcitationTrajectory
+from geodrake.excitation.trajectory_files import ros_joint_trajectory, write_trajectory
+
+__all__ = [
+    "CRITERIA",
+    "NORMALIZATIONS",
+    "CollisionWorld",
+    "Criterion",
+    "DesignOptions",
+    "DesignProgress",
+    "ExcitationResult",
+    "ExcitationTrajectory",
+    "FourierMotion",
+    "FreeSamples",
+    "LimitUse",
+    "MotionFamily",
+    "MotionGradient",
+    "MotionLimits",
+    "Objective",
+    "SeedOutcome",
+    "Solid",
+    "SplineMotion",
+    "Target",
+    "base_wrench_regressor_gradient",
+    "design_excitation",
+    "inverse_dynamics_regressor_gradient",
+    "make_target",
+    "motion_limits",
+    "regressor_jacobian",
+    "ros_joint_trajectory",
+    "write_trajectory",
+]

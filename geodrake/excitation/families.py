@@ -87,10 +87,6 @@ class MotionFamily(abc.ABC):
             )
         return np.array(kept).reshape(-1, self.count)
 
-    def random(self, rng: np.random.Generator, joints: int) -> Array:
-        """(count, joints) random coefficients of a motion about zero, of any size."""
-        return rng.normal(size=(self.count, joints))
-
 
 @dataclass(frozen=True)
 class FourierMotion(MotionFamily):
@@ -157,15 +153,6 @@ class FourierMotion(MotionFamily):
             Phi[order, :, first::2], Phi[order, :, first + 1 :: 2] = even, odd
         Phi[0, :, :first] = 1.0
         return Phi
-
-    def random(self, rng: np.random.Generator, joints: int) -> Array:
-        """Random coefficients, those of higher modes smaller, without an offset."""
-        coefficients = rng.normal(size=(self.count, joints))
-        first = 1 if self.offset else 0
-        modes = np.arange(1, self.modes + 1)
-        coefficients[first:] /= np.repeat(modes, 2)[:, None]
-        coefficients[:first] = 0.0
-        return coefficients
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class ModelDescription:
             ModelError: Drake cannot parse the description; the message has Drake's reason.
         """
         parser = Parser(plant)
-        _add_packages(parser.package_map(), self.path)
+        add_packages(parser.package_map(), self.path)
         with drake_errors(self.path):
             if self.directives is None:
                 for text in self.texts:
@@ -97,7 +97,7 @@ def read_description(path: Path) -> ModelDescription:
 
 def _read_directives(path: Path) -> ModelDescription:
     packages = PackageMap()
-    _add_packages(packages, path)
+    add_packages(packages, path)
     with drake_errors(path):
         directives = FlattenModelDirectives(LoadModelDirectives(str(path)), packages)
         models = [d.add_model for d in directives.directives if d.add_model]
@@ -118,7 +118,7 @@ def _read_directives(path: Path) -> ModelDescription:
     return ModelDescription(path, tuple(texts), directives)
 
 
-def _add_packages(packages: PackageMap, path: Path) -> None:
+def add_packages(packages: PackageMap, path: Path) -> None:
     """Makes the packages around a file known, so that package:// leads somewhere."""
     for folder in path.resolve().parents:
         if (folder / "package.xml").is_file():

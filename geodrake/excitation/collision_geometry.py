@@ -1,0 +1,145 @@
+"""A robot's plant with collision geometry: that of its file, of the user, and of the world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree.ElementTree import tostring
+
+from pydrake.geometry import SceneGraph, Shape
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.model import RobotModel
+from geodrake.model_files import read_description
+from geodrake.model_files.description import add_packages, drake_errors, drake_messages
+from geodrake.model_files.values import drop
+from geodrake.model_files.xml_text import parse_xml
+from geodrake.plant import free_roots
+
+_CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A shape that stands in the way, or that a link has.
+
+    Attributes:
+        name: What messages call it.
+        shape: Drake's shape, such as `Box(0.5, 0.5, 0.1)`.
+        X_BG: Its pose in the link's frame; for an obstacle, in the world.
+    """
+
+    name: str
+    shape: Shape
+    X_BG: RigidTransform
+
+
+def add_collision_plant(
+    builder: DiagramBuilder,
+    model: RobotModel,
+    obstacles: Sequence[Solid],
+    links: Mapping[str, Sequence[Solid]],
+    *,
+    use_file: bool = True,
+) -> tuple[MultibodyPlant, SceneGraph]:
+    """Adds a finalized plant of the model with collision geometry, and its SceneGraph.
+
+    Args:
+        builder: Of the diagram.
+        model: The robot. Its joints are read as always, and its geometry from its file.
+        obstacles: Solids fixed to the world.
+        links: Link name -> further solids of the link.
+        use_file: Whether the file's own collision geometry counts.
+
+    Raises:
+        ModelError: The file cannot be read with its geometry.
+        ArgumentError: There is no such link.
+    """
+    plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
+    with drake_messages(), drake_errors(model.path):
+        read_description(model.path).add_to(plant)
+    if not model.floating:
+        for body in free_roots(plant):
+            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+    bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
+    by_scope = {body.scoped_name().get_full(): body for body in bodies}
+    for scope, solids in _solids_of_file(model).items() if use_file else ():
+        for solid in solids if scope in by_scope else ():
+            _register(plant, by_scope[scope], solid)
+    for solid in obstacles:
+        _register(plant, plant.world_body(), solid)
+    for name, further in links.items():
+        found = [body for body in bodies if name in (body.name(), body.scoped_name().get_full())]
+        if not found:
+            raise ArgumentError(
+                f"There is no link {name!r}.",
+                advice=f"Links are: {', '.join(body.name() for body in bodies[1:])}.",
+            )
+        for solid in further:
+            _register(plant, found[0], solid)
+    plant.Finalize()
+    return plant, scene
+
+
+def _register(plant: MultibodyPlant, body: object, solid: Solid) -> None:
+    plant.RegisterCollisionGeometry(body, solid.X_BG, solid.shape, solid.name, _CONTACT)
+
+
+def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
+    """Collision geometry of a file by scoped link name, as Drake reads it."""
+    plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+    parser = Parser(plant)
+    add_packages(parser.package_map(), model.path)
+    try:
+        with drake_messages():
+            _parse(parser, model)
+            plant.Finalize()
+    except RuntimeError as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise ModelError(
+            f"Drake cannot read {model.path} with its collision geometry: {reason}",
+            advice="Give the links shapes of their own with `links` and leave out those of the "
+            "file (use_file=False).",
+            path=model.path,
+        ) from error
+    inspector, found = scene.model_inspector(), {}
+    for i in range(plant.num_bodies()):
+        body = plant.get_body(BodyIndex(i))
+        found[body.scoped_name().get_full()] = [
+            Solid(
+                f"{k}_{inspector.GetName(geometry).split('::')[-1]}",
+                inspector.GetShape(geometry).Clone(),
+                inspector.GetPoseInFrame(geometry),
+            )
+            for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body))
+        ]
+    return found
+
+
+def _parse(parser: Parser, model: RobotModel) -> None:
+    """Reads the file without what Drake might trip over and geometry does not need."""
+    root = None if model.path.suffix.lower() in (".yaml", ".yml") else parse_xml(model.path)
+    if root is None or root.tag not in ("robot", "sdf"):
+        parser.AddModels(str(model.path))
+        return
+    drop(root, "visual", "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo")
+    folder = model.path.resolve().parent  # which Drake does not know of a text
+    for mesh in root.iter("mesh"):
+        if "filename" in mesh.attrib:
+            mesh.set("filename", _placed(mesh.get("filename", ""), folder))
+    for uri in root.iter("uri"):
+        uri.text = _placed(uri.text or "", folder)
+    kind = "urdf" if root.tag == "robot" else "sdf"
+    parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
+
+
+def _placed(place: str, folder: Path) -> str:
+    """A file's place, absolute unless it is a URL."""
+    return place if "://" in place else str(folder / place.strip())

@@ -1,0 +1,293 @@
+"""The most telling motion that a robot can execute, [Lee2019] §4.4."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.criteria import Criterion
+from geodrake.excitation.families import FourierMotion, MotionFamily
+from geodrake.excitation.guess import random_guess, within_limits
+from geodrake.excitation.information import Objective
+from geodrake.excitation.limits import MotionLimits, motion_limits
+from geodrake.excitation.margins import LimitUse, limit_use
+from geodrake.excitation.nonlinear_solvers import check_solver, solve
+from geodrake.excitation.postures import check_start, possible_postures
+from geodrake.excitation.problem import DesignProblem
+from geodrake.excitation.target import Target, make_target
+from geodrake.excitation.trajectory import ExcitationTrajectory
+from geodrake.model import RobotModel
+from geodrake.motion import Motion
+
+Array = NDArray[np.float64]
+
+_NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
+
+
+@dataclass(frozen=True, eq=False)
+class DesignOptions:
+    """How a design is made.
+
+    Attributes:
+        samples: Number of samples by which information is counted.
+        rest: Whether the motion starts and ends at rest, without a jump of acceleration.
+        start: (nv,) positions at the start by joint, rad or m; free if None.
+        collisions: What may not be hit.
+        solver: "snopt" or "ipopt".
+        iterations: Most iterations of the solver, for each stage.
+        seconds: Most time of the solver for each seed, s.
+        sharpness: Stages of the smooth forms of E-optimality and condition number; see
+            `Criterion`.
+    """
+
+    samples: int = 400
+    rest: bool = True
+    start: ArrayLike | None = None
+    collisions: CollisionWorld | None = None
+    solver: str = "snopt"
+    iterations: int = 300
+    seconds: float = 60.0
+    sharpness: tuple[float, ...] = (8.0, 64.0)
+
+
+@dataclass(frozen=True)
+class DesignProgress:
+    """Where a design is.
+
+    Attributes:
+        seed: Number of the start, from zero.
+        seeds: How many there are.
+        evaluations: Evaluations of the criterion since the design began.
+        value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
+    """
+
+    seed: int
+    seeds: int
+    evaluations: int
+    value: float
+
+
+@dataclass(frozen=True)
+class SeedOutcome:
+    """What one start came to.
+
+    Attributes:
+        seed: Its number.
+        random_value: Criterion of the random motion that it began with, which keeps the limits.
+        value: Criterion of the motion that it ended with, which keeps them too.
+        evaluations: Evaluations of the criterion and its gradient.
+        seconds: Time that it took.
+        status: What the solver said.
+    """
+
+    seed: int
+    random_value: float
+    value: float
+    evaluations: int
+    seconds: float
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationResult:
+    """A designed motion.
+
+    Attributes:
+        trajectory: The motion.
+        objective: The criterion that it is best by, with the target.
+        value: Its value, as the source defines it (not the logarithm).
+        eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
+            of an estimate from `samples` samples, along its principal directions.
+        samples: Number of samples that count.
+        use: What it uses of its limits, all of which it keeps.
+        limits: The limits.
+        outcomes: What each seed came to.
+        notes: What is worth knowing.
+    """
+
+    trajectory: ExcitationTrajectory
+    objective: Objective
+    value: float
+    eigenvalues: Array
+    samples: int
+    use: LimitUse
+    limits: MotionLimits
+    outcomes: tuple[SeedOutcome, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def motion(self) -> Motion:
+        """The samples that the value is of."""
+        return self.trajectory.motion(self.trajectory.family.times(self.samples))
+
+
+def design_excitation(
+    what: RobotModel | Target,
+    limits: MotionLimits | None = None,
+    *,
+    criterion: str | Criterion = "e_optimality",
+    normalization: str = "geometric",
+    trajectory: MotionFamily | None = None,
+    options: DesignOptions | None = None,
+    seeds: int | Sequence[int] = 3,
+    progress: Callable[[DesignProgress], None] | None = None,
+) -> ExcitationResult:
+    """The motion within limits that tells a robot's parameters best.
+
+    Args:
+        what: A robot, of which all inertias and the model's effects are to be told by efforts; or
+            a `Target`, which says what is unknown, what is measured and with which noise.
+        limits: What the robot may do; the limits of its model file if None.
+        criterion: One of `CRITERIA`, or a `Criterion`.
+        normalization: One of `NORMALIZATIONS`.
+        trajectory: The family of motions; a Fourier series of 10 s if None.
+        options: How the design is made.
+        seeds: Number of random starts, or their seeds.
+        progress: Called after every evaluation of the criterion. To stop a design, raise an
+            exception of your own in it.
+
+    Raises:
+        ArgumentError: Limits leave no room, a speed is not limited, the start cannot be held, no
+            posture can, or the noise is not positive; the message says which joint and where.
+    """
+    options = DesignOptions() if options is None else options
+    target = what if isinstance(what, Target) else make_target(what)
+    criterion = Criterion(criterion) if isinstance(criterion, str) else criterion
+    family = FourierMotion() if trajectory is None else trajectory
+    chosen = list(range(seeds)) if isinstance(seeds, int) else [*seeds]
+    check_solver(options.solver)
+    if not chosen or options.samples < 1 or not options.sharpness:
+        raise ArgumentError(
+            f"A design needs at least one seed, sample and stage; got {chosen}, "
+            f"{options.samples} and {options.sharpness}."
+        )
+    problem = make_problem(Objective(target, criterion, normalization), limits, family, options)
+    if problem.start is None:
+        postures = possible_postures(target.model, problem.limits, options.collisions)
+        postures = postures[:_NEAREST_POSTURES]
+    else:
+        check_start(target.model, problem.limits, problem.start, options.collisions)
+        postures = problem.start[None]
+    run = _Run(problem, options, postures, len(chosen), progress)
+    ends = [run.from_seed(number, seed) for number, seed in enumerate(chosen)]
+    best, _ = min(ends, key=lambda end: end[1].value)
+    final = problem.trajectory(best)
+    eigenvalues = problem.objective.eigenvalues(final.motion(problem.times))
+    return ExcitationResult(
+        trajectory=final,
+        objective=problem.objective,
+        value=criterion.value(eigenvalues),
+        eigenvalues=eigenvalues,
+        samples=len(problem.times),
+        use=limit_use(problem, best),
+        limits=problem.limits,
+        outcomes=tuple(outcome for _, outcome in ends),
+        notes=() if options.collisions is None else options.collisions.notes,
+    )
+
+
+def make_problem(
+    objective: Objective,
+    limits: MotionLimits | None,
+    family: MotionFamily,
+    options: DesignOptions,
+) -> DesignProblem:
+    """The design problem of options.
+
+    Raises:
+        ArgumentError: Limits leave no room or let samples be without bounds, or the ends leave no
+            coefficient free.
+    """
+    model = objective.target.model
+    limits = motion_limits(model) if limits is None else limits
+    if limits.joints != model.joints:
+        raise ArgumentError(
+            f"The limits are of the joints {limits.joints}; the robot has {model.joints}."
+        )
+    if not family.timed and not np.isfinite(limits.acceleration).all():
+        joint = limits.joints[int(np.argmin(np.isfinite(limits.acceleration)))]
+        raise ArgumentError(
+            f"The acceleration of joint {joint!r} is not limited, and free samples have no other "
+            "bound for it.",
+            advice=f"Say how large it may be, such as acceleration={{{joint!r}: 5.0}}.",
+            joint=joint,
+        )
+    start = None if options.start is None else np.asarray(options.start, float)
+    return DesignProblem(
+        objective,
+        limits,
+        family,
+        samples=options.samples,
+        rest=options.rest,
+        start=start if family.timed else None,
+        collisions=options.collisions,
+    )
+
+
+@dataclass
+class _Run:
+    """The starts of one design, one after the other."""
+
+    problem: DesignProblem
+    options: DesignOptions
+    postures: Array
+    seeds: int
+    progress: Callable[[DesignProgress], None] | None
+    evaluations: int = field(default=0)
+
+    def from_seed(self, number: int, seed: int) -> tuple[Array, SeedOutcome]:
+        """The best motion (f, nv) from a random one, and how it was found."""
+        begin, before = time.monotonic(), self.evaluations
+        rng = np.random.default_rng(seed)
+        guess, held = random_guess(self.problem, self.postures, rng)
+        random_value = self._value(guess)
+        found, status = guess, "not solved"
+        for stage in self._stages():
+            left = self.options.seconds - (time.monotonic() - begin)
+            if left <= 0:
+                break
+            watched = replace(
+                self.problem, objective=replace(self.problem.objective, criterion=stage)
+            )
+            reached, status = solve(
+                watched,
+                found,
+                solver=self.options.solver,
+                iterations=self.options.iterations,
+                seconds=left,
+                watch=lambda value, _: self._tell(number, value),
+            )
+            inside = within_limits(self.problem, reached.reshape(held.shape), held)
+            if inside is not None and self._value(inside) < self._value(found):
+                found = inside
+        outcome = SeedOutcome(
+            seed=seed,
+            random_value=random_value,
+            value=self._value(found),
+            evaluations=self.evaluations - before,
+            seconds=time.monotonic() - begin,
+            status=status,
+        )
+        return found, outcome
+
+    def _stages(self) -> list[Criterion]:
+        """The criterion, ever less smoothed if it is."""
+        criterion = self.problem.objective.criterion
+        if criterion.name in ("a_optimality", "d_optimality"):
+            return [criterion]
+        return [replace(criterion, sharpness=sharpness) for sharpness in self.options.sharpness]
+
+    def _value(self, variables: Array) -> float:
+        motion = self.problem.trajectory(variables).motion(self.problem.times)
+        return self.problem.objective.value(motion)
+
+    def _tell(self, number: int, value: float) -> None:
+        self.evaluations += 1
+        if self.progress is not None:
+            self.progress(DesignProgress(number, self.seeds, self.evaluations, value))

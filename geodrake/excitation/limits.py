@@ -1,0 +1,184 @@
+"""What a robot may do: limits of its joints, and whether they leave room to move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.trajectory import joint_order
+from geodrake.model import RobotModel
+from geodrake.plant import effort_limits, position_limits, velocity_limits
+
+Array = NDArray[np.float64]
+ByJoint = float | Mapping[str, float] | ArrayLike | None
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits of the nv joints of a robot, which must be of one degree of freedom each.
+
+    Attributes:
+        joints: Their names.
+        lower: (nv,) least positions, rad or m.
+        upper: (nv,) greatest positions, rad or m.
+        velocity: (nv,) largest speeds, rad/s or m/s.
+        acceleration: (nv,) largest accelerations, rad/s² or m/s²; infinite for none.
+        effort: (nv,) largest efforts, N·m or N; infinite for none.
+
+    Raises:
+        ArgumentError: A joint has no room to move, or is not limited in position or speed.
+    """
+
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+
+    def __post_init__(self) -> None:
+        for field in fields(self)[1:]:
+            values = np.array(getattr(self, field.name), float)
+            if values.shape != (len(self.joints),):
+                raise ArgumentError(
+                    f"The limits of {field.name} have the shape {values.shape}; there are "
+                    f"{len(self.joints)} joints."
+                )
+            object.__setattr__(self, field.name, values)
+        self._check_range()
+        for name in ("velocity", "acceleration", "effort"):
+            for joint, value in zip(self.joints, getattr(self, name).tolist(), strict=True):
+                if not value > 0:
+                    raise ArgumentError(
+                        f"Joint {joint!r} has no room to move: its largest {name} is {value:g}.",
+                        advice=f"Give it a positive limit of {name}, or weld the joint.",
+                        joint=joint,
+                    )
+        for joint, value in zip(self.joints, self.velocity.tolist(), strict=True):
+            if not value < np.inf:
+                raise ArgumentError(
+                    f"The speed of joint {joint!r} is not limited, so the best motion has no end.",
+                    advice=f"Say how fast it may be, such as velocity={{{joint!r}: 1.0}}.",
+                    joint=joint,
+                )
+
+    def _check_range(self) -> None:
+        for joint, low, high in zip(
+            self.joints, self.lower.tolist(), self.upper.tolist(), strict=True
+        ):
+            if not low < high:
+                raise ArgumentError(
+                    f"Joint {joint!r} has no room to move: its positions are limited to {low:g} "
+                    f"… {high:g}.",
+                    advice="Correct the limits, or weld the joint.",
+                    joint=joint,
+                )
+            if not -np.inf < low < high < np.inf:
+                raise ArgumentError(
+                    f"The position of joint {joint!r} is not limited: {low:g} … {high:g}.",
+                    advice=f"Say how far it may go, such as position={{{joint!r}: (-0.5, 0.5)}}.",
+                    joint=joint,
+                )
+
+    @property
+    def middle(self) -> Array:
+        """(nv,) positions halfway between the limits, rad or m."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def reach(self) -> Array:
+        """(nv,) half of the ranges of positions, rad or m."""
+        return 0.5 * (self.upper - self.lower)
+
+    def scaled(self, share: float) -> MotionLimits:
+        """The same with a share of everything; positions shrink towards the middle.
+
+        Raises:
+            ArgumentError: The share is not positive.
+        """
+        if not share > 0:
+            raise ArgumentError(f"A share of limits is positive; got {share}.")
+        return replace(
+            self,
+            lower=self.middle - share * self.reach,
+            upper=self.middle + share * self.reach,
+            velocity=share * self.velocity,
+            acceleration=share * self.acceleration,
+            effort=share * self.effort,
+        )
+
+
+def motion_limits(
+    model: RobotModel,
+    *,
+    position: Mapping[str, tuple[float, float]] | None = None,
+    velocity: ByJoint = None,
+    acceleration: ByJoint = None,
+    effort: ByJoint = None,
+) -> MotionLimits:
+    """The limits of a robot's model file, and others in their place.
+
+    A turning joint whose position is not limited may go half a turn to either side.
+
+    Args:
+        model: The robot.
+        position: Least and greatest position of joints by name, rad or m.
+        velocity: Largest speed: one, (nv,), or by name for some joints, rad/s or m/s.
+        acceleration: Largest acceleration, likewise, rad/s² or m/s².
+        effort: Largest effort, likewise, N·m or N.
+
+    Raises:
+        ArgumentError: There is no such joint, a joint has no room to move, or it is not limited in
+            position or speed, or has several degrees of freedom.
+    """
+    order = joint_order(model)
+    lower, upper = (np.empty(len(order)) for _ in range(2))
+    lower[order], upper[order] = position_limits(model.plant)
+    turning = np.array([name not in model.sliding_joints for name in model.joints])
+    lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
+    upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
+    for joint, pair in (position or {}).items():
+        if np.shape(pair) != (2,):
+            raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
+        lower[_index(model, joint)], upper[_index(model, joint)] = pair
+    acceleration_limits = np.minimum(
+        model.plant.GetAccelerationUpperLimits(), -model.plant.GetAccelerationLowerLimits()
+    )
+    return MotionLimits(
+        model.joints,
+        lower,
+        upper,
+        _overridden(model, velocity_limits(model.plant), velocity, "velocity"),
+        _overridden(model, acceleration_limits, acceleration, "acceleration"),
+        _overridden(model, effort_limits(model.plant), effort, "effort"),
+    )
+
+
+def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> Array:
+    """Values (nv,) with those given in their place."""
+    values = np.array(values, float)
+    if given is None:
+        return values
+    if isinstance(given, Mapping):
+        for joint, value in given.items():
+            values[_index(model, joint)] = value
+        return values
+    try:
+        return np.broadcast_to(np.asarray(given, float), values.shape).copy()
+    except ValueError as error:
+        raise ArgumentError(
+            f"The limits of {what} have the shape {np.shape(given)}; there are {len(values)} "
+            "joints."
+        ) from error
+
+
+def _index(model: RobotModel, joint: str) -> int:
+    if joint not in model.joints:
+        raise ArgumentError(
+            f"There is no joint {joint!r}.", advice=f"Joints are: {', '.join(model.joints)}."
+        )
+    return model.joints.index(joint)

@@ -1,0 +1,210 @@
+"""A design problem in the variables of a solver: a motion family, what is fixed, what is scaled.
+
+The coefficients of all joints are C = C₀ + Z (s ∘ Y). Columns of Z span what the conditions at the
+ends leave free, C₀ meets them, and s is such that a variable of one alone reaches a limit of its
+joint. So variables are of one size, and the ends need no constraints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.families import MotionFamily
+from geodrake.excitation.information import Objective
+from geodrake.excitation.limits import MotionLimits
+from geodrake.excitation.motion_gradient import effort_gradient
+from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
+from geodrake.model import RobotModel
+from geodrake.motion import Motion
+
+Array = NDArray[np.float64]
+
+_EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited
+_COLLISION_SHARE = 0.05  # likewise of collisions
+_STILL = 1e-8  # relative error of a constant motion
+
+
+@dataclass(frozen=True, eq=False)
+class DesignProblem:
+    """The most telling motion of a family within limits, as a function of variables.
+
+    Attributes:
+        objective: What the motion shall tell.
+        limits: What the robot may do.
+        family: Motions to choose from.
+        samples: Number of samples of a motion, by which information is counted.
+        rest: Whether the motion starts and ends at rest, and with no jump of acceleration.
+        start: (nv,) position at the start by joint; free if None.
+        collisions: What may not be hit; nothing if None.
+
+    Raises:
+        ArgumentError: The family has no coefficient left by the ends, or cannot rest anywhere
+            within the limits.
+    """
+
+    objective: Objective
+    limits: MotionLimits
+    family: MotionFamily
+    samples: int = 400
+    rest: bool = True
+    start: Array | None = None
+    collisions: CollisionWorld | None = None
+
+    @property
+    def model(self) -> RobotModel:
+        """The robot."""
+        return self.objective.target.model
+
+    @property
+    def sign_width(self) -> Array:
+        """(nv,) speed over which friction changes sign."""
+        return self.objective.target.sign_width
+
+    @cached_property
+    def conditions(self) -> Array:
+        """(k, count) rows E; E c is zero but for the start, which is the last row."""
+        return self.family.conditions(rest=self.rest, start=self.start is not None)
+
+    @cached_property
+    def free(self) -> Array:
+        """(count, f) Z, orthonormal."""
+        if not len(self.conditions):
+            return np.eye(self.family.count)
+        sizes = np.linalg.norm(self.conditions, axis=1, keepdims=True)
+        return np.asarray(null_space(self.conditions / sizes))
+
+    @cached_property
+    def offset(self) -> Array:
+        """(count, nv) C₀: the robot at the start, if there is one, and zero otherwise."""
+        nv = len(self.limits.joints)
+        if self.start is None or not self.family.timed:
+            return np.zeros((self.family.count, nv))
+        given = np.zeros((len(self.conditions), nv))
+        given[-1] = self.start
+        return np.asarray(np.linalg.lstsq(self.conditions, given)[0])
+
+    @cached_property
+    def times(self) -> Array:
+        """(N,) instants of the samples."""
+        return self.family.times(self.samples)
+
+    @cached_property
+    def basis(self) -> Array:
+        """(3, N, count) basis of the samples."""
+        return self.family.basis(self.times)
+
+    @cached_property
+    def limit_basis(self) -> Array:
+        """(3, n, count) basis where positions, velocities and accelerations are limited."""
+        return self.family.basis(self.family.limit_times())
+
+    @cached_property
+    def effort_basis(self) -> Array:
+        """(3, n, count) basis where efforts are limited."""
+        return self.family.basis(self.family.limit_times(_EFFORT_SHARE))
+
+    @cached_property
+    def collision_basis(self) -> Array:
+        """(3, n, count) basis where collisions are looked for."""
+        return self.family.basis(self.family.limit_times(_COLLISION_SHARE))
+
+    @cached_property
+    def scale(self) -> Array:
+        """(f, nv) s."""
+        reach = np.abs(self.limit_basis @ self.free).max(axis=1)  # (3, f)
+        bounds = np.stack([self.limits.reach, self.limits.velocity, self.limits.acceleration])
+        with np.errstate(divide="ignore"):
+            ratios = bounds[:, None, :] / np.maximum(reach, 1e-300)[:, :, None]
+        return np.asarray(ratios.min(axis=0))
+
+    @cached_property
+    def still(self) -> Array | None:
+        """(count,) coefficients of the constant one; None if the family has it not."""
+        wanted = np.concatenate([np.ones(self.basis.shape[1]), np.zeros(2 * self.basis.shape[1])])
+        stacked = self.basis.reshape(-1, self.family.count)
+        found = np.linalg.lstsq(stacked, wanted)[0]
+        return np.asarray(found) if np.abs(stacked @ found - wanted).max() < _STILL else None
+
+    def held(self, posture: Array) -> Array:
+        """(f, nv) variables of a robot that stays in a posture (nv,).
+
+        Raises:
+            ArgumentError: The family has no constant but zero, and that is out of the limits.
+        """
+        if self.still is None:
+            outside = (self.limits.lower > 0) | (self.limits.upper < 0)
+            if outside.any():
+                raise ArgumentError(
+                    f"A {self.family.name} motion without an offset is about zero, which joint "
+                    f"{self.limits.joints[int(np.argmax(outside))]!r} cannot reach.",
+                    advice="Let the family have an offset.",
+                )
+            return np.zeros_like(self.scale)
+        return self.variables(np.outer(self.still, posture))
+
+    def variables(self, coefficients: Array) -> Array:
+        """(f, nv) Y of coefficients (count, nv), as near as the conditions let them be."""
+        return np.asarray(self.free.T @ (coefficients - self.offset) / self.scale)
+
+    def coefficients(self, variables: Array) -> Array:
+        """(count, nv) C of variables, (f, nv) or flat."""
+        return np.asarray(
+            self.offset + self.free @ (self.scale * variables.reshape(self.scale.shape))
+        )
+
+    def trajectory(self, variables: Array) -> ExcitationTrajectory:
+        """The motion of variables."""
+        order = joint_order(self.model)
+        return ExcitationTrajectory(
+            self.family, self.coefficients(variables), self.limits.joints, order
+        )
+
+    def cost(self, variables: Array) -> tuple[float, Array]:
+        """What is minimized, and its gradient (f nv,)."""
+        trajectory = self.trajectory(variables)
+        motion = trajectory.motion_of(self.basis @ trajectory.coefficients)
+        value, gradient = self.objective.value_and_gradient(motion)
+        by_coefficients = trajectory.coefficient_gradient(self.basis, gradient)
+        return value, (self.scale * (self.free.T @ by_coefficients)).ravel()
+
+    def efforts(self, variables: Array) -> tuple[Array, Array]:
+        """(n nv,) efforts as shares of their limits, and their Jacobian (n nv, f nv).
+
+        Joints without a limit have the share zero.
+        """
+        trajectory, basis = self.trajectory(variables), self.effort_basis
+        motion, width = trajectory.motion_of(basis @ trajectory.coefficients), self.sign_width
+        n, nv = motion.v.shape
+        effort = self.model.effort(motion, sign_width=width)
+        each = Motion(*(np.repeat(x, nv, axis=0) for x in (motion.q, motion.v, motion.vd)))
+        weights = np.tile(np.diag(1.0 / self.limits.effort), (n, 1))
+        seen = self.model.motion(each, sign_width=width)
+        gradient = effort_gradient(self.model, each, seen, weights)
+        by_joint = np.zeros_like(gradient.v)
+        by_joint[:, trajectory.order] = gradient.q
+        free = basis @ self.free
+        jacobian = sum(
+            np.einsum("nij,nk->nikj", part.reshape(n, nv, nv), free[order])
+            for order, part in enumerate((by_joint, gradient.v, gradient.vd))
+        )
+        jacobian = np.asarray(jacobian) * self.scale
+        return (effort / self.limits.effort).ravel(), jacobian.reshape(n * nv, -1)
+
+    def nearness(self, variables: Array) -> tuple[Array, Array]:
+        """(n,) values of `CollisionWorld.constraint`, and their Jacobian (n, f nv)."""
+        if self.collisions is None:
+            return np.zeros(0), np.zeros((0, self.scale.size))
+        trajectory, basis = self.trajectory(variables), self.collision_basis
+        q = (basis[0] @ trajectory.coefficients)[:, trajectory.order]
+        values, gradients = self.collisions.constraint(q)
+        by_joint = np.zeros_like(gradients)
+        by_joint[:, trajectory.order] = gradients
+        jacobian = np.einsum("nj,nk->nkj", by_joint, basis[0] @ self.free) * self.scale
+        return values, jacobian.reshape(len(values), -1)

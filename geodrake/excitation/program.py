@@ -1,0 +1,107 @@
+"""The design problem as one of Drake's mathematical programs, with analytic gradients."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
+from pydrake.solvers import MathematicalProgram
+
+from geodrake.excitation.problem import DesignProblem
+
+Array = NDArray[np.float64]
+Differentiable = Callable[[Array], tuple[Any, Array]]
+
+_WITHIN = 0.992  # of limits: a sine exceeds its samples by less, 20 a period
+
+
+def build_program(
+    problem: DesignProblem,
+    watch: Callable[[float, Array], None] | None = None,
+    raised: list[BaseException] | None = None,
+) -> tuple[MathematicalProgram, NDArray[np.object_]]:
+    """The program of a design problem.
+
+    Args:
+        problem: The problem.
+        watch: Called with every cost and its variables (f nv,), for showing progress.
+        raised: Gets what costs, constraints or `watch` raise, which solvers only tell the text of.
+
+    Returns:
+        The program, and its decision variables (f nv,), which `DesignProblem.trajectory` takes.
+    """
+    program = MathematicalProgram()
+    free, nv = problem.scale.shape
+    variables = program.NewContinuousVariables(free, nv, "y")
+
+    def cost(y: Array) -> tuple[float, Array]:
+        value, gradient = problem.cost(y)
+        if watch is not None:
+            watch(value, y)
+        return value, gradient
+
+    flat = variables.ravel()
+    program.AddCost(_with_autodiff(cost, raised), vars=flat)
+    _limit_motion(program, problem, variables)
+    if np.isfinite(problem.limits.effort).any():
+        most = np.ones(problem.effort_basis.shape[1] * nv)
+        efforts = _with_autodiff(problem.efforts, raised)
+        program.AddConstraint(efforts, lb=-most, ub=most, vars=flat)
+    if problem.collisions is not None:
+        most = np.ones(problem.collision_basis.shape[1])
+        nearness = _with_autodiff(problem.nearness, raised)
+        program.AddConstraint(nearness, lb=np.full_like(most, -np.inf), ub=most, vars=flat)
+    return program, flat
+
+
+def _limit_motion(
+    program: MathematicalProgram, problem: DesignProblem, variables: NDArray[np.object_]
+) -> None:
+    """Linear constraints: positions, velocities and accelerations of every joint."""
+    limits, basis = problem.limits, problem.limit_basis
+    for j in range(len(limits.joints)):
+        bounds = (
+            (limits.lower[j], limits.upper[j]),
+            (-_WITHIN * limits.velocity[j], _WITHIN * limits.velocity[j]),
+            (-_WITHIN * limits.acceleration[j], _WITHIN * limits.acceleration[j]),
+        )
+        for Phi, (low, high) in zip(basis, bounds, strict=True):
+            if not np.isfinite(high):
+                continue
+            size = 0.5 * (high - low)
+            A = Phi @ problem.free * (problem.scale[:, j] / size)
+            fixed = Phi @ problem.offset[:, j]
+            moving = np.abs(A).max(axis=1) > 0.0
+            program.AddLinearConstraint(
+                A[moving],
+                ((low - fixed) / size)[moving],
+                ((high - fixed) / size)[moving],
+                variables[:, j],
+            )
+
+
+def _with_autodiff(
+    function: Differentiable, raised: list[BaseException] | None
+) -> Callable[[Any], Any]:
+    """A function of numbers or of AutoDiffXd, from one that gives its value and Jacobian."""
+
+    def evaluate(y: Array) -> tuple[Any, Array]:
+        try:
+            return function(y)
+        except BaseException as error:
+            if raised is not None:
+                raised.append(error)
+            raise
+
+    def call(x: Any) -> Any:
+        if x.dtype != object:
+            return evaluate(x)[0]
+        value, jacobian = evaluate(ExtractValue(x).ravel())
+        gradient = np.atleast_2d(jacobian) @ ExtractGradient(x)
+        result = InitializeAutoDiff(np.atleast_1d(value), gradient).ravel()
+        return result if np.ndim(value) else result[0]
+
+    return call
