@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
 _KAISER_SHAPE = 6.76  # 70 dB: the passband is flat to 3e-4
+_RESPONSE_POINTS = 257
 _HALFWIDTH = 6  # in output samples; the passband then ends at 0.64 of the bandwidth
 _LARGEST_EXCESS = 1.04  # output rate over 2·bandwidth; above it the filtered noise is correlated
 _DYNAMIC_RANGE = 1e-8  # of the acceleration's spectrum; a motion below this share is no matter
@@ -64,6 +65,13 @@ class ZeroPhaseFilter:
     def noise_gain(self) -> float:
         """Standard deviation of white noise of unit standard deviation, once filtered."""
         return float(np.linalg.norm(self.kernel))
+
+    def response(self, frequency: ArrayLike) -> Array:
+        """Amplitude that is left of sines at some frequencies, Hz."""
+        grid = np.linspace(0.0, 2.0 * self.bandwidth, _RESPONSE_POINTS)
+        angle = 2.0 * np.pi * self.period * grid[:, None] * np.arange(1, len(self.half))
+        passed = self.half[0] + 2.0 * np.cos(angle) @ self.half[1:]
+        return np.interp(np.abs(frequency), grid, passed, right=0.0)
 
     def output_count(self, n: int) -> int:
         """How many outputs `n` input samples support fully."""

@@ -20,6 +20,7 @@ from geodrake.effects import (
     RotorInertia,
     ViscousFriction,
 )
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, inertial_parameters
 from geodrake.kinematics import KinematicTree
@@ -145,6 +146,8 @@ class RobotModel:
             regressor @ self.total_phi.ravel(),
             width,
             lambda body: blocks[:, :, self.bodies.index(body)],
+            RobotBodies(self.tree, motion.q, self.total_phi),
+            motion.time,
         )
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:

@@ -126,6 +126,8 @@ class TestExactDynamics:
             (effects.LoadDependentFriction("joint1"), [0.15]),
             (effects.LoadDependentFriction("joint3"), [0.1]),
             (effects.JointSpring("joint3"), [2.0, 0.3]),
+            (effects.GravityCompensator("joint2"), [1.5, -0.4]),
+            (effects.TorqueRipple("joint1", 9.5), [0.2, 0.3]),
             (effects.CoupledFriction(("joint2", "joint3")), [0.3, 0.2]),
             (effects.CoupledRotorInertia(("joint2", "joint3")), [0.05]),
             (effects.RotorInertia("joint3"), [0.2]),

@@ -60,6 +60,8 @@ def instances():
         effects.EffortOffset("elbow"),
         effects.EffortDelay(0.01),
         effects.JointSpring("elbow", 3, 0.2),
+        effects.GravityCompensator("elbow"),
+        effects.TorqueRipple("elbow", 12.5),
         effects.RotorInertia("elbow"),
         effects.CoupledRotorInertia(("elbow", "wrist")),
         effects.Payload("hand"),
@@ -155,6 +157,20 @@ class TestEquations:
         effort = self.elbow(effects.JointSpring("elbow", 1, center), [k, k * (center - q_0)])
         np.testing.assert_allclose(effort, k * (self.q - q_0))
 
+    def test_gravity_compensator(self):
+        k, q_0 = 3.0, 0.4
+        mu = [k * np.cos(q_0), -k * np.sin(q_0)]
+        effort = self.elbow(effects.GravityCompensator("elbow"), mu)
+        np.testing.assert_allclose(effort, k * np.sin(self.q - q_0), atol=1e-12)
+
+    def test_torque_ripple_repeats(self):
+        ripple = effects.TorqueRipple("elbow", 12.5)
+        effort = self.elbow(ripple, [2.0, -1.0])
+        wave = ((2.0 + 1.0j) * np.exp(12.5j * self.q)).real
+        np.testing.assert_allclose(effort, wave, atol=1e-12)
+        turned = dataclasses.replace(self.motion, q=self.motion.q + 2 * np.pi / 12.5)
+        np.testing.assert_allclose(ripple.effort(turned, [2.0, -1.0])[:, 1], effort, atol=1e-12)
+
     def test_rotor_inertia(self):
         np.testing.assert_allclose(self.elbow(effects.RotorInertia("elbow"), [2.0]), 2.0 * self.vd)
 
@@ -243,7 +259,7 @@ class TestNames:
     def test_catalogue_is_in_the_order_of_the_design(self):
         names = [effect.name for effect in effects.catalogue()]
         assert names == [name for name in NAMES_OF_DESIGN if name in names]
-        assert len(names) == 13
+        assert len(names) == 15
 
     def test_lookup(self):
         assert effects.effect_class("payload") is effects.Payload
@@ -270,6 +286,7 @@ class TestNames:
             ("stribeck_friction", ("elbow",), {"stribeck_velocity": -1.0}, "positive stribeck"),
             ("stribeck_friction", ("elbow",), {"stribeck_velocity": "fast"}, "cannot be made"),
             ("joint_spring", ("elbow",), {"exponent": 2}, "exponent 1 or 3"),
+            ("torque_ripple", ("elbow",), {"order": -2.0}, "positive order"),
         ],
     )
     def test_bad_serial_form(self, name, where, shape, message):

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.exact import to_profile, with_exact_shapes
+from geodrake.diagnosis.exact import to_profile, with_columns, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.forward import Trail, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+from geodrake.diagnosis.proposals import suggested_of
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import LOOSER_PRIORS, gain_of
 from geodrake.diagnosis.steps import steps_of
@@ -55,9 +56,8 @@ def add(
         LogError: A log cannot be used.
     """
     where = tuple(dict.fromkeys(where or ())) or None
-    if effect not in WHOLE:
-        effect_class(effect, extra)
-    elif where:
+    looked_for = effect not in WHOLE and effect_class(effect, extra).from_residual
+    if effect in WHOLE and where:
         raise ArgumentError(f"{effect} is one of the whole robot and takes no place.")
     known = (*model.joints, *model.bodies)
     for name in where or ():
@@ -69,6 +69,10 @@ def add(
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     if model.information is None:
         start = tuned(start)
+    if looked_for:
+        shapes = suggested_of(case, start, effect)
+        case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *shapes])
+        start = trail.start
     end = _with(effect, start, case, where)
     trail, present = Trail(start, end, {}), set(start.unknowns.effects)
     if to_profile(end, case.dataset.effects, present):

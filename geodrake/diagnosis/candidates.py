@@ -17,11 +17,13 @@ COMPLEXITY: Mapping[str, int] = {
     "asymmetric_friction": 1,
     "load_dependent_friction": 1,
     "joint_spring": 1,
+    "gravity_compensator": 1,
     "coupled_friction": 1,
     "coupled_rotor_inertia": 1,
     "effort_delay": 1,
     "stribeck_friction": 2,
     "nonlinear_viscous_friction": 2,
+    "torque_ripple": 2,
     "wrong_inertia": 3,
 }
 """Of candidates that the data cannot tell apart, the one of least complexity is named."""

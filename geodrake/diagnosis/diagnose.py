@@ -10,9 +10,11 @@ from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
+from geodrake.diagnosis.exact import with_suggestions
 from geodrake.diagnosis.explain import verdict_of
-from geodrake.diagnosis.forward import Forward, next_step, tuned
+from geodrake.diagnosis.forward import Forward, Trail, next_step, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.search import PENALTY, Ranked, gain_of
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
@@ -53,7 +55,13 @@ def diagnose(
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     hypothesis = tuned(start) if model.information is None else start
-    step = next_step(hypothesis, effects_of(model), criteria)
+    trail = Trail(start, hypothesis, {})
+    for least_share in (DOMINANT, 0.0):
+        case, trail = with_suggestions(case, trail, least_share=least_share)
+        step = next_step(trail.end, effects_of(model), criteria)
+        if step is not None:
+            break
+    start, hypothesis = trail.start, trail.end
     if step is not None:
         first = _first(case, hypothesis, step)
         others = [r for r in step.ranked if set(r.names) != set(first.names)]

@@ -16,6 +16,7 @@ from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.proposals import DOMINANT, suggested
 from geodrake.diagnosis.refine import reshape
 from geodrake.diagnosis.search import PENALTY, gain_of
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
@@ -53,20 +54,25 @@ def searched(
     Returns:
         The case as it was reduced last, and the trail on its dataset.
     """
+    case, trail = with_suggestions(case, Trail(start, start, {}), least_share=DOMINANT)
     grid, origin, late = case.dataset.effects, case.model.delay, False
     step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
-    trail, profiled = Trail(start, start, {}), set(fixed)
+    profiled = set(fixed)
 
     def pause(hypothesis: Hypothesis) -> bool:
-        new_delay = not late and hypothesis.delay != start.delay
+        new_delay = not late and hypothesis.delay != trail.start.delay
         return new_delay or bool(to_profile(hypothesis, grid, profiled))
 
     for _ in range(_MOST_ROUNDS):
         more = search(trail.end, fixed, criteria, tune=tune, pause=pause, progress=progress)
         trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
         if not pause(trail.end):
-            break
-        if not late and trail.end.delay != start.delay:
+            had = case.dataset.effects
+            case, trail = with_suggestions(case, trail, known=grid)
+            if case.dataset.effects == had:
+                break
+            grid = (*grid, *(e for e in case.dataset.effects if e not in had))
+        if not late and trail.end.delay != trail.start.delay:
             case, trail = with_exact_delay(case, trail, origin=origin, step=step)
             late = True
         if to_profile(trail.end, grid, profiled):
@@ -109,7 +115,7 @@ def with_exact_shapes(
         if share < _ZOOMS[0] and all(gain < _LEAST_GAIN for _, gain in peaks):
             break
         near = [other for center, _ in peaks for other in finer(center, grid, share)]
-        case, trail = _reduced(
+        case, trail = with_columns(
             case, trail, [*grid, *trail.end.unknowns.effects, *was.values(), *near]
         )
         others = [e for e in trail.end.unknowns.effects if (e.name, e.where) not in was]
@@ -123,7 +129,23 @@ def with_exact_shapes(
     return case, replace(trail, end=end)
 
 
-def _reduced(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[Case, Trail]:
+def with_suggestions(
+    case: Case, trail: Trail, *, known: Sequence[Effect] = (), least_share: float = 0.0
+) -> tuple[Case, Trail]:
+    """The case with columns for what the residual of a trail's end suggests.
+
+    Args:
+        case: The case.
+        trail: A search.
+        known: Effects that are tried already.
+        least_share: Share of the squared error at its joint that an effect must explain.
+    """
+    had = case.dataset.effects
+    more = suggested(case, trail.end, (*had, *known), least_share=least_share)
+    return with_columns(case, trail, [*had, *more]) if more else (case, trail)
+
+
+def with_columns(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[Case, Trail]:
     """The case with columns for other effects, and the trail carried over."""
     dataset = reduce_logs(
         case.model, case.trajectories, case.folds, effects=effects, delays=case.dataset.delays

@@ -22,6 +22,8 @@ def candidate_effects(
 ) -> tuple[Effect, ...]:
     """All instances of the catalogue's effects, and of a user's own, that a robot can have.
 
+    Effects whose shape is found in a residual are not among them; see `proposals`.
+
     Args:
         model: The robot.
         peak_speeds: (nv,) largest speed of each joint in the logs; shape grids scale with it.
@@ -31,8 +33,12 @@ def candidate_effects(
     speed = dict(zip(model.joints, peak_speeds.tolist(), strict=True))
     found: list[Effect] = []
     for effect in (*catalogue(), *extra):
+        if effect.from_residual:
+            continue
         if effect.places == "joint":
             for joint in single:
+                if effect.turning_only and joint in model.sliding_joints:
+                    continue
                 if speed[joint] > 0.0:
                     found.extend(effect.candidates(joint, speed[joint]))
         elif effect.places == "joint_pair":

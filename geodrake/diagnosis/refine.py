@@ -15,7 +15,7 @@ from geodrake.diagnosis.candidates import (
 )
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.search import PENALTY, best_trial, gain_of, try_package
+from geodrake.diagnosis.search import PENALTY, best_trial, gain_of, settled_trial, try_package
 from geodrake.diagnosis.shapes import variants
 from geodrake.effects.base import Effect
 
@@ -33,8 +33,12 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         for effect in hypothesis.unknowns.effects:
             if effect not in fixed and not _is_base(hypothesis, effect):
                 reduced = hypothesis.without([effect])
-                trial = try_package(reduced, Package((effect,), effect.where), 1)
-                needed = trial.convinces(criteria) and stands_out(hypothesis, effect)
+                package = Package((effect,), effect.where)
+                trial = try_package(reduced, package, 1)
+                needed = trial.convinces(criteria)
+                if not needed:
+                    needed = settled_trial(reduced, hypothesis, package).convinces(criteria)
+                needed = needed and stands_out(hypothesis, effect)
                 if not needed and (weakest is None or trial.score < weakest[0]):
                     weakest = (trial.score, reduced)
         if weakest is None:

@@ -19,10 +19,12 @@ from geodrake.diagnosis.evidence import (
 )
 from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
 from geodrake.effects.base import Effect
-from geodrake.identification.dataset import is_payload
+from geodrake.identification.cross_validation import HeldOut
+from geodrake.identification.dataset import Dataset, is_payload
 from geodrake.identification.unknowns import effect_prior
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 PENALTY = 6.0
 """Gain that a parameter must bring before a hypothesis with it is preferred."""
@@ -110,8 +112,32 @@ def try_package(hypothesis: Hypothesis, package: Package, tried: int) -> Trial:
     both = np.concatenate([hypothesis.unknowns.columns, columns])
     effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
     gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
-    acted = np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
-    weight = acted / before.mse
+    return _trial(package, (before, after), acted_upon(dataset, package), gain=gain, tried=tried)
+
+
+def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:
+    """The evidence for a package between the hypotheses without and with it, both fitted in full.
+
+    Where inertias stand in for a package, they may do so well at the joints that it acts upon, and
+    leave the error to another one. The joint that gains most is therefore looked at too.
+    """
+    errors = before.held_out, after.held_out
+    seen = acted_upon(before.dataset, package)
+    seen[np.argmin(errors[1].mse / errors[0].mse)] = True
+    return _trial(package, errors, seen, gain=gain_of(before, after), tried=1)
+
+
+def acted_upon(dataset: Dataset, package: Package) -> Mask:
+    """(nv,) whether the effects of a package act on a joint."""
+    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
+    return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
+
+
+def _trial(
+    package: Package, errors: tuple[HeldOut, HeldOut], joints: Mask, *, gain: float, tried: int
+) -> Trial:
+    before, after = errors
+    weight = joints / before.mse
     lost, left = before.sse @ weight, after.sse @ weight
     return Trial(
         package,

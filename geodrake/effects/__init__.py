@@ -42,6 +42,7 @@ from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
+from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.lookup import catalogue, effect_class, load_effect_file, make_effect
@@ -49,6 +50,7 @@ from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
 from geodrake.effects.payload import Payload
 from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.stribeck_friction import StribeckFriction
+from geodrake.effects.torque_ripple import TorqueRipple
 from geodrake.effects.viscous_friction import ViscousFriction
 
 __all__ = [
@@ -60,6 +62,7 @@ __all__ = [
     "Effect",
     "EffortDelay",
     "EffortOffset",
+    "GravityCompensator",
     "JointEffect",
     "JointMotion",
     "JointPairEffect",
@@ -71,6 +74,7 @@ __all__ = [
     "RobotMotion",
     "RotorInertia",
     "StribeckFriction",
+    "TorqueRipple",
     "ViscousFriction",
     "catalogue",
     "effect_class",

@@ -62,6 +62,9 @@ class Effect(abc.ABC):
         signature: What the effect looks like in a residual, in words.
         confused_with: Names of effects that a log may not tell apart from this one.
         places: "joint", "joint_pair", "body" or "log": what an instance is bound to.
+        turning_only: Whether the effect makes sense at joints that turn only.
+        from_residual: Whether a diagnosis finds its shape in the residual, instead of trying
+            `candidates`.
     """
 
     name: ClassVar[str]
@@ -69,6 +72,8 @@ class Effect(abc.ABC):
     signature: ClassVar[str] = ""
     confused_with: ClassVar[tuple[str, ...]] = ()
     places: ClassVar[str]
+    turning_only: ClassVar[bool] = False
+    from_residual: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod

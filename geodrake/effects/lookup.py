@@ -20,12 +20,14 @@ from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
+from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
 from geodrake.effects.payload import Payload
 from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.stribeck_friction import StribeckFriction
+from geodrake.effects.torque_ripple import TorqueRipple
 from geodrake.effects.viscous_friction import ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 
@@ -45,6 +47,8 @@ def catalogue() -> tuple[type[Effect], ...]:
         EffortOffset,
         EffortDelay,
         JointSpring,
+        GravityCompensator,
+        TorqueRipple,
         RotorInertia,
         CoupledRotorInertia,
         Payload,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -44,6 +45,9 @@ class RobotMotion:
         load: (N, nv) effort that the rigid-body model needs.
         sign_width: (nv,) speed below which the direction of motion is not known.
         body_columns: Maps a body name to its (N, nv, 10) inertial regressor.
+        bodies: Poses and Jacobians of the bodies; None where nobody computes them.
+        time: (N,) instants since the log began, s; None where samples are no series.
+        log: Number that tells a log from others; 0 for none.
     """
 
     joints: tuple[str, ...]
@@ -53,6 +57,9 @@ class RobotMotion:
     load: Array
     sign_width: Array
     body_columns: Callable[[str], Array]
+    bodies: RobotBodies | None = None
+    time: Array | None = None
+    log: int = 0
 
     def joint(self, name: str) -> JointMotion:
         """The motion of one joint.
@@ -73,6 +80,22 @@ class RobotMotion:
                 f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
             )
         return self.joints.index(name)
+
+    def body_motions(self, effect: str) -> RobotBodies:
+        """The bodies' poses and Jacobians.
+
+        Args:
+            effect: Name of the effect that needs them, for the message.
+
+        Raises:
+            ArgumentError: Nobody computes them here.
+        """
+        if self.bodies is None:
+            raise ArgumentError(
+                f"{effect} needs the poses of bodies, which are not known here.",
+                advice="Leave it out of the model here.",
+            )
+        return self.bodies
 
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:

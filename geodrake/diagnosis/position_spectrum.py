@@ -1,0 +1,128 @@
+"""The spectrum of a residual over a joint's position: where a ripple shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+Array = NDArray[np.float64]
+
+LEAST_WAVES = 1.5
+"""Waves that the range of motion must hold: with fewer, gravity and springs look alike."""
+
+_SPEED_CLASSES = 16
+_SAMPLES_A_WAVE = 8
+_OVERSAMPLING = 8
+_LARGEST = 4_000  # orders, without oversampling
+_SLOW = 0.3  # quantile of the speed below which a wave need not pass the filter
+_BACKGROUND = 40.0  # width of the running median, in independent orders
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A peak of the spectrum.
+
+    Attributes:
+        order: Waves in 2π of position.
+        share: Share of the residual's power that waves of this order explain.
+        height: Evidence for the waves; about χ² of two degrees of freedom where there are none.
+        tried: Independent orders that were looked at.
+        resolution: Distance of orders that can be told apart.
+    """
+
+    order: float
+    share: float
+    height: float
+    tried: int
+    resolution: float
+
+
+def highest_peak(
+    motion: tuple[Array, Array],
+    residual: Array,
+    *,
+    effective: float,
+    gain: Callable[[Array], Array],
+    bandwidth: float,
+) -> Peak | None:
+    """The order whose waves over position are best seen in a residual.
+
+    A peak is measured against the spectrum around it, which knows the colour of the residual, or,
+    where it is as wide as all around it, against the whole residual and its effective samples.
+
+    Efforts are low-pass filtered, so that a wave of order n that is passed at speed v has the
+    amplitude H(n |v| / 2π). Samples are therefore taken together by speed, each class binned over
+    position and transformed, and the transforms added as a matched filter does.
+
+    Args:
+        motion: Positions (K,) and velocities (K,).
+        residual: (K,) filtered residuals.
+        effective: How many independent samples these are worth.
+        gain: Response H of the filter at frequencies in Hz.
+        bandwidth: Bandwidth of the filter, Hz.
+
+    Returns:
+        The peak; None where the motion is too small or too fast for any order to show.
+    """
+    q, speed = motion[0], np.abs(motion[1])
+    span = float(np.ptp(q))
+    slow = float(np.quantile(speed, _SLOW))
+    if span <= 0.0 or slow <= 0.0:
+        return None
+    resolution = 2.0 * np.pi / span
+    lowest, highest = LEAST_WAVES * resolution, 2.0 * np.pi * bandwidth / slow
+    highest = min(highest, lowest + _LARGEST * resolution)
+    if highest < lowest + 2.0 * resolution:
+        return None
+    order, power = _spectrum(q, speed, residual, gain, (span, highest))
+    kept = (order >= lowest) & (order <= highest)
+    order, power = order[kept], power[kept]
+    share = np.minimum(power / np.square(residual).sum(), 1.0 - 1e-9)
+    width = min(1 + 2 * int(0.5 * _BACKGROUND * _OVERSAMPLING), len(power))
+    around = np.maximum(median_filter(power, width, mode="nearest"), np.median(power))
+    around = np.maximum(around, np.finfo(float).tiny)
+    height = np.maximum(np.log(4.0) * power / around, -effective * np.log1p(-share))
+    at = int(np.clip(np.argmax(height), 1, len(power) - 2))
+    low, middle, high = power[at - 1 : at + 2]
+    bend = low - 2.0 * middle + high
+    shift = np.clip(0.5 * (low - high) / bend, -1.0, 1.0) if bend < 0.0 else 0.0
+    return Peak(
+        float(order[at] + shift * (order[1] - order[0])),
+        float(share[at]),
+        float(height[at]),
+        int((highest - lowest) / resolution) + 1,
+        resolution,
+    )
+
+
+def _spectrum(
+    q: Array,
+    speed: Array,
+    residual: Array,
+    gain: Callable[[Array], Array],
+    reach: tuple[float, float],
+) -> tuple[Array, Array]:
+    """Orders, and the squared residual that waves of each order explain."""
+    span, highest = reach
+    bins = int(np.ceil(_SAMPLES_A_WAVE * highest * span / (2.0 * np.pi)))
+    size = _OVERSAMPLING * bins
+    width = span / (bins - 1)
+    order = (2.0 * np.pi / (size * width)) * np.arange(float(size // (_SAMPLES_A_WAVE // 2)))
+    place = np.rint((q - q.min()) / width).astype(int)
+    edges = np.quantile(speed, np.linspace(0.0, 1.0, _SPEED_CLASSES + 1))
+    kinds = np.clip(np.searchsorted(edges, speed) - 1, 0, _SPEED_CLASSES - 1)
+    seen, norm = np.zeros(len(order), complex), np.zeros(len(order))
+    for kind in range(_SPEED_CLASSES):
+        own = kinds == kind
+        if own.any():
+            heights = np.asarray(np.bincount(place[own], residual[own], bins), float)
+            passed = gain(order * (float(speed[own].mean()) / (2.0 * np.pi)))
+            seen += passed * np.fft.rfft(heights, size)[: len(order)]
+            norm += 0.5 * passed**2 * own.sum()
+    least = 1e-3 * norm.max()
+    power = np.where(norm > least, np.abs(seen) ** 2 / np.maximum(norm, least), 0.0)
+    return np.asarray(order, float), power

@@ -1,0 +1,141 @@
+"""Candidates from the residual: effects whose shape is looked for there, not tried on a grid."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.evidence import effective_samples
+from geodrake.diagnosis.hypothesis import Hypothesis, residual_blocks
+from geodrake.diagnosis.position_spectrum import highest_peak
+from geodrake.effects import TorqueRipple
+from geodrake.effects.base import Effect
+
+Array = NDArray[np.float64]
+
+DOMINANT = 0.3
+"""Share of a joint's squared error from which on a suggestion comes before all other candidates."""
+
+_ALARM = 1e-3  # of one joint's spectrum; what is offered must still convince on held-out data
+_FEW = 5.0  # waves in the range of motion
+_FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in units of those told apart
+_MANY_WAVES = (-0.15, 0.0, 0.15)
+_WHOLE = 0.25  # distance from a whole order within which that is tried, in the same units
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An effect that a residual suggests.
+
+    Attributes:
+        effects: The effect with the shapes to try.
+        share: Share of the squared error at its joint that it explains.
+        alarm: Probability that noise alone suggests as much.
+    """
+
+    effects: tuple[Effect, ...]
+    share: float
+    alarm: float
+
+
+@dataclass(frozen=True, eq=False)
+class JointResidual:
+    """Held-out residuals of a joint, the kept rows of all folds one after another.
+
+    Attributes:
+        joint: Name of the joint.
+        q: (K,) position, rad or m.
+        v: (K,) velocity, rad/s or m/s.
+        residual: (K,) measured less predicted effort, filtered.
+        effective: How many independent samples these are worth.
+    """
+
+    joint: str
+    q: Array
+    v: Array
+    residual: Array
+    effective: float
+
+
+def joint_residuals(hypothesis: Hypothesis) -> list[JointResidual]:
+    """Residuals of all joints."""
+    dataset = hypothesis.dataset
+    blocks = residual_blocks(
+        dataset, hypothesis.unknowns.columns, hypothesis.held_out.x, delay=hypothesis.delay
+    )
+    found = []
+    for name, data, residual in zip(dataset.joints, dataset.data, blocks, strict=True):
+        q, v, _ = np.concatenate([rows.motion for fold in data.rows for rows in fold]).T
+        effective = effective_samples(residual)
+        found.append(JointResidual(name, q, v, np.concatenate(residual), effective))
+    return found
+
+
+def suggested(
+    case: Case, hypothesis: Hypothesis, known: Collection[Effect], *, least_share: float = 0.0
+) -> tuple[Effect, ...]:
+    """Effects that the residual suggests, with the shapes to try.
+
+    Args:
+        case: The case.
+        hypothesis: What is known so far.
+        known: Effects that have columns; what is among them, or in the model, comes no more.
+        least_share: Share of the squared error at its joint that an effect must explain.
+    """
+    taken = {(e.name, e.where) for e in (*known, *hypothesis.unknowns.effects)}
+    return tuple(
+        effect
+        for proposal in proposals(case, hypothesis)
+        if proposal.alarm <= _ALARM and proposal.share >= least_share
+        for effect in proposal.effects
+        if (effect.name, effect.where) not in taken
+    )
+
+
+def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect, ...]:
+    """The shapes that the residual suggests for one effect, at every place where it stands out.
+
+    Args:
+        case: The case.
+        hypothesis: What is known so far.
+        name: Name of the effect.
+
+    Returns:
+        The effects; where it stands out nowhere, those at all places.
+    """
+    taken = {(e.name, e.where) for e in hypothesis.unknowns.effects}
+    found = [p for p in proposals(case, hypothesis) if p.effects[0].name == name]
+    found = [p for p in found if (name, p.effects[0].where) not in taken]
+    clear = [p for p in found if p.alarm <= _ALARM] or found
+    return tuple(effect for proposal in clear for effect in proposal.effects)
+
+
+def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
+    """What the residual suggests at every place, whatever the evidence for it."""
+    for joint in joint_residuals(hypothesis):
+        if joint.joint in case.model.single_joints:
+            yield from _ripples(case, joint)
+
+
+def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
+    low_pass = case.trajectories[0].filter
+    peak = highest_peak(
+        (joint.q, joint.v),
+        joint.residual,
+        effective=joint.effective,
+        gain=low_pass.response,
+        bandwidth=low_pass.bandwidth,
+    )
+    if peak is not None:
+        step, whole = peak.resolution, round(peak.order)
+        order = float(whole) if abs(peak.order - whole) < _WHOLE * step else peak.order
+        # What gravity and springs take away of the slowest waves pushes their peak aside.
+        offsets = _FEW_WAVES if order < _FEW * step else _MANY_WAVES
+        ripples = tuple(TorqueRipple(joint.joint, order + x * step) for x in offsets)
+        alarm = min(1.0, peak.tried * float(chi2.sf(peak.height, 2)))
+        yield Proposal(ripples, peak.share, alarm)

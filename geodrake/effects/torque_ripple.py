@@ -1,0 +1,52 @@
+"""Ripple of a motor or a gear over its angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
+
+_USUAL = 6.0
+
+
+@dataclass(frozen=True)
+class TorqueRipple(JointEffect):
+    """Effort that repeats over the joint's position: cogging, commutation, gear teeth, eccentricity.
+
+    effort = a cos nq + b sin nq, with a and b in N·m.
+
+    Attributes:
+        order: n, waves in a turn (at a prismatic joint 2π waves in 1/n m); no integer where a gear
+            is between. A diagnosis finds it in the residual's spectrum over position.
+    """
+
+    order: float
+
+    name = "torque_ripple"
+    parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
+    signature = "waves over the joint's position, at any speed at the same places"
+    confused_with = ("gravity_compensator", "joint_spring")
+    from_residual = True
+
+    def __post_init__(self) -> None:
+        require_positive(self, "order")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[cos nq, sin nq]."""
+        angle = self.order * joint.q
+        return [np.cos(angle), np.sin(angle)]
+
+    def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]]:
+        """Both by q."""
+        angle = self.order * joint.q
+        return [{"q": -self.order * np.sin(angle)}, {"q": self.order * np.cos(angle)}]
+
+    @classmethod
+    def candidates(cls, joint: str, peak_speed: float) -> tuple[TorqueRipple, ...]:
+        """Six waves a turn, as of three phases; a diagnosis looks for the order instead."""
+        del peak_speed
+        return (cls(joint, _USUAL),)
