@@ -21,6 +21,9 @@ from geodrake.manifolds.base import Array
 _TO_MATRIX = pseudo_inertia_basis().reshape(PARAMETERS_PER_BODY, 16)
 _TO_DUAL = dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
+_IDENTITY = np.eye(4)
+_SIXTH = _IDENTITY / 6
+_SHORT = 0.02  # logarithm of what half a step may multiply a direction of P by, for a series
 _USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a direction of P by, on the fast way
 _GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _WELL_INSIDE = 1e-12  # det P over the product of its diagonal
@@ -142,10 +145,13 @@ class BatchedProduct(Product):
 
     def _filled(self, function: Callable[..., Array], *vectors: ArrayLike) -> Array:
         """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
-        whole = np.broadcast_arrays(*(np.asarray(vector, float) for vector in vectors))
+        whole = [np.asarray(vector, float) for vector in vectors]
+        if any(x.shape != whole[0].shape for x in whole):
+            whole = list(np.broadcast_arrays(*whole))
         filled = np.empty(whole[0].shape)
         for group in self._groups:
-            filled[..., group.places] = function(group, *(x[..., group.places] for x in whole))
+            at = group.places if filled.ndim == 1 else (..., group.places)
+            filled[at] = function(group, *[x[at] for x in whole])
         return filled
 
 
@@ -159,28 +165,48 @@ def _parameters(matrices: Array) -> Array:
 
 def _body_step(phi: Array, b: Array, time: float) -> Array:
     """The natural step of inertial parameters φ (..., 10) for covectors b (..., 10)."""
+    P, X = _matrices(phi, _TO_MATRIX), _matrices(b, _TO_DUAL)
+    stepped = _short_step(P, X, time)
+    if stepped is not None:
+        return _parameters(stepped)
     try:
-        L = np.linalg.cholesky(_matrices(phi, _TO_MATRIX))
-        turned = L.swapaxes(-1, -2) @ _matrices(b, _TO_DUAL) @ L
+        L = np.linalg.cholesky(P)
+        turned = L.swapaxes(-1, -2) @ X @ L
         rates, axes = np.linalg.eigh(turned)
         if np.abs(rates).max(initial=0.0) * abs(time) <= _USUAL_GROWTH:
             root = (L @ axes) * np.exp((-0.5 * time) * rates)[..., None, :]
             P = root @ root.swapaxes(-1, -2)
-            diagonal = np.diagonal(P, axis1=-2, axis2=-1)
-            if (
-                not 1 / _GREATEST
-                < diagonal.min(initial=1.0)
-                <= diagonal.max(initial=1.0)
-                < _GREATEST
-            ):
-                return _careful_step(phi, b, time)
-            # (det P over the product of its diagonal does not depend on units.)
-            shape = np.linalg.det(P) / diagonal.prod(-1)
-            if shape.min(initial=1.0) > _WELL_INSIDE:
+            if _well_inside(P):
                 return _parameters(P)
     except np.linalg.LinAlgError:
         pass
     return _careful_step(phi, b, time)
+
+
+def _short_step(P: Array, X: Array, time: float) -> Array | None:
+    """The natural step of pseudo inertias by a series, if it is short.
+
+    It is S P Sᵀ with S = exp(−½ time P X), whatever root of P there is.
+    """
+    Z = P @ (X * (-0.5 * time))
+    # tr Z² is the squared length of ½ time Lᵀ X L.
+    square = Z @ Z
+    if not np.einsum("...ii", square).max(initial=0.0) < _SHORT**2:
+        return None
+    cube = square @ Z
+    S = _IDENTITY + Z + 0.5 * square + cube @ (_SIXTH + Z * (1 / 24) + square * (1 / 120))
+    stepped = S @ P @ S.swapaxes(-1, -2)
+    return stepped if _well_inside(stepped) else None
+
+
+def _well_inside(P: Array) -> bool:
+    """Whether P (..., 4, 4) are so far from the edge that rounding does not matter."""
+    diagonal = np.diagonal(P, axis1=-2, axis2=-1)
+    if not 1 / _GREATEST < diagonal.min(initial=1.0) <= diagonal.max(initial=1.0) < _GREATEST:
+        return False
+    # (det P over the product of its diagonal does not depend on units.)
+    shape = np.linalg.det(P) / diagonal.prod(-1)
+    return bool(shape.min(initial=1.0) > _WELL_INSIDE)
 
 
 def _careful_step(phi: Array, b: Array, time: float) -> Array:

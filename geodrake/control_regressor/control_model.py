@@ -204,6 +204,9 @@ class ControlSample:
             return momentum, drift
         columns, qd = self.model._columns, self._motion[1]
         still = self._seen(np.zeros_like(qd), qd)
+        if not (columns.uses_acceleration or columns.sees_bodies):
+            rest = columns.columns(still, self._body_columns(-drift))
+            return np.hstack([momentum, np.zeros_like(rest)]), np.hstack([drift, -rest])
         turning = replace(still, vd=qd)
         base = columns.columns(still, _no_columns(momentum))
         moving = columns.columns(turning, self._body_columns(momentum))

@@ -128,6 +128,11 @@ class EffectColumns:
             uses_acceleration=not np.array_equal(exact, other_vd),
         )
 
+    @property
+    def sees_bodies(self) -> bool:
+        """Whether an effect may see more than the motion of its own joint."""
+        return bool(self._alone)
+
     def direction(self, v: Array) -> Array:
         """Smoothed signs (nv,) of velocities (nv,)."""
         if self._smooth:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geodrake.control_regressor import ControlModel
+from geodrake.control_regressor import ControlModel, ControlSample
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 
@@ -68,7 +68,15 @@ class FilteredRegressor:
         """The memory before the first sample."""
         return np.zeros(self.size)
 
-    def advanced(self, memory: Array, q: Array, qd: Array, effort: Array) -> Array:
+    def advanced(
+        self,
+        memory: Array,
+        q: Array,
+        qd: Array,
+        effort: Array,
+        *,
+        sample: ControlSample | None = None,
+    ) -> Array:
         """The memory after one more sample; whatever is not finite ends an interval.
 
         Args:
@@ -76,13 +84,16 @@ class FilteredRegressor:
             q: (nq,) positions.
             qd: (nv,) velocities.
             effort: (nv,) efforts.
+            sample: The robot at q, q̇ and v = q̇, if that is known already.
         """
         after = memory.copy()
         known = bool(memory[0])
         stack = after[1:].reshape(self.order + 1, *self.shape)
         # The interval's rows are [now] − [before], with the filters linear in both.
         before = stack[-1].copy()
-        now, following = self._ends(q, qd, effort)
+        if sample is None:
+            sample = self.control.at(q, qd, qd, np.zeros_like(qd))
+        now, following = self._ends(sample, effort)
         if not np.isfinite(now).all():
             after[0] = 0.0
             return after
@@ -107,9 +118,9 @@ class FilteredRegressor:
         both = memory[start : start + rows * columns].reshape(rows, columns)
         return both[:, :-1], both[:, -1]
 
-    def _ends(self, q: Array, qd: Array, effort: Array) -> tuple[Array, Array]:
+    def _ends(self, sample: ControlSample, effort: Array) -> tuple[Array, Array]:
         """What a sample adds to the interval that it ends, and takes off the one it begins."""
-        momentum, drift = self.control.at(q, qd, qd, np.zeros_like(qd)).momentum_regressors
+        momentum, drift = sample.momentum_regressors
         now, following = np.empty(self.shape), np.empty(self.shape)
         moved, half = momentum / self.period, 0.5 * drift
         np.subtract(moved, half, out=now[:, :-1])

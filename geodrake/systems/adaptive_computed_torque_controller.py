@@ -18,7 +18,8 @@ from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.online_estimation import FilteredRegressor
-from geodrake.systems.adaptive_controller import AdaptiveController, Covector
+from geodrake.systems.adaptive_controller import AdaptiveController
+from geodrake.systems.control_result import ControlResult
 from geodrake.systems.safeguards import Safeguards, Seen
 
 
@@ -112,11 +113,13 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         else:
             self._memory = self.DeclareDiscreteState(self._filter.start())
 
-    def _effort(self, p: Array, seen: Seen) -> tuple[Array, Covector]:
+    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
         wanted = seen.a_d - self._K_v * e[self._nv :] - self._K_p * e[: self._nv]
-        effort = self.control.at(seen.q, seen.qd, seen.qd, wanted).effort(p)
-        return effort, lambda context: self._covector(context, p, seen, e)
+        sample = self.control.at(seen.q, seen.qd, seen.qd, wanted)
+        return ControlResult(
+            sample.effort(p), sample, lambda context: self._covector(context, p, seen, e)
+        )
 
     def _covector(self, context: Context, p: Array, seen: Seen, e: Array) -> Array | None:
         if self._filter is not None:
@@ -133,18 +136,19 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         state: DiscreteValues,
         p: Array,
         seen: Seen,
-        covector: Covector | None,
+        result: ControlResult | None,
     ) -> Array:
         if self._filter is None:
-            return super()._following(context, state, p, seen, covector)
+            return super()._following(context, state, p, seen, result)
         if self.law is None:
             return p
         memory = context.get_discrete_state(self._memory).value()
-        if not seen.trusted:
+        if not seen.trusted or result is None:
             state.set_value(self._memory, self._filter.skipped(memory))
             return p
         # (Efforts at their limits are known as well, so adaptation need not wait for them.)
-        memory = self._filter.advanced(memory, seen.q, seen.qd, self._held(context))
+        effort = self._held(context)
+        memory = self._filter.advanced(memory, seen.q, seen.qd, effort, sample=result.sample)
         state.set_value(self._memory, memory)
         rows = self._filter.rows(memory)
         return self._adapted(p, lambda _: self._prediction_error(p, *rows), context)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +21,7 @@ from geodrake.adaptation import UpdateLaw
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
+from geodrake.systems.control_result import ControlResult, Covector
 from geodrake.systems.requirements import (
     checked_estimate,
     checked_time_step,
@@ -33,23 +32,6 @@ from geodrake.systems.safeguards import Safeguards, Seen, Watch
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
-
-
-Covector = Callable[[Context], Array | None]
-"""Gives the covector b (p,) for the update law; None where there is nothing to adapt to."""
-
-
-@dataclass(frozen=True, eq=False)
-class ControlResult:
-    """What a controller makes of one sample.
-
-    Attributes:
-        effort: (nv,) effort to be applied, within its limits.
-        covector: Gives the covector for the update law; None where adaptation waits.
-    """
-
-    effort: Array
-    covector: Covector | None
 
 
 class AdaptiveController(LeafSystem):
@@ -132,36 +114,32 @@ class AdaptiveController(LeafSystem):
             for value in (start, np.zeros(self._nv), self._watch.start())
         )
         self.DeclarePeriodicDiscreteUpdateEvent(self._time_step, 0.0, self._update)
-        self._declare_outputs(
-            self.discrete_state_ticket(parameters), {self.discrete_state_ticket(actuation)}
-        )
+        self.DeclareStateOutputPort("actuation", actuation)
+        self.DeclareStateOutputPort("parameters", parameters)
+        self._declare_lyapunov(self.discrete_state_ticket(parameters))
 
     def _declare_continuous(self, start: Array) -> None:
-        self.DeclareContinuousState(BasicVector(start))
+        parameters = self.DeclareContinuousState(BasicVector(start))
         producer = ValueProducer(
             allocate=lambda: AbstractValue.Make(object()), calc=self._calc_result
         )
         # Both actuation and derivatives need it.
         self._result = self.DeclareCacheEntry("result", producer, {*self._inputs, self.xc_ticket()})
-        self._declare_outputs(self.xc_ticket(), {self._result.ticket()})
+        self.DeclareVectorOutputPort(
+            "actuation", BasicVector(self._nv), self._calc_actuation, {self._result.ticket()}
+        )
+        self.DeclareStateOutputPort("parameters", parameters)
+        self._declare_lyapunov(self.xc_ticket())
 
-    def _declare_outputs(
-        self, estimate: DependencyTicket, actuation: set[DependencyTicket]
-    ) -> None:
-        self.DeclareVectorOutputPort(
-            "actuation", BasicVector(self._nv), self._calc_actuation, actuation
-        )
-        self.DeclareVectorOutputPort(
-            "parameters", BasicVector(self._size), self._calc_parameters, {estimate}
-        )
+    def _declare_lyapunov(self, estimate: DependencyTicket) -> None:
         if self._truth is not None:
             self.DeclareVectorOutputPort(
                 "lyapunov", BasicVector(1), self._calc_lyapunov, {*self._inputs, estimate}
             )
 
     @abc.abstractmethod
-    def _effort(self, p: Array, seen: Seen) -> tuple[Array, Covector]:
-        """Effort (nv,) before limits, and the covector; only the latter may read other ports."""
+    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
+        """The result without regard to limits."""
 
     @abc.abstractmethod
     def _tracking_energy(self, truth: Array, seen: Seen) -> float:
@@ -203,16 +181,16 @@ class AdaptiveController(LeafSystem):
         )
 
     def _controlled(self, p: Array, seen: Seen) -> ControlResult | None:
-        """Effort and covector at what was seen; None if the effort is not a number."""
+        """The result at what was seen; None if the effort is not a number."""
         if not seen.known:
             return None
         try:
-            effort, covector = self._effort(p, seen)
+            result = self._result_at(p, seen)
+            effort = applied = result.effort
         except np.linalg.LinAlgError:
             return None
         if not np.isfinite(effort).all():
             return None
-        applied = effort
         if self._limits is not None:
             applied = np.clip(effort, -self._limits, self._limits)
         waits = (
@@ -221,7 +199,7 @@ class AdaptiveController(LeafSystem):
             or bool((applied != effort).any())
             or (self._rests and self._resting(seen))
         )
-        return ControlResult(applied, None if waits else covector)
+        return ControlResult(applied, result.sample, None if waits else result.covector)
 
     def _watched(self, context: Context) -> Array:
         """What the watch remembers, (3 nv + 1,)."""
@@ -250,8 +228,7 @@ class AdaptiveController(LeafSystem):
         result = self._controlled(p, seen)
         if result is not None:
             state.set_value(_ACTUATION, result.effort)
-        covector = None if result is None else result.covector
-        following = self._following(context, state, p, seen, covector)
+        following = self._following(context, state, p, seen, result)
         if following is not p:
             state.set_value(_PARAMETERS, following)
 
@@ -261,10 +238,12 @@ class AdaptiveController(LeafSystem):
         state: DiscreteValues,
         p: Array,
         seen: Seen,
-        covector: Covector | None,
+        result: ControlResult | None,
     ) -> Array:
         """The estimate (p,) after a time step."""
-        return p if covector is None else self._adapted(p, covector, context)
+        if result is None or result.covector is None:
+            return p
+        return self._adapted(p, result.covector, context)
 
     @_QUIETLY
     def _calc_result(self, context: Context, value: AbstractValue) -> None:
@@ -293,14 +272,8 @@ class AdaptiveController(LeafSystem):
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
 
     def _calc_actuation(self, context: Context, output: BasicVector) -> None:
-        if self._time_step > 0:
-            output.SetFromVector(self._held(context))
-        else:
-            result = self._result.Eval(context)
-            output.SetFromVector(np.zeros(self._nv) if result is None else result.effort)
-
-    def _calc_parameters(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self.parameters(context))
+        result = self._result.Eval(context)
+        output.SetFromVector(np.zeros(self._nv) if result is None else result.effort)
 
     @_QUIETLY
     def _calc_lyapunov(self, context: Context, output: BasicVector) -> None:

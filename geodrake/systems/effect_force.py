@@ -17,8 +17,9 @@ from geodrake.effects import Effect, EffortDelay, RobotMotion
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame
 from geodrake.kinematics import KinematicTree
-from geodrake.plant import joint_names
+from geodrake.plant import joint_names, set_inertial_parameters
 from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.systems.direct_effects import DirectEffects
 
 _LOAD_ITERATIONS = 200
 _LOAD_TOLERANCE = 1e-10
@@ -50,7 +51,7 @@ class EffectForce(LeafSystem):
     that reach the plant otherwise, as by contact, are not known here. Where no effect depends on v̇
     or load, the port is not read and no dynamics are computed.
 
-    The plant's parameters are those of its default context.
+    The plant's parameters are those of its default context, but for `phi`.
 
     Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
     like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
@@ -66,6 +67,7 @@ class EffectForce(LeafSystem):
         effects: Sequence[tuple[Effect, ArrayLike]],
         *,
         sign_width: ArrayLike = 1e-2,
+        phi: ArrayLike | None = None,
     ) -> None:
         """Constructs the system.
 
@@ -74,12 +76,16 @@ class EffectForce(LeafSystem):
             effects: Effects and their linear parameters μ, in SI units.
             sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
                 or (nv,).
+            phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
+                than the default ones; such as `model.total_phi`.
 
         Raises:
             ArgumentError: An effect does not fit the plant, or parameters do not fit their effect.
         """
         LeafSystem.__init__(self)
         self._law = _ForceLaw(plant, sign_width)
+        if phi is not None:
+            self._law.set_inertial_parameters(phi)
         self._effects = self._law.sort(effects)
         nq, nv = plant.num_positions(), plant.num_velocities()
         self._nq = nq
@@ -135,6 +141,7 @@ class _SortedEffects:
     direct: _Terms
     accelerated: _Terms
     loaded: _Terms
+    at_once: DirectEffects  # the direct ones again
 
     @property
     def coupled(self) -> bool:
@@ -161,15 +168,18 @@ class _ForceLaw:
             for member in body.members
         }
 
+    def set_inertial_parameters(self, phi: ArrayLike) -> None:
+        """Inertial parameters (nb, 10) instead of the default ones."""
+        set_inertial_parameters(self._plant, self._context, phi)
+
     @cached_property
     def _tree(self) -> KinematicTree:
         return KinematicTree.from_plant(self._plant)
 
     def sort(self, effects: Sequence[tuple[Effect, ArrayLike]]) -> _SortedEffects:
         """Checks effects, and finds out by trial what they depend on."""
-        terms = _SortedEffects([], [], [])
-        rng = np.random.default_rng(0)
-        nv = len(self._joints)
+        direct, accelerated, loaded_terms = _Terms(), _Terms(), _Terms()
+        rng, nv = np.random.default_rng(0), len(self._joints)
         q = np.tile(self._plant.GetPositions(self._context), (8, 1))
         single = self._positions[self._positions >= 0]
         q[:, single] = rng.normal(size=(8, len(single)))
@@ -188,17 +198,19 @@ class _ForceLaw:
             base = effect.regressor(still)
             loaded = effect.regressor(replace(still, load=load))
             if not np.array_equal(base, loaded, equal_nan=True):
-                terms.loaded.append((effect, mu))
+                loaded_terms.append((effect, mu))
             elif not np.array_equal(base, effect.regressor(moved), equal_nan=True):
-                terms.accelerated.append((effect, mu))
+                accelerated.append((effect, mu))
             else:
-                terms.direct.append((effect, mu))
-        return terms
+                direct.append((effect, mu))
+        at_once = DirectEffects.of(direct, self._joints, self._positions, self._sign_width)
+        return _SortedEffects(direct, accelerated, loaded_terms, at_once)
 
     def effort(self, effects: _SortedEffects, q: Array, v: Array, u: Array) -> Array:
         """Effort that the effects need (nv,) at a state and under the efforts u of controllers."""
         zero = np.zeros((1, len(v)))
-        direct = _sum(effects.direct, self._motion(q[None], v[None], zero, zero))[0]
+        still = (q[None], v[None], zero, zero)
+        direct = effects.at_once.effort(q, v, lambda body: self._motion(*still).body_columns(body))
         if not effects.coupled:
             return direct
 

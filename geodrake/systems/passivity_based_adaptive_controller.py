@@ -11,7 +11,8 @@ from geodrake.adaptation import UpdateLaw, tracking_energy
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.systems.adaptive_controller import AdaptiveController, Covector
+from geodrake.systems.adaptive_controller import AdaptiveController
+from geodrake.systems.control_result import ControlResult
 from geodrake.systems.safeguards import Safeguards, Seen
 
 
@@ -111,13 +112,15 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         v = seen.v_d - self._rate * (seen.q - seen.q_d)
         return v, seen.a_d - self._rate * (seen.qd - seen.v_d), seen.qd - v
 
-    def _effort(self, p: Array, seen: Seen) -> tuple[Array, Covector]:
+    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
         v, a, r = self._error(seen)
         if self._varying:
             sample = self.control.at(seen.q, seen.qd, v, a - self._rate * r)
-            return sample.effort(p), lambda _: sample.covector(r)
-        sample = self.control.at(seen.q, seen.qd, v, a)
-        return sample.effort(p) - self._damping * r, lambda _: sample.covector(r)
+            effort = sample.effort(p)
+        else:
+            sample = self.control.at(seen.q, seen.qd, v, a)
+            effort = sample.effort(p) - self._damping * r
+        return ControlResult(effort, sample, lambda _: sample.covector(r))
 
     def _tracking_energy(self, truth: Array, seen: Seen) -> float:
         r = self._error(seen)[2]
