@@ -12,18 +12,26 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
 from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.criteria import CRITERIA, Criterion
-from geodrake.excitation.design import (
+from geodrake.excitation.design import design_excitation
+from geodrake.excitation.design_results import (
     DesignOptions,
     DesignProgress,
     ExcitationResult,
     SeedOutcome,
-    design_excitation,
 )
 from geodrake.excitation.families import FourierMotion, FreeSamples, MotionFamily, SplineMotion
+from geodrake.excitation.identifiable import (
+    IdentifiableParameters,
+    ReducedIdentification,
+    identifiable_parameters,
+    measurement_factor,
+    reduced_identification,
+)
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.margins import LimitUse
 from geodrake.excitation.normalization import NORMALIZATIONS
+from geodrake.excitation.reduced_design import ReducedExcitation, design_reduced_excitation
 from geodrake.excitation.regressor_gradient import (
     base_wrench_regressor_gradient,
     inverse_dynamics_regressor_gradient,
@@ -45,20 +53,27 @@ __all__ = [
     "ExcitationTrajectory",
     "FourierMotion",
     "FreeSamples",
+    "IdentifiableParameters",
     "LimitUse",
     "MotionFamily",
     "MotionGradient",
     "MotionLimits",
     "Objective",
+    "ReducedExcitation",
+    "ReducedIdentification",
     "SeedOutcome",
     "Solid",
     "SplineMotion",
     "Target",
     "base_wrench_regressor_gradient",
     "design_excitation",
+    "design_reduced_excitation",
+    "identifiable_parameters",
     "inverse_dynamics_regressor_gradient",
     "make_target",
+    "measurement_factor",
     "motion_limits",
+    "reduced_identification",
     "regressor_jacobian",
     "ros_joint_trajectory",
     "write_trajectory",

@@ -4,127 +4,33 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
-from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.criteria import Criterion
+from geodrake.excitation.design_results import (
+    DesignOptions,
+    DesignProgress,
+    ExcitationResult,
+    SeedOutcome,
+)
 from geodrake.excitation.families import FourierMotion, MotionFamily
 from geodrake.excitation.guess import random_guess, within_limits
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.margins import LimitUse, limit_use
+from geodrake.excitation.margins import limit_use
 from geodrake.excitation.nonlinear_solvers import check_solver, solve
 from geodrake.excitation.postures import check_start, possible_postures
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.target import Target, make_target
-from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.model import RobotModel
-from geodrake.motion import Motion
 
 Array = NDArray[np.float64]
 
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
-
-
-@dataclass(frozen=True, eq=False)
-class DesignOptions:
-    """How a design is made.
-
-    Attributes:
-        samples: Number of samples by which information is counted.
-        rest: Whether the motion starts and ends at rest, without a jump of acceleration.
-        start: (nv,) positions at the start by joint, rad or m; free if None.
-        collisions: What may not be hit.
-        solver: "snopt" or "ipopt".
-        iterations: Most iterations of the solver, for each stage.
-        seconds: Most time of the solver for each seed, s.
-        sharpness: Stages of the smooth forms of E-optimality and condition number; see
-            `Criterion`.
-    """
-
-    samples: int = 400
-    rest: bool = True
-    start: ArrayLike | None = None
-    collisions: CollisionWorld | None = None
-    solver: str = "snopt"
-    iterations: int = 300
-    seconds: float = 60.0
-    sharpness: tuple[float, ...] = (8.0, 64.0)
-
-
-@dataclass(frozen=True)
-class DesignProgress:
-    """Where a design is.
-
-    Attributes:
-        seed: Number of the start, from zero.
-        seeds: How many there are.
-        evaluations: Evaluations of the criterion since the design began.
-        value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
-    """
-
-    seed: int
-    seeds: int
-    evaluations: int
-    value: float
-
-
-@dataclass(frozen=True)
-class SeedOutcome:
-    """What one start came to.
-
-    Attributes:
-        seed: Its number.
-        random_value: Criterion of the random motion that it began with, which keeps the limits.
-        value: Criterion of the motion that it ended with, which keeps them too.
-        evaluations: Evaluations of the criterion and its gradient.
-        seconds: Time that it took.
-        status: What the solver said.
-    """
-
-    seed: int
-    random_value: float
-    value: float
-    evaluations: int
-    seconds: float
-    status: str
-
-
-@dataclass(frozen=True, eq=False)
-class ExcitationResult:
-    """A designed motion.
-
-    Attributes:
-        trajectory: The motion.
-        objective: The criterion that it is best by, with the target.
-        value: Its value, as the source defines it (not the logarithm).
-        eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
-            of an estimate from `samples` samples, along its principal directions.
-        samples: Number of samples that count.
-        use: What it uses of its limits, all of which it keeps.
-        limits: The limits.
-        outcomes: What each seed came to.
-        notes: What is worth knowing.
-    """
-
-    trajectory: ExcitationTrajectory
-    objective: Objective
-    value: float
-    eigenvalues: Array
-    samples: int
-    use: LimitUse
-    limits: MotionLimits
-    outcomes: tuple[SeedOutcome, ...]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def motion(self) -> Motion:
-        """The samples that the value is of."""
-        return self.trajectory.motion(self.trajectory.family.times(self.samples))
 
 
 def design_excitation(
@@ -174,8 +80,8 @@ def design_excitation(
     else:
         check_start(target.model, problem.limits, problem.start, options.collisions)
         postures = problem.start[None]
-    run = _Run(problem, options, postures, len(chosen), progress)
-    ends = [run.from_seed(number, seed) for number, seed in enumerate(chosen)]
+    run = _Run(problem, options, postures, progress)
+    ends = run.from_seeds(chosen)
     best, _ = min(ends, key=lambda end: end[1].value)
     final = problem.trajectory(best)
     eigenvalues = problem.objective.eigenvalues(final.motion(problem.times))
@@ -237,15 +143,43 @@ class _Run:
     problem: DesignProblem
     options: DesignOptions
     postures: Array
-    seeds: int
     progress: Callable[[DesignProgress], None] | None
-    evaluations: int = field(default=0)
+    starts: int = 0
+    evaluations: int = 0
 
-    def from_seed(self, number: int, seed: int) -> tuple[Array, SeedOutcome]:
-        """The best motion (f, nv) from a random one, and how it was found."""
+    def from_seeds(self, seeds: Sequence[int]) -> list[tuple[Array, SeedOutcome]]:
+        """The best motions (f, nv) from random ones, and from the guess if there is one."""
+        begins: list[tuple[int | None, Array, Array]] = [
+            (seed, *random_guess(self.problem, self.postures, np.random.default_rng(seed)))
+            for seed in seeds
+        ]
+        if self.options.guess is not None:
+            held = self.problem.held(self.postures[0])
+            inside = within_limits(self.problem, self._given(self.options.guess), held)
+            if inside is not None:
+                begins.append((None, inside, held))
+        self.starts = len(begins)
+        return [self._from(number, *begin) for number, begin in enumerate(begins)]
+
+    def _given(self, guess: Array) -> Array:
+        """Variables of the motion that was given.
+
+        Raises:
+            ArgumentError: It is of another family or robot.
+        """
+        expected = self.problem.offset.shape
+        if np.shape(guess) != expected or not np.isfinite(guess).all():
+            raise ArgumentError(
+                f"The guess has the shape {np.shape(guess)} and must be {expected}, and finite.",
+                advice="Take it from a trajectory of the same family.",
+            )
+        return self.problem.variables(np.asarray(guess, float))
+
+    def _from(
+        self, number: int, seed: int | None, guess: Array, held: Array
+    ) -> tuple[Array, SeedOutcome]:
+        """The best motion from one, and how it was found."""
         begin, before = time.monotonic(), self.evaluations
-        rng = np.random.default_rng(seed)
-        guess, held = random_guess(self.problem, self.postures, rng)
         random_value = self._value(guess)
         found, status = guess, "not solved"
         for stage in self._stages():
@@ -290,4 +224,4 @@ class _Run:
     def _tell(self, number: int, value: float) -> None:
         self.evaluations += 1
         if self.progress is not None:
-            self.progress(DesignProgress(number, self.seeds, self.evaluations, value))
+            self.progress(DesignProgress(number, self.starts, self.evaluations, value))

@@ -1,0 +1,117 @@
+"""How a design is made, where it is, and what it came to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.excitation.collisions import CollisionWorld
+from geodrake.excitation.information import Objective
+from geodrake.excitation.limits import MotionLimits
+from geodrake.excitation.margins import LimitUse
+from geodrake.excitation.trajectory import ExcitationTrajectory
+from geodrake.motion import Motion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignOptions:
+    """How a design is made.
+
+    Attributes:
+        samples: Number of samples by which information is counted.
+        rest: Whether the motion starts and ends at rest, without a jump of acceleration.
+        start: (nv,) positions at the start by joint, rad or m; free if None.
+        collisions: What may not be hit.
+        solver: "snopt" or "ipopt".
+        iterations: Most iterations of the solver, for each stage.
+        seconds: Most time of the solver for each seed, s.
+        sharpness: Stages of the smooth forms of E-optimality and condition number; see
+            `Criterion`.
+        guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
+            is beyond the limits is scaled down.
+    """
+
+    samples: int = 300
+    rest: bool = True
+    start: ArrayLike | None = None
+    collisions: CollisionWorld | None = None
+    solver: str = "snopt"
+    iterations: int = 300
+    seconds: float = 60.0
+    sharpness: tuple[float, ...] = (8.0, 64.0)
+    guess: Array | None = None
+
+
+@dataclass(frozen=True)
+class DesignProgress:
+    """Where a design is.
+
+    Attributes:
+        seed: Number of the start, from zero.
+        seeds: How many there are.
+        evaluations: Evaluations of the criterion since the design began.
+        value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
+    """
+
+    seed: int
+    seeds: int
+    evaluations: int
+    value: float
+
+
+@dataclass(frozen=True)
+class SeedOutcome:
+    """What one start came to.
+
+    Attributes:
+        seed: Of the random motion that it began with; None for a given motion.
+        random_value: Criterion of the motion that it began with, which keeps the limits.
+        value: Criterion of the motion that it ended with, which keeps them too.
+        evaluations: Evaluations of the criterion and its gradient.
+        seconds: Time that it took.
+        status: What the solver said.
+    """
+
+    seed: int | None
+    random_value: float
+    value: float
+    evaluations: int
+    seconds: float
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class ExcitationResult:
+    """A designed motion.
+
+    Attributes:
+        trajectory: The motion.
+        objective: The criterion that it is best by, with the target.
+        value: Its value, as the source defines it (not the logarithm).
+        eigenvalues: (n_B,) of the normalized information matrix, ascending: the inverse variances
+            of an estimate from `samples` samples, along its principal directions.
+        samples: Number of samples that count.
+        use: What it uses of its limits, all of which it keeps.
+        limits: The limits.
+        outcomes: What each seed came to.
+        notes: What is worth knowing.
+    """
+
+    trajectory: ExcitationTrajectory
+    objective: Objective
+    value: float
+    eigenvalues: Array
+    samples: int
+    use: LimitUse
+    limits: MotionLimits
+    outcomes: tuple[SeedOutcome, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def motion(self) -> Motion:
+        """The samples that the value is of."""
+        return self.trajectory.motion(self.trajectory.family.times(self.samples))

@@ -1,0 +1,107 @@
+"""Motions for the parameters that can be told at all, [Lee2019] §4.5.2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.criteria import Criterion
+from geodrake.excitation.design import design_excitation
+from geodrake.excitation.design_results import DesignOptions, DesignProgress, ExcitationResult
+from geodrake.excitation.families import MotionFamily
+from geodrake.excitation.limits import MotionLimits
+from geodrake.excitation.target import Target
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedExcitation:
+    """The best motion for as many parameters as can be told.
+
+    Attributes:
+        result: The motion; its criterion has r in `kept`, and its value is below the threshold.
+        kept: r, for `identifiable_parameters(..., kept=r)` of the motion's log (step b.4).
+        tried: (r, optimized value) of every design, in the order of trial.
+    """
+
+    result: ExcitationResult
+    kept: int
+    tried: tuple[tuple[int, float], ...]
+
+
+def design_reduced_excitation(
+    target: Target,
+    limits: MotionLimits | None = None,
+    *,
+    threshold: float,
+    criterion: str = "e_optimality",
+    trajectory: MotionFamily | None = None,
+    options: DesignOptions | None = None,
+    seeds: int = 1,
+    progress: Callable[[DesignProgress], None] | None = None,
+) -> ReducedExcitation:
+    """The most parameters that a motion can tell well, and that motion, steps b.1 to b.3.
+
+    The source takes off one direction after the other until the optimized criterion is below the
+    threshold. The optimized criterion grows with r, and a motion designed for many directions says
+    for how few its own value would do; so this halves the range of r in between instead.
+
+    Args:
+        target: What is unknown.
+        limits: What the robot may do; the limits of its model file if None.
+        threshold: ε_J for the criterion's value, which has no unit: with E-optimality, the
+            variance of the worst direction.
+        criterion: One of `CRITERIA`.
+        trajectory: The family of motions.
+        options: How each design is made.
+        seeds: Random starts of each design; the best motion so far is one more.
+        progress: As for `design_excitation`.
+
+    Raises:
+        ArgumentError: As `design_excitation`; or no single direction can be told that well.
+    """
+    options = DesignOptions() if options is None else options
+    tried: list[tuple[int, float]] = []
+    best: ExcitationResult | None = None
+
+    def optimized(count: int) -> ExcitationResult:
+        result = design_excitation(
+            target,
+            limits,
+            criterion=Criterion(criterion, kept=count),
+            trajectory=trajectory,
+            options=replace(options, guess=guess),
+            seeds=seeds,
+            progress=progress,
+        )
+        tried.append((count, result.value))
+        return result
+
+    guess, low, high = options.guess, 0, target.base.rank + 1  # low can be told, high cannot
+    count = target.base.rank
+    while high - low > 1:
+        result = optimized(count)
+        guess = result.trajectory.coefficients
+        if result.value <= threshold:
+            low, best = count, result
+        else:
+            high = count
+            enough = _enough(result, criterion, threshold, most=high - 1)
+            if enough > low:
+                low, best = enough, None  # by a motion that was designed for more
+        count = (low + high) // 2
+    if not low:
+        raise ArgumentError(
+            f"No motion found tells even one direction to {threshold:g}: the best has "
+            f"{min(value for _, value in tried):.3g}.",
+            advice="Raise the threshold, give the robot more room and time, or measure better.",
+        )
+    return ReducedExcitation(optimized(low) if best is None else best, low, tuple(tried))
+
+
+def _enough(result: ExcitationResult, criterion: str, threshold: float, *, most: int) -> int:
+    """The most directions, of at most so many, for which a motion is good enough as it is."""
+    for count in range(most, 0, -1):
+        if Criterion(criterion, kept=count).value(result.eigenvalues) <= threshold:
+            return count
+    return 0
