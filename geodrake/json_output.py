@@ -13,6 +13,7 @@ from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
 from geodrake.drafting import Draft, effect_name
+from geodrake.rollout import Rollout
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
@@ -109,6 +110,29 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
         "correlates": [asdict(correlate) for correlate in draft.correlates],
         "needless": [{"effect": e.name, "where": e.where} for e in draft.needless],
         "error": _errors(before=draft.before, after=draft.after),
+    }
+
+
+def rollout_dict(rollout: Rollout) -> dict[str, Any]:
+    """A rollout: departures of every joint from the measured motion.
+
+    Args:
+        rollout: The result of `geodrake.rollout.roll_out`.
+    """
+    return {
+        "horizon": rollout.horizon,
+        "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
+        "broken": rollout.broken,
+        "relative": rollout.relative,
+        "joints": {
+            joint.joint: {
+                "rms": joint.rms,
+                "moved": joint.moved,
+                "relative": joint.relative,
+                "worst": joint.worst,
+            }
+            for joint in rollout.joints
+        },
     }
 
 

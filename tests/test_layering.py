@@ -56,6 +56,7 @@ LAYERS = (
     "online_estimation",
     "systems",
     "loops",
+    "rollout",
     # What the user sees.
     "visualization",
     "json_output",

@@ -14,6 +14,7 @@ from geodrake.cli.options import (
     ExplainOptions,
     IdentifyOptions,
     Options,
+    RolloutOptions,
     taking,
 )
 from geodrake.cli.version import version
@@ -120,6 +121,15 @@ def explain(options: ExplainOptions) -> None:
     from geodrake.cli.drafting import run_drafting
 
     run_drafting(options, options.draft_effect)
+
+
+@app.command()
+@taking(RolloutOptions)
+def rollout(options: RolloutOptions) -> None:
+    """Simulate the model under the logged efforts, and show where its motion departs."""
+    from geodrake.cli.rollout import run_rollout
+
+    run_rollout(options)
 
 
 @app.command()

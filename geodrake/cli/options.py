@@ -66,6 +66,22 @@ class ExplainOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RolloutOptions(Options):
+    """What rollout is told."""
+
+    before: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="A model to compare with, such as the file it was."),
+    ] = None
+    horizon: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Length of a window of the simulation.")
+    ] = 0.5
+    windows: Annotated[
+        int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
+    ] = 12
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Addition:
     effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Such as coulomb_friction.")]
     where: Annotated[
@@ -158,7 +174,7 @@ class DemoOptions:
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
 
 
-T = TypeVar("T", Options, ExplainOptions, AddOptions, IdentifyOptions, DemoOptions)
+T = TypeVar("T", Options, ExplainOptions, RolloutOptions, AddOptions, IdentifyOptions, DemoOptions)
 
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:

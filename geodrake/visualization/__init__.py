@@ -19,6 +19,7 @@ from geodrake.visualization.report import (
     report_figures,
     save_figures,
 )
+from geodrake.visualization.rollout import render_rollout, rollout_figure
 from geodrake.visualization.series_figures import effort_figure, residual_figure
 from geodrake.visualization.units import Units
 
@@ -35,8 +36,10 @@ __all__ = [
     "render_drafted",
     "render_explanation",
     "render_identification",
+    "render_rollout",
     "report_figures",
     "residual_figure",
+    "rollout_figure",
     "save_figures",
     "step_figure",
     "step_stages",
