@@ -1,5 +1,7 @@
 """Effects that no catalogue has: a formula is found, written out, and runs as it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
@@ -193,6 +195,22 @@ def test_screen_agrees_with_cross_validation():
     for k in np.flatnonzero(np.isfinite(after).all(0)):
         exact = hypothesis.cv.with_candidate(numbers[[k]], np.zeros((1, 1)), -free, free)
         np.testing.assert_allclose(after[:, k], exact.sse[:, j], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (lambda t: 0.6 * np.sin(2 * np.pi * 1.37 * t), "swings at 1.37 Hz"),
+        (lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly"),
+    ],
+)
+def test_what_follows_the_clock(law, words):
+    log = without_effects("arm6", 6, duration=24.0).log
+    effort = log.effort + np.outer(law(log.time), np.eye(6)[4])
+    draft = draft_effects(load_model(MODELS / "arm6.urdf"), [replace(log, effort=effort)])[1]
+    first = next(c for c in draft.correlates if c.joint == PITCH)
+    assert words in first.words
+    assert first.share > 0.9
 
 
 def test_nothing_to_draft():

@@ -85,7 +85,7 @@ def draft_rest(
         if not _left(hypothesis, joint):
             continue
         search = JointSearch(investigation.case, hypothesis, joint)
-        screen = search.words()
+        screen = search.screened()
         correlates += search.correlates(screen)
         found = search.judged(search.formulas(screen), len(screen.vocabulary), criteria)
         if found is not None:

@@ -17,6 +17,7 @@ from geodrake.diagnosis.evidence import (
 )
 from geodrake.diagnosis.hypothesis import Hypothesis, settle
 from geodrake.diagnosis.search import PENALTY, gain_of
+from geodrake.drafting.clock import clock_correlates
 from geodrake.drafting.formula import Formula, Term
 from geodrake.drafting.results import Correlate
 from geodrake.drafting.screening import Screen, best_sums
@@ -72,7 +73,7 @@ class JointSearch:
     hypothesis: Hypothesis
     joint: str
 
-    def words(self) -> Screen:
+    def screened(self) -> Screen:
         """The screen of the whole vocabulary."""
         joints = self.case.model.single_joints
         terms = vocabulary(self.joint, joints, {joint: self._reach(joint) for joint in joints})
@@ -89,10 +90,13 @@ class JointSearch:
         best: dict[frozenset[tuple[str, str]], Correlate] = {}
         for k in np.argsort(-shares):
             term, share = screen.vocabulary[k], float(shares[k])
-            told = any(seen <= term.signals and share < c.share + 0.05 for seen, c in best.items())
-            if share > max(_NOTABLE, 0.5 * shares.max()) and not told:
+            known = any(seen <= term.signals and share < c.share + 0.05 for seen, c in best.items())
+            if share > max(_NOTABLE, 0.5 * shares.max()) and not known:
                 best[term.signals] = Correlate(self.joint, term.words(self.joint), share)
-        return list(best.values())[:MOST_CORRELATES]
+        told = list(best.values())[:MOST_CORRELATES]
+        return sorted(
+            [*told, *clock_correlates(self.hypothesis, self.joint)], key=lambda c: -c.share
+        )
 
     def formulas(self, screen: Screen) -> list[Formula]:
         """The formulas that stand out, of one term, of two, of three; none twice but for constants.
