@@ -149,15 +149,13 @@ class _Run:
 
     def from_seeds(self, seeds: Sequence[int]) -> list[tuple[Array, SeedOutcome]]:
         """The best motions (f, nv) from random ones, and from the guess if there is one."""
-        begins: list[tuple[int | None, Array, Array]] = [
-            (seed, *random_guess(self.problem, self.postures, np.random.default_rng(seed)))
+        begins: list[tuple[int | None, Array]] = [
+            (seed, random_guess(self.problem, self.postures, np.random.default_rng(seed)))
             for seed in seeds
         ]
         if self.options.guess is not None:
-            held = self.problem.held(self.postures[0])
-            inside = within_limits(self.problem, self._given(self.options.guess), held)
-            if inside is not None:
-                begins.append((None, inside, held))
+            given = self._given(self.options.guess)
+            begins.append((None, within_limits(self.problem, given, begins[0][1])))
         self.starts = len(begins)
         return [self._from(number, *begin) for number, begin in enumerate(begins)]
 
@@ -175,9 +173,7 @@ class _Run:
             )
         return self.problem.variables(np.asarray(guess, float))
 
-    def _from(
-        self, number: int, seed: int | None, guess: Array, held: Array
-    ) -> tuple[Array, SeedOutcome]:
+    def _from(self, number: int, seed: int | None, guess: Array) -> tuple[Array, SeedOutcome]:
         """The best motion from one, and how it was found."""
         begin, before = time.monotonic(), self.evaluations
         random_value = self._value(guess)
@@ -197,8 +193,8 @@ class _Run:
                 seconds=left,
                 watch=lambda value, _: self._tell(number, value),
             )
-            inside = within_limits(self.problem, reached.reshape(held.shape), held)
-            if inside is not None and self._value(inside) < self._value(found):
+            inside = within_limits(self.problem, reached.reshape(guess.shape), found)
+            if self._value(inside) < self._value(found):
                 found = inside
         outcome = SeedOutcome(
             seed=seed,

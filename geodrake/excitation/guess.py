@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.solvers import ClpSolver, MathematicalProgram
 
+from geodrake.errors import ArgumentError
 from geodrake.excitation.margins import limit_use
 from geodrake.excitation.problem import DesignProblem
+from geodrake.excitation.program import limit_motion
 
 Array = NDArray[np.float64]
 
 _FILL = (0.6, 0.95)  # share of the limits that a random motion uses
+_CORNERS = 2
+_NOTHING = 1e-9  # relative size of a change that is rounding
+_POSTURES = 5
 _SHRINK = 0.8
 _STEPS = 40
 _FINE = 0.05  # of the family's shortest time
-_BISECTIONS = 12
+_BISECTIONS = 14
+_FIRST_STEP_BACK = 0.002
 
 
-def random_guess(
-    problem: DesignProblem, postures: Array, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def random_guess(problem: DesignProblem, postures: Array, rng: np.random.Generator) -> Array:
     """A random motion within all limits, about a posture that can be held.
 
     Args:
@@ -28,54 +33,94 @@ def random_guess(
         rng: Source of randomness.
 
     Returns:
-        Variables (f, nv) of the motion, and those of staying in the posture.
+        Variables (f, nv) of the motion.
+
+    Raises:
+        ArgumentError: About none of a few postures there is such a motion.
     """
-    posture = postures[int(rng.integers(len(postures)))]
-    held = problem.held(posture)
-    direction = rng.uniform(-1.0, 1.0, held.shape)
-    around = problem.limit_basis @ problem.coefficients(held)
+    for _ in range(_POSTURES):
+        held = problem.held(postures[int(rng.integers(len(postures)))])
+        if problem.start is None:
+            direction = rng.uniform(-1.0, 1.0, held.shape)
+            moving = held + rng.uniform(*_FILL) * _room(problem, held, direction) * direction
+        else:
+            moving = _from_corners(problem, rng)
+        share = 1.0
+        for _ in range(_STEPS):
+            guess = held + share * (moving - held)
+            if limit_use(problem, guess, fine=_FINE).is_within:
+                return np.asarray(guess)
+            share *= _SHRINK
+    raise ArgumentError(
+        "The robot can hold still within its limits, but hardly move: no random motion about "
+        f"{_POSTURES} postures keeps them.",
+        advice="Widen the limits that are nearly reached at rest, or start elsewhere.",
+    )
+
+
+def _from_corners(problem: DesignProblem, rng: np.random.Generator) -> Array:
+    """A random mean (f, nv) of a few motions that go as far as joint limits let them.
+
+    A start may be at a limit, from where most random directions lead out at once. A linear program
+    finds motions that do not.
+    """
+    program = MathematicalProgram()
+    variables = program.NewContinuousVariables(*problem.scale.shape)
+    limit_motion(program, problem, variables)
+    cost = program.AddLinearCost(np.zeros(variables.size), variables.ravel())
+    corners = []
+    aims = rng.normal(size=(_CORNERS, variables.size))
+    for aim in (*aims, *-aims):  # one of the two ways may be none, from a start at a limit
+        cost.evaluator().UpdateCoefficients(aim)
+        result = ClpSolver().Solve(program)
+        if not result.is_success():
+            raise ArgumentError(
+                "No motion of the family leads from the start and keeps the limits of the joints.",
+                advice="Give the family more coefficients or time, or start elsewhere.",
+            )
+        corners.append(result.GetSolution(variables))
+    weights = rng.dirichlet(np.ones(len(corners)), size=problem.scale.shape[1])  # a joint
+    return np.asarray(np.einsum("jc,cfj->fj", weights, np.array(corners)))
+
+
+def _room(problem: DesignProblem, around: Array, direction: Array) -> Array:
+    """(nv,) by how much of a direction each joint can leave a motion within its own limits."""
+    q, v, vd = problem.limit_basis @ problem.coefficients(around)
     change = problem.limit_basis @ (problem.free @ (problem.scale * direction))
     limits = problem.limits
-    room = np.array(
-        [
-            _room(change[0], limits.upper - around[0], around[0] - limits.lower),
-            _room(change[1], limits.velocity - around[1], limits.velocity + around[1]),
-            _room(change[2], limits.acceleration - around[2], limits.acceleration + around[2]),
-        ]
-    ).min(axis=0)
-    moving = held + rng.uniform(*_FILL) * room * direction
-    share = 1.0
-    for _ in range(_STEPS):
-        guess = held + share * (moving - held)
-        if limit_use(problem, guess, fine=_FINE).is_within:
-            return guess, held
-        share *= _SHRINK
-    return held, held
+    rooms = (
+        _multiple(change[0], limits.upper - q, q - limits.lower),
+        _multiple(change[1], limits.velocity - v, limits.velocity + v),
+        _multiple(change[2], limits.acceleration - vd, limits.acceleration + vd),
+    )
+    return np.asarray(np.min(rooms, axis=0))
 
 
-def within_limits(problem: DesignProblem, variables: Array, held: Array) -> Array | None:
-    """The motion nearest to one on the way to rest that keeps all limits; None if only rest does.
+def _multiple(change: Array, above: Array, below: Array) -> Array:
+    """(nv,) largest multiple of a change (n, nv) that stays within the room on either side."""
+    size = np.abs(change)
+    moving = size > _NOTHING * size.max(axis=0)
+    room = np.where(change > 0, above, below)
+    ratio = np.where(moving, room, np.inf) / np.where(moving, size, 1.0)
+    return np.asarray(np.maximum(ratio.min(axis=0), 0.0))
+
+
+def within_limits(problem: DesignProblem, variables: Array, inside: Array) -> Array:
+    """The motion nearest to one, on the way from another that keeps all limits, that does so too.
 
     Args:
         problem: The design problem.
         variables: (f, nv) variables of a motion that keeps the limits, or nearly so.
-        held: (f, nv) variables of a posture that can be held.
+        inside: (f, nv) variables of a motion that keeps them.
     """
     if limit_use(problem, variables).is_within:
         return variables
-    least, most, found = 0.0, 1.0, None
+    least, step = 0.0, _FIRST_STEP_BACK
+    most = 1.0
     for _ in range(_BISECTIONS):
-        share = 0.5 * (least + most) if found is not None else most - (most - least) * 0.25
-        moved = held + share * (variables - held)
-        if limit_use(problem, moved).is_within:
-            least, found = share, moved
+        share = most - step if most - step > least else 0.5 * (least + most)
+        if limit_use(problem, inside + share * (variables - inside)).is_within:
+            least = share
         else:
-            most = share
-    return found
-
-
-def _room(change: Array, above: Array, below: Array) -> Array:
-    """(nv,) largest multiple of a change (n, nv) that stays below one bound and above the other."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(change > 0, above / change, np.where(change < 0, -below / change, np.inf))
-    return np.asarray(np.maximum(ratio.min(axis=0), 0.0))
+            most, step = share, 4.0 * step
+    return np.asarray(inside + least * (variables - inside))

@@ -59,13 +59,12 @@ def limit_use(problem: DesignProblem, variables: Array, *, fine: float = _FINE) 
     )
     motion = trajectory.motion_of(states)
     effort = problem.model.effort(motion, sign_width=problem.sign_width)
-    # A sine exceeds its samples by this; efforts have squares of sines too.
-    beyond = 0.5 * (np.pi * fine) ** 2 if problem.family.timed else 0.0
+    timed = problem.family.timed
     use = LimitUse(
-        position=(1.0 + beyond) * _peak(q - limits.middle, limits.reach),
-        velocity=(1.0 + beyond) * _peak(v, limits.velocity),
-        acceleration=(1.0 + beyond) * _peak(vd, limits.acceleration),
-        effort=(1.0 + 4.0 * beyond) * _peak(effort, limits.effort),
+        position=_peak((q - limits.middle) / limits.reach, timed),
+        velocity=_peak(v / limits.velocity, timed),
+        acceleration=_peak(vd / limits.acceleration, timed),
+        effort=_peak(effort / limits.effort, timed),
     )
     if problem.collisions is None:
         return use
@@ -79,6 +78,9 @@ def limit_use(problem: DesignProblem, variables: Array, *, fine: float = _FINE) 
     )
 
 
-def _peak(values: Array, limit: Array) -> Array:
-    """(nv,) largest of values (n, nv) as a share of the limit."""
-    return np.asarray((np.abs(values) / limit).max(axis=0))
+def _peak(shares: Array, timed: bool) -> Array:
+    """(nv,) largest size of shares (n, nv); between instants too, as their curvature tells."""
+    sizes = np.abs(shares)
+    if timed and len(shares) > 2:
+        sizes[1:-1] += np.abs(np.diff(shares, 2, axis=0)) / 8.0
+    return np.asarray(sizes.max(axis=0))

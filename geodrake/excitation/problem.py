@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _EFFORT_SHARE = 0.1  # of the family's shortest time, between instants at which efforts are limited
 _COLLISION_SHARE = 0.05  # likewise of collisions
+_AFTER_START = np.array([0.02, 0.05, 0.1, 0.2, 0.4, 0.7])  # of the first interval
 _STILL = 1e-8  # relative error of a constant motion
 
 
@@ -102,8 +103,14 @@ class DesignProblem:
 
     @cached_property
     def limit_basis(self) -> Array:
-        """(3, n, count) basis where positions, velocities and accelerations are limited."""
-        return self.family.basis(self.family.limit_times())
+        """(3, n, count) basis where positions, velocities and accelerations are limited.
+
+        After a given start, which may be at a limit, instants are closer.
+        """
+        times = self.family.limit_times()
+        if self.start is not None and self.family.timed:
+            times = np.union1d(times, _AFTER_START * times[1])
+        return self.family.basis(times)
 
     @cached_property
     def effort_basis(self) -> Array:

@@ -15,6 +15,7 @@ from geodrake.excitation.problem import DesignProblem
 Array = NDArray[np.float64]
 Differentiable = Callable[[Array], tuple[Any, Array]]
 
+_NOTHING = 1e-12  # relative size of what is rounding
 _WITHIN = 0.992  # of limits: a sine exceeds its samples by less, 20 a period
 
 
@@ -45,7 +46,7 @@ def build_program(
 
     flat = variables.ravel()
     program.AddCost(_with_autodiff(cost, raised), vars=flat)
-    _limit_motion(program, problem, variables)
+    limit_motion(program, problem, variables)
     if np.isfinite(problem.limits.effort).any():
         most = np.ones(problem.effort_basis.shape[1] * nv)
         efforts = _with_autodiff(problem.efforts, raised)
@@ -57,10 +58,16 @@ def build_program(
     return program, flat
 
 
-def _limit_motion(
+def limit_motion(
     program: MathematicalProgram, problem: DesignProblem, variables: NDArray[np.object_]
 ) -> None:
-    """Linear constraints: positions, velocities and accelerations of every joint."""
+    """Adds linear constraints: positions, velocities and accelerations of every joint.
+
+    Args:
+        program: What they are added to.
+        problem: The problem.
+        variables: (f, nv) its variables in the program.
+    """
     limits, basis = problem.limits, problem.limit_basis
     for j in range(len(limits.joints)):
         bounds = (
@@ -71,15 +78,13 @@ def _limit_motion(
         for Phi, (low, high) in zip(basis, bounds, strict=True):
             if not np.isfinite(high):
                 continue
-            size = 0.5 * (high - low)
-            A = Phi @ problem.free * (problem.scale[:, j] / size)
+            A = Phi @ problem.free * problem.scale[:, j]
             fixed = Phi @ problem.offset[:, j]
-            moving = np.abs(A).max(axis=1) > 0.0
+            reach = np.abs(A).max(axis=1)
+            moving = reach > _NOTHING * reach.max()  # not so the start, if it is given
+            A, fixed, reach = A[moving], fixed[moving], reach[moving]
             program.AddLinearConstraint(
-                A[moving],
-                ((low - fixed) / size)[moving],
-                ((high - fixed) / size)[moving],
-                variables[:, j],
+                A / reach[:, None], (low - fixed) / reach, (high - fixed) / reach, variables[:, j]
             )
 
 
