@@ -52,6 +52,7 @@ LAYERS = (
     "diagnosis",
     "drafting",
     "model_identification",
+    "identifiability",
     "adaptation",
     "online_estimation",
     "systems",
@@ -60,6 +61,7 @@ LAYERS = (
     # What the user sees.
     "visualization",
     "json_output",
+    "excitation_json",
     "report",
     "demo",
     "cli",

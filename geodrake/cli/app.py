@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geodrake.cli.excitation_options import IdentifiableOptions
 from geodrake.cli.options import (
     AddOptions,
     DemoOptions,
@@ -139,6 +140,15 @@ def identify(options: IdentifyOptions) -> None:
     from geodrake.cli.identify import run_identify
 
     run_identify(options)
+
+
+@app.command()
+@taking(IdentifiableOptions)
+def identifiable(options: IdentifiableOptions) -> None:
+    """Which parameters the logs can tell, to within a threshold, and which not."""
+    from geodrake.cli.identifiable import run_identifiable
+
+    run_identifiable(options)
 
 
 @app.command()

@@ -7,11 +7,14 @@ import inspect
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
 from geodrake.cli.guard import guarded
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 MODEL_HELP = "URDF, SDF, MJCF or Drake directives file, or a model saved with --save."
 LOG_HELP = "CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units."
@@ -174,7 +177,7 @@ class DemoOptions:
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
 
 
-T = TypeVar("T", Options, ExplainOptions, RolloutOptions, AddOptions, IdentifyOptions, DemoOptions)
+T = TypeVar("T", bound="DataclassInstance")
 
 
 def taking(options: type[T]) -> Callable[[Callable[[T], None]], Callable[..., None]]:

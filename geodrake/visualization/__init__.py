@@ -9,6 +9,7 @@ from geodrake.visualization.figures import (
     step_figure,
     step_stages,
 )
+from geodrake.visualization.identifiable import identifiable_figure, render_identifiable
 from geodrake.visualization.identification_page import render_identification
 from geodrake.visualization.report import (
     comparison_figures,
@@ -30,11 +31,13 @@ __all__ = [
     "diagnosis_figures",
     "draft_figure",
     "effort_figure",
+    "identifiable_figure",
     "joint_error_figure",
     "render_comparison",
     "render_diagnosis",
     "render_drafted",
     "render_explanation",
+    "render_identifiable",
     "render_identification",
     "render_rollout",
     "report_figures",
