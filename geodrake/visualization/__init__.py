@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from geodrake.visualization.adaptation_view import AdaptationView, save_recording
 from geodrake.visualization.draft import draft_figure, render_drafted
 from geodrake.visualization.figures import (
     candidate_figure,
@@ -25,6 +26,7 @@ from geodrake.visualization.series_figures import effort_figure, residual_figure
 from geodrake.visualization.units import Units
 
 __all__ = [
+    "AdaptationView",
     "Units",
     "candidate_figure",
     "comparison_figures",
@@ -44,6 +46,7 @@ __all__ = [
     "residual_figure",
     "rollout_figure",
     "save_figures",
+    "save_recording",
     "step_figure",
     "step_stages",
 ]
