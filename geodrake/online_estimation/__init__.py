@@ -7,7 +7,7 @@ in the divergence of its manifold. Both are pure: array in, array out.
 
 from geodrake.online_estimation.filtered_regressor import FilteredRegressor
 from geodrake.online_estimation.mirror_map import MirrorMap
-from geodrake.online_estimation.sample_update import SampleUpdate
+from geodrake.online_estimation.sample_update import Rows, SampleUpdate
 from geodrake.online_estimation.slab_projection import SlabProjection
 
-__all__ = ["FilteredRegressor", "MirrorMap", "SampleUpdate", "SlabProjection"]
+__all__ = ["FilteredRegressor", "MirrorMap", "Rows", "SampleUpdate", "SlabProjection"]

@@ -86,6 +86,8 @@ class FilteredRegressor:
             effort: (nv,) efforts.
             sample: The robot at q, q̇ and v = q̇, if that is known already.
         """
+        if not all(np.isfinite(x).all() for x in (q, qd, effort)):
+            return self.skipped(memory)
         after = memory.copy()
         known = bool(memory[0])
         stack = after[1:].reshape(self.order + 1, *self.shape)

@@ -21,6 +21,8 @@ from geodrake.manifolds import Interval, Manifold, PhysicalInertia, Product
 _TO_MATRIX = pseudo_inertia_basis().reshape(PARAMETERS_PER_BODY, 16)
 _TO_DUAL = dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
+_GREATEST = 1e60  # number whose fourth power, as in det P, still is one
+_CLEAR = 1e-9  # det P over the product of its diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +156,29 @@ class MirrorMap:
             return None
         return Point(root.swapaxes(-1, -2) @ root, P_inverse, x)
 
+    def mixed(self, point: Point, other: Point, share: float) -> Point | None:
+        """The point y with ∇h(y) = (1 − s) ∇h(x) + s ∇h(x') for a share s in [0, 1]."""
+        P_inverse = point.P_inverse + share * (other.P_inverse - point.P_inverse)
+        x = self._moved_others(point.x, share * (self._slope(point.x) - self._slope(other.x)))
+        return None if x is None else Point(np.asarray(np.linalg.inv(P_inverse)), P_inverse, x)
+
+    def clearly_inside(self, p: Array) -> bool:
+        """Whether a parameter vector (n,) is inside for sure: a cheap test that may say no."""
+        if not np.isfinite(p).all():
+            return False
+        P, x = (p[self.bodies] @ _TO_MATRIX).reshape(-1, 4, 4), p[self.others]
+        diagonal = np.diagonal(P, axis1=-2, axis2=-1)
+        if not 1 / _GREATEST < diagonal.min(initial=1.0) <= diagonal.max(initial=1.0) < _GREATEST:
+            return False
+        try:
+            L = np.linalg.cholesky(P)
+        except np.linalg.LinAlgError:
+            return False
+        # det P over the product of its diagonal, which does not depend on units.
+        shape = (np.diagonal(L, axis1=-2, axis2=-1) ** 2 / diagonal).prod(-1)
+        inside = bool(((x > self.lower) & (x < self.upper)).all())
+        return inside and bool(shape.min(initial=1.0) > _CLEAR)
+
     def values(self, point: Point, rows: Covectors) -> Array:
         """aᵀ y (k,)."""
         flat = rows.X.reshape(len(rows.X), -1) @ point.P.ravel()
@@ -169,6 +194,11 @@ class MirrorMap:
         flat = np.isinf(self.lower) & np.isinf(self.upper)
         softness = 1.0 / np.where(flat, 1.0, below**-2.0 + above**-2.0)
         return np.asarray(bodies + (rows.a * softness) @ rows.a_light.T)
+
+    def _slope(self, x: Array) -> Array:
+        """∇h of each other parameter, less its weight."""
+        flat = np.isinf(self.lower) & np.isinf(self.upper)
+        return np.where(flat, x, 1.0 / (self.upper - x) - 1.0 / (x - self.lower))
 
     def _moved_others(self, x: Array, b: Array) -> Array | None:
         """Each other parameter by itself."""

@@ -6,50 +6,53 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geodrake.adaptation import (
     BatchedProduct,
     ConvexSet,
     ProjectedLaw,
     natural_adaptation,
-    prediction_covector,
 )
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
-from geodrake.online_estimation.mirror_map import MirrorMap
+from geodrake.online_estimation.mirror_map import MirrorMap, Point
 from geodrake.online_estimation.slab_projection import SlabProjection
 from geodrake.projections import Polyhedron
 
-_ACCURACY = 1e-3  # of one of many projections
+Rows = tuple[Array, Array]
+"""A regressor (k, n) and its efforts (k,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleUpdate:
-    """Projections of an estimate onto the slab of a sample, and then onto a constraint set.
+    """A step of an estimate toward the slab of a sample, and its projection onto a constraint set.
 
     Attributes:
         manifold: The manifold of the parameters, as `parameter_manifold` gives it.
-        tolerance: (nv,) ε, N·m or N: the error of filtered efforts that is not believed.
+        tolerance: (nv,) or one ε, N·m or N: the error of filtered efforts that is not believed.
         constraints: A convex set that holds the truth, if one is known.
-        relaxation: Share in (0, 1] of a projection that is carried out.
+        relaxation: Share in (0, 1] of a step toward the slabs that is carried out: less follows
+            noise less.
         forgetting: Rate, 1/s, at which an estimate goes back to the prior along the way of least
             divergence, where no sample holds it; zero for never.
         prior: (n,) where it goes back to.
     """
 
     manifold: BatchedProduct
-    tolerance: Array
+    tolerance: ArrayLike
     constraints: ConvexSet | Polyhedron | None = None
     relaxation: float = 0.5
     forgetting: float = 0.0
     prior: Array | None = None
 
     def __post_init__(self) -> None:
-        usable = np.isfinite(self.tolerance).all() and (np.asarray(self.tolerance) > 0).all()
+        epsilon = np.asarray(self.tolerance, float)
+        usable = np.isfinite(epsilon).all() and (epsilon > 0).all()
         if not (usable and 0 < self.relaxation <= 1 and 0 <= self.forgetting < np.inf):
             raise ArgumentError(
                 "An estimator needs positive tolerances, a relaxation in (0, 1] and a forgetting "
-                f"of zero or more; got {np.asarray(self.tolerance).tolist()}, {self.relaxation} "
+                f"of zero or more; got {epsilon.tolist()}, {self.relaxation} "
                 f"and {self.forgetting}."
             )
         if self.forgetting > 0 and self.prior is None:
@@ -57,7 +60,7 @@ class SampleUpdate:
 
     @cached_property
     def _slabs(self) -> SlabProjection:
-        return SlabProjection(self.manifold, accuracy=_ACCURACY)
+        return SlabProjection(self.manifold)
 
     @cached_property
     def _map(self) -> MirrorMap:
@@ -70,10 +73,23 @@ class SampleUpdate:
         return ProjectedLaw(natural_adaptation(self.manifold), self.constraints)
 
     @cached_property
-    def _prior_gradient(self) -> Array:
-        return np.asarray(self.manifold.gradient(np.asarray(self.prior, float)), float)
+    def _prior_point(self) -> Point:
+        return self._map.point(np.asarray(self.prior, float))
 
-    def updated(self, p: Array, Y: Array, effort: Array, dt: float) -> Array:
+    def _epsilon(self, effort: Array) -> Array:
+        """ε of efforts (k,), of one sample or of several after each other."""
+        return np.resize(np.asarray(self.tolerance, float), effort.shape)
+
+    def _projected(self, p: Array, Y: Array, effort: Array) -> Array | None:
+        epsilon = self._epsilon(effort)
+        try:
+            return self._slabs.nudged(p, Y, effort, epsilon, relaxation=self.relaxation)
+        except np.linalg.LinAlgError:
+            return None
+
+    def updated(
+        self, p: Array, Y: Array, effort: Array, dt: float, *, earlier: Rows | None = None
+    ) -> Array:
         """The estimate (n,) after a sample; the one before if something is not finite.
 
         Args:
@@ -81,40 +97,26 @@ class SampleUpdate:
             Y: (nv, n) filtered regressor.
             effort: (nv,) filtered efforts, N·m or N.
             dt: Time since the last sample, s.
+            earlier: Regressor and efforts of an earlier sample, which are to hold as well: what one
+                sample says of the parameters is little, and soon forgotten without.
         """
         if not (np.isfinite(Y).all() and np.isfinite(effort).all()):
             return p
         following = self._forgotten(p, dt) if self.forgetting > 0 else p
-        try:
-            moved = self._slabs.project(
-                following, Y, effort, self.tolerance, relaxation=self.relaxation
-            )
-        except np.linalg.LinAlgError:
-            moved = None
+        if earlier is not None:
+            Y, effort = np.vstack([Y, earlier[0]]), np.concatenate([effort, earlier[1]])
+        moved = self._projected(following, Y, effort)
         if moved is None:
-            # No body has these efforts: a short step toward them instead.
-            moved = self._stepped(following, Y, effort)
+            return p
         if self._limited is not None:
             try:
                 moved = self._limited.project(moved)
             except (GeodrakeError, np.linalg.LinAlgError):
                 return p
-        good = np.isfinite(moved).all() and bool(self.manifold.contains(moved))
+        good = self._map.clearly_inside(moved) or bool(self.manifold.contains(moved))
         return moved if good else p
 
-    def _stepped(self, p: Array, Y: Array, effort: Array) -> Array:
-        """A natural step of the squared error, in units of the tolerances, without overshoot."""
-        weight = self.tolerance**-2.0
-        pulls = self.manifold.inverse_metric_times(p, Y)
-        curvature = float((weight * np.einsum("ij,ij->i", Y, pulls)).sum())
-        b = prediction_covector(Y, p, effort, weight=weight)
-        # The length of b is at most one, too, so that no body changes by more than a factor e.
-        length = float(np.sqrt(max(float(b @ self.manifold.inverse_metric_times(p, b)), 0.0)))
-        return self.manifold.natural_step(p, b, self.relaxation / max(curvature, length, 1e-300))
-
     def _forgotten(self, p: Array, dt: float) -> Array:
-        share = -np.expm1(-self.forgetting * dt)
-        b = share * (np.asarray(self.manifold.gradient(p), float) - self._prior_gradient)
-        rows = self._map.covectors(b[None])
-        moved = self._map.moved(self._map.point(p), rows, np.ones(1))
+        share = float(-np.expm1(-self.forgetting * dt))
+        moved = self._map.mixed(self._map.point(p), self._prior_point, share)
         return p if moved is None else self._map.parameters(moved)

@@ -15,6 +15,7 @@ from geodrake.online_estimation.mirror_map import Covectors, MirrorMap, Point
 _MOST_STEPS = 50  # of Newton's method, on one set of rows
 _SHRUNK = 0.7  # share of the error that a full step may leave
 _ROUNDING = 1e-5  # error that is left where rounding ends Newton's method
+_SHARING = 1e-2  # of a row's squared length, added to it
 _EDGE = 1e-6  # of the tolerance, outside of which a row is not yet outside
 
 
@@ -90,67 +91,105 @@ class SlabProjection:
         multipliers = np.zeros(len(Y))
         for _ in range(3 * len(Y)):
             face = _Face.of(rows, np.flatnonzero(side), effort + side * tolerance, scale)
-            found = self._solved(point, face, multipliers[face.bound])
+            found = self._multipliers(point, face, multipliers[face.bound])
             if found is None:
                 return None
-            y = found[1]
             multipliers[:] = 0.0
-            multipliers[face.bound] = found[0]
-            wrong = multipliers * side < 0
-            if wrong.any():
-                worst = np.argmin(multipliers * side)
-                multipliers[worst], side[worst] = 0.0, 0.0
+            multipliers[face.bound] = found
+            pushed = multipliers * side
+            if (pushed < 0).any():
+                worst = int(np.argmin(pushed))
+                multipliers[worst] = side[worst] = 0.0
                 continue
+            y = self._map.moved(point, rows, multipliers)
+            if y is None:
+                return None
             values = self._map.values(y, rows) - effort
-            outside = np.abs(values) - tolerance
-            outside[side != 0] = -np.inf
-            if not (outside > max(_EDGE, self.accuracy) * scale).any():
-                if relaxation < 1.0:
-                    y = self._map.moved(point, rows, relaxation * multipliers) or y
-                return self._map.parameters(y)
-            worst = np.argmax(outside / scale)
-            side[worst] = np.sign(values[worst])
+            outside = np.where(side == 0, np.abs(values) - tolerance, -np.inf)
+            if (outside > max(_EDGE, self.accuracy) * scale).any():
+                worst = int(np.argmax(outside / scale))
+                side[worst] = np.sign(values[worst])
+                continue
+            y = self._map.moved(point, rows, relaxation * multipliers)
+            return None if y is None else self._map.parameters(y)
         return None
 
-    def _solved(self, x: Point, face: _Face, start: Array) -> tuple[Array, Point] | None:
-        """Multipliers and point at which the rows of a face have their targets.
+    def nudged(
+        self, p: Array, Y: Array, effort: Array, tolerance: Array, *, relaxation: float = 1.0
+    ) -> Array | None:
+        """One step of Newton's method toward the slabs that an estimate is outside of.
 
-        Newton's method for the least of a convex function of the multipliers.
+        For one of many samples: the step has its own way to be short, at most one in the manifold's
+        metric, and rows that nearly depend on each other share what they ask for, so that samples
+        that contradict each other do little. With the truth in the slabs, it comes nearer.
+
+        Args:
+            p: (n,) estimate inside of the manifold.
+            Y: (k, n) rows.
+            effort: (k,) their values.
+            tolerance: (k,) ε > 0 of each.
+            relaxation: Share of the step that is made, in (0, 1].
+
+        Returns:
+            The estimate (n,); itself if it is in all slabs, None if rounding leaves none.
+        """
+        error = Y @ p - effort
+        bound = np.flatnonzero(np.abs(error) > tolerance)
+        if not len(bound):
+            return p
+        side = np.sign(error[bound])
+        error = error[bound] - side * tolerance[bound]
+        rows, point = self._map.covectors(Y[bound]), self._map.point(p)
+        products = self._map.products(point, rows)
+        multipliers, kept = np.zeros(len(bound)), np.arange(len(bound))
+        while len(kept):
+            found = _solve_scaled(products[np.ix_(kept, kept)], error[kept], _SHARING)
+            pushed = found * side[kept]
+            if (pushed >= 0).all():
+                multipliers[kept] = found
+                break
+            kept = np.delete(kept, np.argmin(pushed))
+        length = np.sqrt(max(float(error @ multipliers) / self._map.lightest, 0.0))
+        y = self._map.moved(point, rows, (relaxation / (1.0 + length)) * multipliers)
+        return None if y is None else self._map.parameters(y)
+
+    def _multipliers(self, x: Point, face: _Face, start: Array) -> Array | None:
+        """Multipliers (m,) with which the rows of a face have their targets.
+
+        Newton's method for the least of a convex, self-concordant function of the multipliers.
         """
         own, scale, multipliers = face.rows, face.scale, start
-        first = self._map.moved(x, own, start)
-        if first is None:
-            first, multipliers = x, np.zeros(len(start))
-        y = first
+        y = self._map.moved(x, own, start) if start.any() else x
+        if y is None:
+            y, multipliers = x, np.zeros(len(start))
         error = self._map.values(y, own) - face.target
         for _ in range(_MOST_STEPS):
             size = np.abs(error / scale).max(initial=0.0)
             if size <= self.accuracy:
-                return multipliers, y
+                return multipliers
             direction = _solve_scaled(self._map.products(y, own), error)
             following = multipliers + direction
+            length = np.sqrt(max(float(error @ direction) / self._map.lightest, 0.0))
+            if length <= self.accuracy:
+                return following  # what a short step leaves is this share of the error
             moved = self._map.moved(x, own, following)
             if moved is not None:
                 left = self._map.values(moved, own) - face.target
             if moved is None or not np.abs(left / scale).max() < _SHRUNK * size:
-                # The function is self-concordant, so this step stays inside and makes progress.
-                length = np.sqrt(max(float(error @ direction) / self._map.lightest, 0.0))
+                # This step stays inside and makes progress.
                 following = multipliers + direction / (1.0 + length)
                 moved = self._map.moved(x, own, following)
                 if moved is None:
                     return None
                 left = self._map.values(moved, own) - face.target
             multipliers, y, error = following, moved, left
-        return (
-            (multipliers, y)
-            if np.abs(error / scale).max() < max(_ROUNDING, self.accuracy)
-            else None
-        )
+        good = np.abs(error / scale).max() < max(_ROUNDING, self.accuracy)
+        return multipliers if good else None
 
 
-def _solve_scaled(products: Array, error: Array) -> NDArray[np.float64]:
+def _solve_scaled(products: Array, error: Array, softness: float = 1e-12) -> NDArray[np.float64]:
     """Newton's direction, with rows of unit length so that dependent ones do no harm."""
     lengths = np.sqrt(np.maximum(np.diagonal(products), 1e-300))
     scaled = products / lengths / lengths[:, None]
-    scaled.flat[:: len(scaled) + 1] += 1e-12
+    scaled.flat[:: len(scaled) + 1] += softness
     return np.asarray(np.linalg.solve(scaled, error / lengths) / lengths)

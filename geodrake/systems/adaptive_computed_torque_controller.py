@@ -33,11 +33,11 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         - estimated_state
         - desired_state
         - desired_acceleration
-        - acceleration (without a filter)
+        - acceleration
         output_ports:
         - actuation
         - parameters
-        - lyapunov (if the truth is given)
+        - lyapunov
 
     With e = (q − q_d, q̇ − q̇_d) and Aᵀ P + P A = −𝟙 for the error dynamics A,
 
@@ -53,6 +53,8 @@ class AdaptiveComputedTorqueController(AdaptiveController):
       effort that moves the robot to be this controller's.
 
     M̂ is invertible while the estimate is physical, which the natural law sees to.
+
+    There is no port `acceleration` with a bandwidth, and no `lyapunov` without the true p.
 
     What happens when inputs are missing is told in `AdaptiveController`; a measured acceleration
     that is not finite only makes adaptation wait.

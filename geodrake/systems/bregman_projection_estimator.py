@@ -9,9 +9,11 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.online_estimation import FilteredRegressor, SampleUpdate
+from geodrake.online_estimation import FilteredRegressor, Rows, SampleUpdate
 from geodrake.systems.requirements import checked_estimate, require_single_joints
 from geodrake.systems.safeguards import Watch
+
+_SLOTS = 24  # samples in memory
 
 
 class BregmanProjectionEstimator(LeafSystem):
@@ -29,8 +31,9 @@ class BregmanProjectionEstimator(LeafSystem):
 
     Every sample adds to filtered rows Y_f p = effort_f, which need no acceleration
     (`FilteredRegressor`). The estimate is projected, in the divergence of its manifold, onto the
-    slab |Y_f p − effort_f| ≤ ε of each sample and onto a constraint set (`SampleUpdate`). If the
-    truth is in slab and set, no sample takes the estimate farther from it, and it always stays
+    slab |Y_f p − effort_f| ≤ ε of each sample and onto a constraint set (`SampleUpdate`), together
+    with that of one of the samples of the last seconds, so that they are not forgotten. If the
+    truth is in slabs and set, no sample takes the estimate farther from it, and it always stays
     physical.
 
     `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection.
@@ -48,6 +51,7 @@ class BregmanProjectionEstimator(LeafSystem):
         filtered: FilteredRegressor | None = None,
         time_step: float = 1e-3,
         parameters: ArrayLike | None = None,
+        memory: float = 2.0,
         stale_time: float = 0.05,
     ) -> None:
         """Constructs the system.
@@ -58,6 +62,8 @@ class BregmanProjectionEstimator(LeafSystem):
             filtered: The filter, its period the time step; one of 20 1/s if None.
             time_step: Sampling period, s.
             parameters: (p,) first estimate; that of the model if None.
+            memory: For how long samples are seen again, s; zero for never. A change of the robot
+                shows at once, and is settled after this time.
             stale_time: How long the state may stand still, s.
 
         Raises:
@@ -66,6 +72,14 @@ class BregmanProjectionEstimator(LeafSystem):
         """
         LeafSystem.__init__(self)
         require_single_joints(control)
+        if not 0 < time_step < np.inf:
+            raise ArgumentError(f"An estimator needs a time step above zero; got {time_step} s.")
+        nv = len(control.joints)
+        if np.shape(update.tolerance) not in ((), (nv,)):
+            raise ArgumentError(
+                f"The robot has {nv} joints; the update has a tolerance of shape "
+                f"{np.shape(update.tolerance)}."
+            )
         filtered = filtered or FilteredRegressor(control, time_step)
         if filtered.period != time_step or filtered.control is not control:
             raise ArgumentError(
@@ -73,9 +87,9 @@ class BregmanProjectionEstimator(LeafSystem):
                 advice="Make the filter with the same ControlModel and time step.",
             )
         start = checked_estimate(control, update.manifold, parameters)
-        nv = len(control.joints)
         self.control, self._sample_update, self._filter = control, update, filtered
         self._nv, self._time_step = nv, time_step
+        self._spacing = max(1, round(memory / (_SLOTS * time_step)))
         self._watch = Watch(nv, max(stale_time / time_step, 1.0))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
@@ -83,6 +97,10 @@ class BregmanProjectionEstimator(LeafSystem):
             self.DeclareDiscreteState(value)
             for value in (start, filtered.start(), self._watch.start()[: 2 * nv + 1], np.zeros(nv))
         )
+        rows = np.zeros(filtered.shape).ravel()
+        slots = _SLOTS if memory > 0 else 0
+        self._slots = [self.DeclareDiscreteState(rows) for _ in range(slots)]
+        self._count = self.DeclareDiscreteState(np.zeros(1))
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0.0, self._update)
         self.DeclareStateOutputPort("parameters", self._estimate)
         self.DeclareStateOutputPort("residual", self._residual)
@@ -91,13 +109,22 @@ class BregmanProjectionEstimator(LeafSystem):
         """The estimate (p,) in a Context."""
         return np.array(context.get_discrete_state(self._estimate).value())
 
+    def set_parameters(self, context: Context, parameters: ArrayLike) -> None:
+        """Puts an estimate (p,) into a Context.
+
+        Raises:
+            ArgumentError: It is not in the manifold of the update, or has the wrong length.
+        """
+        p = checked_estimate(self.control, self._sample_update.manifold, parameters)
+        context.SetDiscreteState(self._estimate, p)
+
     def _update(self, context: Context, state: DiscreteValues) -> None:
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         watched = context.get_discrete_state(self._seen).value()
-        usable, _, count = self._watch.fresh(watched, x)
-        state.set_value(self._seen, np.concatenate([x if usable else watched[:-1], [count]]))
+        _, new, count = self._watch.fresh(watched, x)
+        state.set_value(self._seen, np.concatenate([x if new else watched[:-1], [count]]))
         memory = context.get_discrete_state(self._memory).value()
-        if not (usable and np.isfinite(effort).all()):
+        if not (new and np.isfinite(effort).all()):
             state.set_value(self._memory, self._filter.skipped(memory))
             return
         with np.errstate(all="ignore"):
@@ -105,6 +132,21 @@ class BregmanProjectionEstimator(LeafSystem):
             state.set_value(self._memory, memory)
             p, (Y, known) = self.parameters(context), self._filter.rows(memory)
             state.set_value(self._residual, known - Y @ p)
-            state.set_value(
-                self._estimate, self._sample_update.updated(p, Y, known, self._time_step)
-            )
+            earlier = self._earlier(context, state, np.column_stack([Y, known]))
+            following = self._sample_update.updated(p, Y, known, self._time_step, earlier=earlier)
+            state.set_value(self._estimate, following)
+
+    def _earlier(self, context: Context, state: DiscreteValues, rows: Array) -> Rows | None:
+        """The samples in memory, one after the other; now and then the present one goes there."""
+        if not self._slots:
+            return None
+        count = int(context.get_discrete_state(self._count).value()[0])
+        state.set_value(self._count, [count + 1])
+        kept, rest = divmod(count, self._spacing)
+        if rest == 0 and np.isfinite(rows).all():
+            state.set_value(self._slots[kept % _SLOTS], rows.ravel())
+        if kept == 0:
+            return None
+        slot = self._slots[count % min(kept, _SLOTS)]
+        values = context.get_discrete_state(slot).value().reshape(self._filter.shape)
+        return values[:, :-1], values[:, -1]

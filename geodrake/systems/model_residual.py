@@ -19,7 +19,7 @@ class ModelResidual(LeafSystem):
         name: ModelResidual
         input_ports:
         - estimated_state
-        - acceleration (without a filter)
+        - acceleration
         - effort
         - parameters
         output_ports:
@@ -28,7 +28,7 @@ class ModelResidual(LeafSystem):
 
     `residual` (nv), N·m or N, is measured − predicted effort. Without a filter it follows the
     inputs at once. With one, both sides are low-passed (`FilteredRegressor`), which needs no
-    acceleration; the residual is then a discrete state.
+    acceleration, and there is no such port; the residual is then a discrete state.
 
     `parameters` (p) may be an estimator's; those of the model if the port is not connected.
 

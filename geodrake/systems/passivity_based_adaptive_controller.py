@@ -53,7 +53,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         output_ports:
         - actuation
         - parameters
-        - lyapunov (if the truth is given)
+        - lyapunov
 
     With v = q̇_d − Λ (q − q_d), a = v̇ and r = q̇ − v, for gains that are fixed or vary with M̂,
 
@@ -61,7 +61,8 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         actuation = Y(q, q̇, v, a − λ r) p̂          [Lee2019] Remark 5.1, b = Y(…, a − λ r)ᵀ r
 
     and the law moves p̂ by b. `lyapunov` is ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises
-    except by what a time step adds; it leaves out the first term while an input is missing.
+    except by what a time step adds; it leaves out the first term while an input is missing. Without
+    the true p there is no such port.
 
     `actuation` (nv) is N·m or N in the order of velocities, `parameters` (p) that of ControlModel,
     states are q and then q̇. What happens when inputs are missing is told in `AdaptiveController`.
