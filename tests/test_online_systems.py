@@ -114,13 +114,15 @@ def test_a_payload_shows_within_seconds():
     p = np.array([0.0, 0.0, 0.15])
     extra = np.array([1, *p, 0.15**2 + 1e-4, 0.15**2 + 1e-4, 1e-4, 0, 0, 0])
     heavier[10:20] += 0.5 * (TRUTH[0] + TRUTH[10]) * extra
-    _, time, p, _ = estimated(recorded(truth=heavier))
+    _, time, p, _ = estimated(recorded(6.0, truth=heavier))
     check(p)
-    # Not every parameter of two hanging links shows; their first moments, by gravity, do.
+    # Its effort is explained within a second, …
+    assert unexplained(p[time >= 1.0][0], heavier) < 0.15 * unexplained(p[0], heavier)
+    # … and what shows of it by gravity, the first moment, settles as the motion goes on.
     moved, expected = p[:, 13] - TRUTH[13], heavier[13] - TRUTH[13]
     assert np.abs(moved[time > 1.0] / expected - 1.0).max() < 0.6
-    assert np.abs(moved[time > 3.0] / expected - 1.0).max() < 0.25
-    assert unexplained(p[-1], heavier) < 0.15 * unexplained(p[0], heavier)
+    assert np.abs(moved[time > 5.0] / expected - 1.0).max() < 0.15
+    assert unexplained(p[-1], heavier) < 0.1 * unexplained(p[0], heavier)
 
 
 @pytest.mark.parametrize("fault", [nothing, frozen])
