@@ -110,7 +110,10 @@ class AdaptationView(LeafSystem):
     def _draw_objects(self) -> None:
         meshcat = self._meshcat
         meshcat.Delete(self._path)
-        lines = len(skeleton(self._plant, self._scratch))
+        ends = skeleton(self._plant, self._scratch)
+        points, lines = ends.reshape(-1, 3), len(ends)
+        middle, size = points.mean(0), float(np.ptp(points, axis=0).max())
+        meshcat.SetCameraPose(middle + size * np.array([1.4, -1.1, 0.7]), middle)
         for robot, color in (("robot", style.INK), ("desired", IDENTIFIED)):
             rgba = Rgba(*to_rgb(color), 1.0 if robot == "robot" else 0.25)
             for k in range(lines):
