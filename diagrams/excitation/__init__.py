@@ -1,0 +1,1 @@
+"""The studies of excitation in parts: robots, motions, expected errors, figures."""
