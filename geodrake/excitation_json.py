@@ -5,7 +5,52 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
+from geodrake.excitation import ExcitationResult
+from geodrake.excitation.verdict import directions_told, improvement, verdict
 from geodrake.identifiability import LogIdentifiability, ToldBlock
+
+
+def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
+    """A designed motion: its coefficients, what it is worth, what it uses of the limits.
+
+    Args:
+        result: The result of `geodrake.excitation.design_excitation`.
+    """
+    objective, family, use = result.objective, result.trajectory.family, result.use
+    shares = ("position", "velocity", "acceleration", "effort")
+    return {
+        "criterion": objective.criterion.name,
+        "normalization": objective.normalization,
+        "value": result.value,
+        "improvement_over_random": improvement(result),
+        "verdict": verdict(result),
+        "eigenvalues": result.eigenvalues,
+        "directions_told": directions_told(result),
+        "samples": result.samples,
+        "noise": dict(zip(objective.target.model.joints, objective.target.noise, strict=True)),
+        "motion": {
+            "family": family.name,
+            **asdict(family),  # type: ignore[call-overload]
+            "coefficients": dict(
+                zip(result.trajectory.joints, result.trajectory.coefficients.T, strict=True)
+            ),
+        },
+        "limits": {
+            joint: {
+                "lower": result.limits.lower[j],
+                "upper": result.limits.upper[j],
+                **{name: getattr(result.limits, name)[j] for name in shares[1:]},
+            }
+            for j, joint in enumerate(result.limits.joints)
+        },
+        "use": {
+            joint: {name: getattr(use, name)[j] for name in shares}
+            for j, joint in enumerate(result.limits.joints)
+        },
+        "distance": {"least": use.distance, "between": use.nearest, "clearance": use.clearance},
+        "starts": [asdict(outcome) for outcome in result.outcomes],
+        "notes": list(result.notes),
+    }
 
 
 def identifiable_dict(found: LogIdentifiability) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geodrake.cli.excitation_options import IdentifiableOptions
+from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.options import (
     AddOptions,
     DemoOptions,
@@ -140,6 +140,15 @@ def identify(options: IdentifyOptions) -> None:
     from geodrake.cli.identify import run_identify
 
     run_identify(options)
+
+
+@app.command()
+@taking(ExciteOptions)
+def excite(options: ExciteOptions) -> None:
+    """Design the motion that tells most of the robot, within limits it can execute."""
+    from geodrake.cli.excite import run_excite
+
+    run_excite(options)
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from geodrake.cli.options import Options
+from geodrake.cli.options import MODEL_HELP, Options
 
 _NOISE_HELP = "Deviation of the {what}, N·m or N: one number, or JOINT=NUMBER,…; {default}."
 
@@ -42,3 +42,147 @@ class IdentifiableOptions(Options):
             "or payload@BODY; a FILE.py brings effects that may be named. Repeatable.",
         ),
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """Which motions excite chooses from."""
+
+    trajectory: Annotated[
+        str,
+        typer.Option(
+            metavar="FAMILY",
+            help="fourier, spline, or free: samples that need not follow each other, the best that "
+            "any motion could do.",
+        ),
+    ] = "fourier"
+    duration: Annotated[float, typer.Option(metavar="SECONDS", help="Length of the motion.")] = 10.0
+    harmonics: Annotated[
+        int | None, typer.Option(metavar="N", help="Harmonics of a Fourier motion; 5 if absent.")
+    ] = None
+    frequency: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="Base frequency of a Fourier motion; once in its length if absent."
+        ),
+    ] = None
+    points: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Control points of a spline motion; 16 if absent."),
+    ] = None
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Samples by which information is counted; 300 if absent, or 50 free ones.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Robot:
+    """What excite may do with the robot."""
+
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LIMIT,…",
+            help="Limits in place of the model file's: 0.5 for half of all of them, "
+            "velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also "
+            "acceleration and effort. Repeatable.",
+        ),
+    ] = None
+    start: Annotated[
+        str | None,
+        typer.Option(
+            metavar="POSITION", help="Where the motion starts: one number, or JOINT=NUMBER,…"
+        ),
+    ] = None
+    clearance: Annotated[
+        float,
+        typer.Option(metavar="METRES", help="Least distance of the robot from itself."),
+    ] = 0.01
+    collisions: Annotated[
+        bool,
+        typer.Option(
+            "--collisions/--no-collisions",
+            help="Whether the collision geometry of the file counts.",
+        ),
+    ] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Search:
+    """How excite judges motions and looks for the best one."""
+
+    criterion: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="e_optimality, a_optimality, d_optimality or condition_number.",
+        ),
+    ] = "e_optimality"
+    normalization: Annotated[
+        str, typer.Option(metavar="NAME", help="geometric, diagonal or none.")
+    ] = "geometric"
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NOISE",
+            help=_NOISE_HELP.format(
+                what="measured efforts",
+                default="what the model's last fit left, or 1 % of the limits of effort, if absent",
+            ),
+        ),
+    ] = None
+    seeds: Annotated[int, typer.Option(metavar="N", help="Random motions to start from.")] = 3
+    seed: Annotated[int, typer.Option(metavar="N", help="Number of the first of them.")] = 0
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Most time for each of them.")
+    ] = 60.0
+    iterations: Annotated[
+        int, typer.Option(metavar="N", help="Most iterations of the solver, for each stage.")
+    ] = 300
+    solver: Annotated[str, typer.Option(metavar="NAME", help="snopt or ipopt.")] = "snopt"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExciteOptions(_Motion, _Robot, _Search):
+    """What excite is told."""
+
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help=MODEL_HELP)]
+    effects: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="NAME,…|FILE.py",
+            help="Effects to tell beside inertias and the model's, such as "
+            "viscous_friction,coulomb_friction; a FILE.py brings effects that may be named. "
+            "Repeatable.",
+        ),
+    ] = None
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv|.npz|.yaml",
+            help="Write the motion: a log with the predicted efforts, or a ROS JointTrajectory.",
+        ),
+    ] = None
+    rate: Annotated[
+        float, typer.Option(metavar="HZ", help="Samples a second of what --save writes.")
+    ] = 100.0
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
+    ] = None
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
+    ] = None
+    meshcat: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
+    ] = None
+    floating: Annotated[
+        bool, typer.Option("--floating", help="Leave roots free that nothing holds to the world.")
+    ] = False
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
+    ] = False

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 
 from geodrake.cli.excitation_options import IdentifiableOptions
 from geodrake.cli.identify import named_effects
+from geodrake.cli.option_values import joint_values, split_effects
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, number_columns, say, show_list, table_of
 from geodrake.cli.wording import Wording, number, percent
 from geodrake.errors import ArgumentError
 from geodrake.excitation_json import identifiable_dict
 from geodrake.identifiability import LogIdentifiability, ToldBlock, log_identifiability
-from geodrake.model import RobotModel
 
 _MOST_UNTOLD = 12
 _MOST_DIRECTIONS = 8
@@ -42,12 +39,14 @@ def run_identifiable(options: IdentifiableOptions) -> None:
     files, names = split_effects(options.effects)
 
     def decomposed(given: Input) -> LogIdentifiability:
+        text, model = options.noise, given.model
+        noise = None if text is None else joint_values(text, model, "--noise")
         return log_identifiability(
             given.model,
             given.logs,
             effects=named_effects(names, given.model, given.extra),
             threshold=options.threshold,
-            noise=noise_of(options.noise, given.model),
+            noise=noise,
             tell=given.tell,
             **given.settings,
         )
@@ -61,63 +60,6 @@ def run_identifiable(options: IdentifiableOptions) -> None:
         show_identifiable,
     )
     run(command, replace(options, effects=files))
-
-
-def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
-    """The files among what --effects was given, and the names."""
-    files = [path for path in given or () if path.suffix == ".py"]
-    names = [path for path in given or () if path.suffix != ".py"]
-    return files, [name for path in names for name in str(path).split(",") if name]
-
-
-def noise_of(text: str | None, model: RobotModel) -> float | NDArray[np.float64] | None:
-    """Noise as the option says it: one number, or one for every joint.
-
-    Raises:
-        ArgumentError: It is neither, or names a joint that there is not, or leaves one out.
-    """
-    if text is None:
-        return None
-    values = by_joint(text, model, "--noise")
-    if isinstance(values, float):
-        return values
-    missing = [joint for joint in model.joints if joint not in values]
-    if missing:
-        raise ArgumentError(
-            f"--noise says nothing of {', '.join(missing)}.",
-            advice="Give one number for all joints, or one for each.",
-        )
-    return np.array([values[joint] for joint in model.joints])
-
-
-def by_joint(text: str, model: RobotModel, option: str) -> float | dict[str, float]:
-    """`0.1` as a number; `a=0.1,b=0.2` as numbers by joint.
-
-    Raises:
-        ArgumentError: It is neither, or names a joint that there is not.
-    """
-    if re.fullmatch(r"[^=,]+", text):
-        return _number(text, option)
-    values: dict[str, float] = {}
-    for part in text.split(","):
-        joint, _, value = part.partition("=")
-        if joint.strip() not in model.joints:
-            raise ArgumentError(
-                f"{option} names {joint.strip()!r}, which is no joint of the model.",
-                advice=f"Joints are: {', '.join(model.joints)}.",
-            )
-        values[joint.strip()] = _number(value, option)
-    return values
-
-
-def _number(text: str, option: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ArgumentError(
-            f"{option} is given {text!r}, which is not a number.",
-            advice="Write 0.1, or joint_1=0.1,joint_2=0.2.",
-        ) from None
 
 
 def show_identifiable(console: Console, found: LogIdentifiability, wording: Wording) -> None:

@@ -91,7 +91,7 @@ def run(command: Command[R], options: Options) -> None:
     pages = importlib.import_module("geodrake.visualization") if options.report else None
     settings = {"bandwidth": options.bandwidth, "blocks": options.blocks}
     with progress(f"Reading {options.model.name}") as tell:
-        extra = _own_effects(options.effects or ())
+        extra = own_effects(options.effects or ())
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([*read, model.path])  # a saved model reads another one
         command.check(model)
@@ -124,7 +124,7 @@ def run(command: Command[R], options: Options) -> None:
     show_saved(console, written)
 
 
-def _own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
+def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
     """Effects of all files, each name once."""
     found: dict[str, type[Effect]] = {}
     for path in paths:

@@ -118,12 +118,15 @@ def _show_change(console: Console, explanation: Explanation, wording: Wording) -
     show_list(console, "Notes", explanation.notes)
 
 
-def show_saved(console: Console, files: Mapping[str, object]) -> None:
-    """Where files went."""
+def show_saved(
+    console: Console, files: Mapping[str, object], words: Mapping[str, str] | None = None
+) -> None:
+    """Where files went; `words` says what they are where that is not the usual."""
     if files:
         console.print()
     for option, path in files.items():
-        console.print(f"Saved the {_SAVED[option]}: {path}", soft_wrap=True)
+        what = {**_SAVED, **(words or {})}[option]
+        console.print(f"Saved the {what}: {path}", soft_wrap=True)
 
 
 def _show_steps(console: Console, explanation: Explanation, wording: Wording) -> None:

@@ -35,12 +35,14 @@ class Targets:
         json: The numbers, JSON; `-` is standard output.
         report: The page with the figures, HTML.
         more: Option -> what else a command writes.
+        suffixes: Option -> suffixes of its file, where they are others than usual.
     """
 
     save: Path | None = None
     json: Path | None = None
     report: Path | None = None
     more: Mapping[str, Path | None] = field(default_factory=dict)
+    suffixes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def files(self) -> dict[str, Path]:
@@ -60,7 +62,7 @@ class Targets:
         """
         taken = {path.resolve(): "is an input of this command" for path in inputs}
         for name, path in self.files.items():
-            _check_kind(name, path)
+            _check_kind(name, path, self.suffixes.get(name, _SUFFIXES.get(name, ())))
             reason = taken.get(path.resolve())
             if reason:
                 raise _refusal(name, path, reason, "Choose another name.")
@@ -96,8 +98,7 @@ class Targets:
         return {name: path for name, path in self.files.items() if name in {*contents, "save"}}
 
 
-def _check_kind(name: str, path: Path) -> None:
-    suffixes = _SUFFIXES[name]
+def _check_kind(name: str, path: Path, suffixes: tuple[str, ...]) -> None:
     if path.suffix.lower() not in suffixes:
         reason = f"does not end in {' or '.join(suffixes)}"
         raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from geodrake.visualization.adaptation_view import AdaptationView, save_recording
 from geodrake.visualization.draft import draft_figure, render_drafted
+from geodrake.visualization.excitation import (
+    eigenvalue_figure,
+    motion_figure,
+    render_excitation,
+)
 from geodrake.visualization.figures import (
     candidate_figure,
     joint_error_figure,
@@ -33,11 +38,14 @@ __all__ = [
     "diagnosis_figures",
     "draft_figure",
     "effort_figure",
+    "eigenvalue_figure",
     "identifiable_figure",
     "joint_error_figure",
+    "motion_figure",
     "render_comparison",
     "render_diagnosis",
     "render_drafted",
+    "render_excitation",
     "render_explanation",
     "render_identifiable",
     "render_identification",

@@ -1,0 +1,276 @@
+"""The command `geodrake excite`: the most telling motion that a robot can execute."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from geodrake.cli.excitation_options import ExciteOptions
+from geodrake.cli.excite_tables import show_excitation
+from geodrake.cli.identify import named_effects
+from geodrake.cli.option_values import joint_values, limits_of, split_effects
+from geodrake.cli.progress import Tell, progress
+from geodrake.cli.session import own_effects
+from geodrake.cli.tables import make_console, show_saved
+from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.version import version
+from geodrake.effects import Effect
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.excitation import (
+    CRITERIA,
+    NORMALIZATIONS,
+    CollisionWorld,
+    DesignOptions,
+    DesignProgress,
+    ExcitationResult,
+    FourierMotion,
+    FreeSamples,
+    MotionFamily,
+    SplineMotion,
+    Target,
+    design_excitation,
+    make_target,
+    write_trajectory,
+)
+from geodrake.excitation_json import excitation_dict
+from geodrake.identification.dataset import is_payload
+from geodrake.json_output import to_json
+from geodrake.model import FittedEffect, RobotModel
+from geodrake.plant import effort_limits
+from geodrake.saved_model import load_model
+
+_SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
+_FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
+_NOISE_SHARE = 0.01  # of the limits of effort
+_SIZE_SHARE = 0.02  # of the limit of effort
+_SIZE_WORDS = "a tenth of the load, or 2 % of the limit of effort where that is more"
+_TOLD_EVERY = 5  # evaluations
+_SAMPLES = 300
+
+
+def run_excite(options: ExciteOptions) -> None:
+    """Run the command.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the targets, does not do.
+    """
+    family = family_of(options)
+    _check(options)
+    files, names = split_effects(options.effects)
+    more = {"save": options.save, "meshcat": options.meshcat}
+    targets = Targets(None, options.json, options.report, more, {"save": _SAVE})
+    targets.check([options.model, *files])
+    # matplotlib is slow to import and only the page needs it
+    pages = importlib.import_module("geodrake.visualization") if options.report else None
+    with progress(f"Reading {options.model.name}") as tell:
+        extra = own_effects(files)
+        model = load_model(options.model, floating=options.floating, extra=extra)
+        targets.check([options.model, *files, model.path])  # a saved model reads another one
+        result = _designed(options, model, named_effects(names, model, extra), family, tell)
+        tell("Writing")
+        numbers = to_json({"version": version(), "command": "excite", **excitation_dict(result)})
+
+        def page() -> str:
+            name = options.model.name
+            return str(pages.render_excitation(result, title=f"{name}: excite", model_name=name))  # type: ignore[union-attr]
+
+        makers: dict[str, Callable[[], str | bytes]] = {
+            "json": lambda: numbers,
+            "report": page,
+            "save": lambda: _motion_file(result, options.save or Path("motion.csv"), options.rate),
+            "meshcat": lambda: _replay(result),
+        }
+        written = targets.write(model, makers)
+    if options.json == STDOUT:
+        print(numbers, end="")
+    console = make_console(stderr=options.json == STDOUT)
+    show_excitation(console, result, options.model.name)
+    show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
+
+
+def family_of(options: ExciteOptions) -> MotionFamily:
+    """The family of motions that options ask for.
+
+    Raises:
+        ArgumentError: There is no such family, or it has no such option or value.
+    """
+    name = options.trajectory
+    if name not in _FAMILIES:
+        raise ArgumentError(
+            f"There is no trajectory {name!r}.", advice=f"Use one of {', '.join(_FAMILIES)}."
+        )
+    for other, keys in _FAMILIES.items():
+        for key in keys:
+            if other != name and getattr(options, key) is not None:
+                raise ArgumentError(f"--{key} is for --trajectory {other}, not {name}.")
+    if name == "free":
+        wanted = [o for o in ("save", "meshcat") if getattr(options, o) is not None]
+        if wanted:
+            raise ArgumentError(
+                f"Free samples do not follow each other in time: there is nothing for "
+                f"--{wanted[0]} to write.",
+                advice="Use --trajectory fourier or spline.",
+            )
+        return FreeSamples(options.samples or 50)
+    if name == "spline":
+        return SplineMotion(options.duration, options.points or 16)
+    rate = None if options.frequency is None else 2.0 * np.pi * options.frequency
+    harmonics = 5 if options.harmonics is None else options.harmonics
+    return FourierMotion(options.duration, harmonics, rate)
+
+
+def _check(options: ExciteOptions) -> None:
+    """Refuses what can be refused before the model is read."""
+    for what, given, known in (
+        ("criterion", options.criterion, CRITERIA),
+        ("normalization", options.normalization, NORMALIZATIONS),
+    ):
+        if given not in known:
+            raise ArgumentError(
+                f"There is no {what} {given!r}.", advice=f"Use one of {', '.join(known)}."
+            )
+    for what, value in (
+        ("seeds", options.seeds),
+        ("seconds", options.seconds),
+        ("iterations", options.iterations),
+        ("rate", options.rate),
+        ("samples", 1 if options.samples is None else options.samples),
+    ):
+        if not 0 < value < np.inf:
+            raise ArgumentError(f"--{what} is a positive number; got {value}.")
+    if not 0 <= options.clearance < np.inf:
+        raise ArgumentError(f"--clearance is a distance in m; got {options.clearance}.")
+    if options.seed < 0:
+        raise ArgumentError(f"--seed is not negative; got {options.seed}.")
+
+
+def _designed(
+    options: ExciteOptions,
+    model: RobotModel,
+    effects: tuple[Effect, ...],
+    family: MotionFamily,
+    tell: Tell,
+) -> ExcitationResult:
+    """The design that options ask for."""
+    limits = limits_of(options.limits, model)
+    collisions, notes = _collisions(options, model)
+    target, more = _target(options, model, effects)
+    start = None if options.start is None else joint_values(options.start, model, "--start")
+    design = DesignOptions(
+        samples=options.samples or _SAMPLES,
+        start=start,
+        collisions=collisions,
+        solver=options.solver,
+        iterations=options.iterations,
+        seconds=options.seconds,
+    )
+    tell("Designing")
+    result = design_excitation(
+        target,
+        limits,
+        criterion=options.criterion,
+        normalization=options.normalization,
+        trajectory=family,
+        options=design,
+        seeds=range(options.seed, options.seed + options.seeds),
+        progress=_telling(tell),
+    )
+    return replace(result, notes=(*result.notes, *notes, *more))
+
+
+def _target(
+    options: ExciteOptions, model: RobotModel, effects: tuple[Effect, ...]
+) -> tuple[Target, tuple[str, ...]]:
+    """What is unknown and how well it is measured, and what to say of that."""
+    known = [fitted for fitted in model.effects if not is_payload(fitted.effect)]
+    noise, notes = noise_of(options.noise, model)
+    if effects:
+        target = make_target(model, noise=noise, effects=effects)
+        known += sized_effects(target)
+        notes = (*notes, f"effects of unknown size are thought to take {_SIZE_WORDS}")
+    return make_target(model, noise=noise, effects=known), notes
+
+
+def sized_effects(target: Target) -> list[FittedEffect]:
+    """The effects of a target, those without values as large as such effects usually are."""
+    limits = effort_limits(target.model.plant)
+    X = target.measure(target.random_motion).regressor[:, :, len(target.columns) :]
+    acting = np.sqrt(np.mean(np.square(X), axis=0))  # (nv, k)
+    with np.errstate(divide="ignore"):
+        least = (_SIZE_SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None] / acting).min(0)
+    sizes = np.maximum(target.effect_sizes, np.where(np.isfinite(least), least, 0.0))
+    found, at = [*target.payloads], 0
+    for fitted in target.further:
+        count = len(fitted.parameters)
+        values = np.where(fitted.parameters, fitted.parameters, sizes[at : at + count])
+        found.append(FittedEffect(fitted.effect, values))
+        at += count
+    return found
+
+
+def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
+    """(nv,) noise of the measured efforts, and where it comes from if nobody said so."""
+    if text is not None:
+        return joint_values(text, model, "--noise"), ()
+    if model.effort_noise is not None:
+        return model.effort_noise, ("noise: what the model's last fit left on held-out data",)
+    limits = effort_limits(model.plant)
+    if np.isfinite(limits).all() and (limits > 0).all():
+        return _NOISE_SHARE * limits, (
+            f"noise: {100 * _NOISE_SHARE:.0f} % of the limits of effort, as nothing is known of it",
+        )
+    return np.ones(len(limits)), ("noise: 1 N·m or N at every joint, as nothing is known of it",)
+
+
+def _collisions(
+    options: ExciteOptions, model: RobotModel
+) -> tuple[CollisionWorld | None, tuple[str, ...]]:
+    """What the robot may not hit, and what to say where that is nothing.
+
+    Raises:
+        ModelError: The file has collision geometry that cannot be read.
+    """
+    if not options.collisions:
+        return None, ("collisions of the robot with itself were not looked at, as asked for",)
+    try:
+        return CollisionWorld(model, clearance=options.clearance), ()
+    except ArgumentError:
+        return None, (
+            f"{model.path.name} has no collision geometry: nothing keeps the robot from hitting "
+            "itself but the limits of its joints",
+        )
+    except ModelError as error:
+        raise ModelError(
+            error.problem, advice="Correct the file, or leave collisions out: --no-collisions."
+        ) from error
+
+
+def _telling(tell: Tell) -> Callable[[DesignProgress], None]:
+    def told(now: DesignProgress) -> None:
+        if now.evaluations % _TOLD_EVERY == 0:
+            tell(
+                f"Start {now.seed + 1} of {now.seeds}, evaluation {now.evaluations}, "
+                f"log criterion {now.value:.3f}"
+            )
+
+    return told
+
+
+def _motion_file(result: ExcitationResult, path: Path, rate: float) -> bytes:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / path.name
+        write_trajectory(result.trajectory, file, result.objective.target.model, rate=rate)
+        return file.read_bytes()
+
+
+def _replay(result: ExcitationResult) -> str:
+    from geodrake.visualization.replay import FRAMES, replay_page
+
+    times = result.trajectory.instants(FRAMES)
+    motion = result.trajectory.motion(times)
+    return replay_page(result.objective.target.model, times, motion.q)

@@ -1,0 +1,147 @@
+"""Values of options as people write them: numbers by joint, limits, effects by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation import MotionLimits, motion_limits
+from geodrake.model import RobotModel
+
+Array = NDArray[np.float64]
+
+_QUANTITIES = ("position", "velocity", "acceleration", "effort")
+_EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
+
+
+def split_effects(given: Sequence[Path] | None) -> tuple[list[Path], list[str]]:
+    """The files among what --effects was given, and the names."""
+    files = [path for path in given or () if path.suffix == ".py"]
+    names = [path for path in given or () if path.suffix != ".py"]
+    return files, [name for path in names for name in str(path).split(",") if name]
+
+
+def joint_values(text: str, model: RobotModel, option: str) -> Array:
+    """(nv,) values from `0.1`, which is for all joints, or `a=0.1,b=0.2`.
+
+    Args:
+        text: What the option was given.
+        model: The robot.
+        option: Name of the option, for messages.
+
+    Raises:
+        ArgumentError: It is neither, or names a joint that there is not, or leaves one out.
+    """
+    if "=" not in text and "," not in text:
+        return np.full(len(model.joints), _number(text, option))
+    values: dict[str, float] = {}
+    for part in text.split(","):
+        joint, _, value = part.partition("=")
+        _check_joint(joint.strip(), model, option)
+        values[joint.strip()] = _number(value, option)
+    missing = [joint for joint in model.joints if joint not in values]
+    if missing:
+        raise ArgumentError(
+            f"{option} says nothing of {', '.join(missing)}.",
+            advice="Give one number for all joints, or one for each.",
+        )
+    return np.array([values[joint] for joint in model.joints])
+
+
+@dataclass
+class _Limits:
+    """What --limits said so far."""
+
+    model: RobotModel
+    scale: float = 1.0
+    absolute: dict[str, dict[str, float]] = field(default_factory=dict)
+    shares: dict[str, dict[str, float]] = field(default_factory=dict)
+    position: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def add(self, text: str) -> None:
+        """Takes one limit in; see `limits_of`."""
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            self.scale *= _share(text)
+            return
+        joint, _, quantity = key.rpartition(".")
+        if quantity not in _QUANTITIES:
+            raise ArgumentError(
+                f"--limits has {text!r}, and there is no limit {quantity!r}.",
+                advice=f"Limits are {', '.join(_QUANTITIES)}. {_EXAMPLE}",
+            )
+        if joint:
+            _check_joint(joint, self.model, "--limits")
+        joints = [joint] if joint else list(self.model.joints)
+        if quantity == "position":
+            self.position |= dict.fromkeys(joints, _range(value))
+        elif value.endswith("%"):
+            self.shares.setdefault(quantity, {}).update(dict.fromkeys(joints, _share(value)))
+        else:
+            numbers = dict.fromkeys(joints, _number(value, "--limits"))
+            self.absolute.setdefault(quantity, {}).update(numbers)
+
+
+def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
+    """The model's limits with others in their place.
+
+    Args:
+        given: `0.5` for a share of all limits; `velocity=1.5` for all joints, `velocity=50%` for a
+            share of the model's; `joint.effort=40` and `joint.position=-1:0.5` for one joint.
+            Each may hold several, with commas between them; later ones win.
+        model: The robot.
+
+    Raises:
+        ArgumentError: One cannot be read, names no joint, or a joint has no room or no end.
+    """
+    said = _Limits(model)
+    for text in given or ():
+        for part in filter(None, text.split(",")):
+            said.add(part)
+    absolute: Mapping[str, Mapping[str, float]] = said.absolute
+    limits = motion_limits(
+        model,
+        position=said.position,
+        velocity=absolute.get("velocity"),
+        acceleration=absolute.get("acceleration"),
+        effort=absolute.get("effort"),
+    )
+    for quantity, shares in said.shares.items():
+        factors = np.array([shares.get(joint, 1.0) for joint in model.joints])
+        limits = replace(limits, **{quantity: factors * getattr(limits, quantity)})
+    return limits.scaled(said.scale)
+
+
+def _share(text: str) -> float:
+    if text.strip().endswith("%"):
+        return 0.01 * _number(text.strip().rstrip("%"), "--limits")
+    return _number(text, "--limits")
+
+
+def _range(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise ArgumentError(f"--limits has the position {text!r}.", advice=_EXAMPLE)
+    return _number(low, "--limits"), _number(high, "--limits")
+
+
+def _number(text: str, option: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        advice = _EXAMPLE if option == "--limits" else "Write 0.1, or joint_1=0.1,joint_2=0.2."
+        message = f"{option} is given {text.strip()!r}, which is not a number."
+        raise ArgumentError(message, advice=advice) from None
+
+
+def _check_joint(joint: str, model: RobotModel, option: str) -> None:
+    if joint not in model.joints:
+        raise ArgumentError(
+            f"{option} names {joint!r}, which is no joint of the model.",
+            advice=f"Joints are: {', '.join(model.joints)}.",
+        )
