@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from geodrake.effects import (
     CoulombFriction,
     Effect,
     EffortDelay,
+    EffortScale,
     RobotMotion,
     RotorInertia,
     ViscousFriction,
@@ -138,7 +139,7 @@ class RobotModel:
         at_velocity, at_position = self._single_joints
         q[:, at_velocity] = motion.q[:, at_position]
         width = np.broadcast_to(np.asarray(sign_width, float), (len(self.joints),))
-        return RobotMotion(
+        seen = RobotMotion(
             self.joints,
             q,
             motion.v,
@@ -149,6 +150,7 @@ class RobotModel:
             RobotBodies(self.tree, motion.q, self.total_phi),
             motion.time,
         )
+        return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
         """Effort that a motion needs, (N, nv), N·m or N; delays are not applied."""
@@ -157,10 +159,18 @@ class RobotModel:
         for start in range(0, len(motion), size):
             part = slice(start, start + size)
             seen = self.motion(motion[part], sign_width=sign_width)
-            effort[part] = seen.load
+            effort[part] = self._unscaled_effort(seen)
             for fitted in self.effects:
-                if fitted.effect.name != "payload":
+                if isinstance(fitted.effect, EffortScale):
                     effort[part] += fitted.effect.effort(seen, fitted.parameters)
+        return effort
+
+    def _unscaled_effort(self, seen: RobotMotion) -> Array:
+        """Effort (N, nv) of the bodies and all effects but scales."""
+        effort = seen.load.copy()
+        for fitted in self.effects:
+            if fitted.effect.name != "payload" and not isinstance(fitted.effect, EffortScale):
+                effort += fitted.effect.effort(seen, fitted.parameters)
         return effort
 
     def positions(self, by_joint: Array) -> Array:

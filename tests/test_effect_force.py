@@ -19,8 +19,10 @@ from pydrake.systems.primitives import LogVectorOutput, Sine
 from scipy.integrate import solve_ivp
 
 from geodrake import effects
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError, ModelError
-from geodrake.inertia import from_spatial_inertia, to_spatial_inertia
+from geodrake.inertia import from_spatial_inertia, inertial_parameters, to_spatial_inertia
+from geodrake.kinematics import KinematicTree
 from geodrake.systems import DelayedEffort, EffectForce
 
 LINK = SpatialInertia(
@@ -132,6 +134,8 @@ class TestExactDynamics:
             (effects.CoupledRotorInertia(("joint2", "joint3")), [0.05]),
             (effects.RotorInertia("joint3"), [0.2]),
             (effects.Payload("link3"), from_spatial_inertia(TOOL)),
+            (effects.GravityTilt(), [0.03, -0.02]),
+            (effects.AerodynamicDrag("link3"), [0.4, 0.1, 0.0, 0.05]),
         ]
         plant = arm(damping=0.3)
         for q, v, u in STATES:
@@ -146,9 +150,37 @@ class TestExactDynamics:
                 *(x[None] for x in (q, v, vd, load)),
                 np.full(3, 0.05),
                 lambda name, q=q, v=v, vd=vd: _link3_columns(plant_copy, q, v, vd),
+                RobotBodies(KinematicTree.from_plant(plant), q[None], inertial_parameters(plant)),
             )
             effort = sum(effect.effort(motion, mu)[0] for effect, mu in terms)
             np.testing.assert_allclose(load + 0.3 * v + effort, u, rtol=1e-7, atol=1e-7)
+
+    def test_tilt_is_another_gravity(self):
+        """Both angles small: the plant falls as if its gravity were turned."""
+        angles = np.array([2e-4, -3e-4])
+        for q, v, u in STATES:
+            leaning = arm()
+            down = leaning.gravity_field().gravity_vector()
+            turned = RollPitchYaw(*angles, 0.0).ToRotationMatrix().inverse() @ down
+            leaning.mutable_gravity_field().set_gravity_vector(turned)
+            with_effect = acceleration(arm(), q, v, u, [(effects.GravityTilt(), angles)])
+            np.testing.assert_allclose(with_effect, acceleration(leaning, q, v, u), atol=1e-4)
+            assert np.abs(with_effect - acceleration(arm(), q, v, u)).max() > 1e-3
+
+    def test_gain_divides_the_applied_effort(self):
+        friction = [
+            (effects.ViscousFriction("joint2"), [0.5]),
+            (effects.RotorInertia("joint2"), [0.3]),
+        ]
+        for q, v, u in STATES:
+            terms = [(effects.EffortScale("joint2"), [0.25]), *friction]
+            with_effect = acceleration(arm(), q, v, u, terms)
+            smaller = u / np.array([1.0, 1.25, 1.0])
+            np.testing.assert_allclose(with_effect, acceleration(arm(), q, v, smaller, friction))
+
+    def test_gain_alone_reads_the_applied_effort(self):
+        system = EffectForce(arm(), [(effects.EffortScale("joint2"), [0.25])])
+        assert system.HasDirectFeedthrough(1, 0)
 
 
 def _link3_columns(plant, q, v, vd):

@@ -2,14 +2,27 @@
 
 import dataclasses
 import textwrap
+from functools import cache
 
 import numpy as np
 import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    JacobianWrtVariable,
+    RevoluteJoint,
+    SpatialInertia,
+    UnitInertia,
+)
 
 import geodrake.effects
 from geodrake import effects
 from geodrake.effects import Effect, JointMotion, RobotMotion
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import inertial_parameters
+from geodrake.kinematics import KinematicTree
 from geodrake.manifolds import PhysicalInertia
 
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -41,11 +54,39 @@ NAMES_OF_DESIGN = (
 )
 
 
+@cache
+def hand_robot():
+    """A chain of three joints, and its bodies' parameters; the last body is the hand."""
+    plant = MultibodyPlant(0.0)
+    parent = plant.world_frame()
+    inertia = SpatialInertia(2.0, [0.1, 0.02, 0.2], UnitInertia.SolidSphere(1.0))
+    for i, name in enumerate(("arm", "forearm", "hand")):
+        body = plant.AddRigidBody(name, inertia)
+        X = RigidTransform(RollPitchYaw(0.4 * i, 0.3, 0.0), [0.1, 0.0, 0.3])
+        mount = plant.AddFrame(FixedOffsetFrame(f"mount{i}", parent, X))
+        axis = np.roll([0.0, 1.0, 0.0], i)
+        plant.AddJoint(RevoluteJoint(JOINTS[i], mount, body.body_frame(), axis))
+        parent = body.body_frame()
+    plant.Finalize()
+    return plant, KinematicTree.from_plant(plant), inertial_parameters(plant)
+
+
 def random_motion(n=20, *, width=0.0, seed=0):
     rng = np.random.default_rng(seed)
     q, v, vd, load = rng.normal(size=(4, n, 3))
     body = rng.normal(size=(n, 3, 10))
-    return RobotMotion(JOINTS, q, v, vd, load, np.full(3, width), {"hand": body}.__getitem__)
+    _, tree, phi = hand_robot()
+    return RobotMotion(
+        JOINTS,
+        q,
+        v,
+        vd,
+        load,
+        np.full(3, width),
+        {"hand": body}.__getitem__,
+        RobotBodies(tree, q, phi),
+        np.arange(n) * 0.01,
+    )
 
 
 def instances():
@@ -58,6 +99,7 @@ def instances():
         effects.LoadDependentFriction("elbow"),
         effects.CoupledFriction(("elbow", "wrist"), -1),
         effects.EffortOffset("elbow"),
+        effects.EffortScale("elbow"),
         effects.EffortDelay(0.01),
         effects.JointSpring("elbow", 3, 0.2),
         effects.GravityCompensator("elbow"),
@@ -65,6 +107,9 @@ def instances():
         effects.RotorInertia("elbow"),
         effects.CoupledRotorInertia(("elbow", "wrist")),
         effects.Payload("hand"),
+        effects.GravityTilt(),
+        effects.AerodynamicDrag("hand"),
+        effects.AerodynamicDrag("forearm", 0.1, -0.2, 0.3),
     ]
 
 
@@ -193,6 +238,76 @@ class TestEquations:
         np.testing.assert_allclose(mixed, [[-1.0, np.tanh(1.0)]])
 
 
+class TestBodies:
+    """Effects on bodies, of Drake's own kinematics and gravity."""
+
+    motion = random_motion()
+
+    def test_tilt_is_another_gravity(self):
+        """To second order of the angles."""
+        plant, _, _ = hand_robot()
+        context = plant.CreateDefaultContext()
+        angles = np.array([2e-4, -3e-4])
+        found = effects.GravityTilt().effort(self.motion, angles)
+        level = plant.gravity_field().gravity_vector()
+        turned = RollPitchYaw(*angles, 0.0).ToRotationMatrix().inverse() @ level
+        for i, q in enumerate(self.motion.q):
+            plant.SetPositions(context, q)
+            held = []
+            for gravity in (level, turned):
+                plant.mutable_gravity_field().set_gravity_vector(gravity)
+                held.append(-plant.CalcGravityGeneralizedForces(context))
+            np.testing.assert_allclose(found[i], held[1] - held[0], atol=1e-5)
+        plant.mutable_gravity_field().set_gravity_vector(level)
+        assert np.abs(found).max() > 1e-3
+
+    @staticmethod
+    def drag_at(point, q, v):
+        """Effort of drag 1 N·s²/m² at a point of the hand (3,), and that point's velocity."""
+        plant, _, _ = hand_robot()
+        context = plant.CreateDefaultContext()
+        plant.SetPositions(context, q)
+        frame, world = plant.GetFrameByName("hand"), plant.world_frame()
+        of_v = JacobianWrtVariable.kV
+        J = plant.CalcJacobianTranslationalVelocity(context, of_v, frame, point, world, world)
+        return J.T @ (np.linalg.norm(J @ v) * (J @ v))
+
+    @pytest.mark.parametrize("point", [(0.1, -0.2, 0.3), None])
+    def test_drag(self, point):
+        effect = effects.AerodynamicDrag("hand", *(point or ()))
+        found = effect.effort(self.motion, [0.7, 0.0, 0.0, 0.0])
+        at = point or (0.1, 0.02, 0.2)  # the mass centre
+        for i, (q, v) in enumerate(zip(self.motion.q, self.motion.v, strict=True)):
+            np.testing.assert_allclose(found[i], 0.7 * self.drag_at(at, q, v), atol=1e-12)
+
+    def test_drag_levers_are_slopes(self):
+        columns = effects.AerodynamicDrag("hand", 0.1, -0.2, 0.3).regressor(self.motion)
+        center, step = np.array([0.1, -0.2, 0.3]), 1e-5
+        for i, (q, v) in enumerate(zip(self.motion.q, self.motion.v, strict=True)):
+            for k, e in enumerate(step * np.eye(3)):
+                slope = (self.drag_at(center + e, q, v) - self.drag_at(center - e, q, v)) / 2 / step
+                np.testing.assert_allclose(columns[i, :, 1 + k], slope, atol=1e-6)
+
+    def test_drag_is_expanded_where_its_parameters_say(self):
+        effect = effects.AerodynamicDrag("hand")
+        moved = effect.expanded_about(np.array([2.0, 0.2, 0.0, -0.4]), self.motion.bodies)
+        assert (moved.x, moved.y, moved.z) == pytest.approx((0.2, 0.02, 0.0))
+        assert moved.expanded_about(np.array([2.0, 1e-4, 0.0, 0.0]), self.motion.bodies) is moved
+        assert moved.expanded_about(np.array([0.0, 1.0, 0.0, 0.0]), self.motion.bodies) is moved
+
+    def test_poses_are_needed(self):
+        unknown = dataclasses.replace(self.motion, bodies=None)
+        with pytest.raises(ArgumentError, match="gravity_tilt needs the poses"):
+            effects.GravityTilt().regressor(unknown)
+
+    def test_scale_is_of_all_that_is_needed(self):
+        effect = effects.EffortScale("elbow")
+        np.testing.assert_allclose(effect.regressor(self.motion)[:, 1, 0], self.motion.load[:, 1])
+        total = np.random.default_rng(5).normal(size=self.motion.v.shape)
+        whole = dataclasses.replace(self.motion, effort=lambda: total)
+        np.testing.assert_allclose(effect.effort(whole, [0.1])[:, 1], 0.1 * total[:, 1])
+
+
 class TestDelay:
     period = 0.002
     time = np.arange(2000) * period
@@ -248,6 +363,7 @@ class TestCandidates:
                 "joint": (("elbow", 1.0), {}),
                 "joint_pair": ((("elbow", "wrist"),), {}),
                 "body": (("hand",), {}),
+                "robot": ((), {}),
                 "log": ((), {"period": 0.01}),
             }[cls.places]
             found = tuple(cls.candidates(*place[0], **place[1]))
@@ -259,7 +375,7 @@ class TestNames:
     def test_catalogue_is_in_the_order_of_the_design(self):
         names = [effect.name for effect in effects.catalogue()]
         assert names == [name for name in NAMES_OF_DESIGN if name in names]
-        assert len(names) == 15
+        assert len(names) == 18
 
     def test_lookup(self):
         assert effects.effect_class("payload") is effects.Payload
@@ -281,6 +397,7 @@ class TestNames:
             ("coupled_friction", ("elbow", "wrist"), {"sign": 2}, "sign 1 or −1"),
             ("payload", ("hand", "arm"), {}, "one body"),
             ("effort_delay", ("a", "b"), {"delay": 0.1}, "one joint or none"),
+            ("gravity_tilt", ("elbow",), {}, "the whole robot"),
             ("coulomb_friction", ("elbow",), {"width": 1.0}, "no shape parameter 'width'"),
             ("stribeck_friction", ("elbow",), {}, "stribeck_velocity"),
             ("stribeck_friction", ("elbow",), {"stribeck_velocity": -1.0}, "positive stribeck"),

@@ -151,3 +151,10 @@ def test_ties_are_told_from_differences():
     assert tie_probability(loss, loss + rng.uniform(0.05, 0.15, 8)) < 1e-3
     assert tie_probability(loss, loss + rng.normal(0.0, 0.1, 8)) > 0.01
     assert tie_probability(np.array([1.0]), np.array([1.2])) in (0.0, 1.0)
+
+
+def test_folds_of_different_size_do_not_hide_a_difference():
+    """All folds fall to a hundredth; that of the fastest motion is nearly all of the loss."""
+    large = np.array([1e-3, 2e-3, 1e-3, 5e-3, 3e-3, 2e-3, 4e-3, 1.0])
+    assert tie_probability(0.01 * large * np.linspace(0.5, 2.0, 8), large) < 1e-4
+    assert tie_probability(large[::-1], large) > 0.05

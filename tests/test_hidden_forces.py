@@ -11,11 +11,13 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+import pinocchio as pin
 from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import add, diagnose, explain
 from geodrake.identification.coherent_bandwidth import prepare_for_model
+from geodrake.motion import Motion
 from geodrake.saved_model import save_model
 
 MARGIN = 1.15
@@ -106,3 +108,112 @@ class TestTorqueRipple:
         assert step.where == ("elbow",)
         assert step.parameters["elbow"]["order"] == pytest.approx(40.0, abs=0.1)
         assert found.end.nrms < 0.5 * found.start.nrms
+
+
+def tilted(x, y):
+    """Effort of a base that is turned about x, then y, by Pinocchio with another gravity."""
+
+    def hidden(seen):
+        leaning = pin.Model(seen.model)
+        leaning.gravity.linear = pin.rpy.rpyToMatrix(x, y, 0.0).T @ np.array([0.0, 0.0, -9.81])
+        data = leaning.createData()
+        samples = zip(seen.q, seen.v, seen.a, strict=True)
+        return np.array([pin.rnea(leaning, data, *sample) for sample in samples]) - seen.load
+
+    return hidden
+
+
+class TestGravityTilt:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(("name", "off"), [("arm6", 0.2), ("arm7", 0.0)])
+    def test_found(self, name, off, seed):
+        recording = effort_log(name, seed, tilted(0.03, -0.05), off=off)
+        steps, _ = assert_found(model_file(name), recording, {"gravity_tilt": ()})
+        values = steps["gravity_tilt"]["base"]
+        assert values["tilt_x"] == pytest.approx(0.03, abs=2e-3)
+        assert values["tilt_y"] == pytest.approx(-0.05, abs=2e-3)
+
+    def test_saved(self, tmp_path):
+        recording = effort_log("arm6", 3, tilted(0.03, -0.05))
+        _, found = assert_found(model_file("arm6"), recording, {"gravity_tilt": ()})
+        save_model(found.model, tmp_path / "arm.yaml")
+        other = effort_log("arm6", 4, tilted(0.03, -0.05))
+        assert explain(load_model(tmp_path / "arm.yaml"), [other.log]).steps == ()
+
+
+def dragged(joint, point, drag):
+    """Effort of drag at a point of a joint's body, by Pinocchio's Jacobian of that body."""
+
+    def hidden(seen):
+        effort = np.empty_like(seen.q)
+        for i, (q, v) in enumerate(zip(seen.q, seen.v, strict=True)):
+            J = pin.computeJointJacobian(seen.model, seen.data, q, joint)  # about and in the body
+            linear = J[:3] - pin.skew(np.array(point)) @ J[3:]
+            velocity = linear @ v
+            effort[i] = drag * linear.T @ velocity * np.linalg.norm(velocity)
+        return effort
+
+    return hidden
+
+
+class TestAerodynamicDrag:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("joint", "body", "point", "size"),
+        [(3, "forearm", (0.2, 0.0, 0.0), 20.0), (6, "flange", (0.0, 0.0, 0.05), 5.0)],
+    )
+    def test_found(self, joint, body, point, size, seed):
+        recording = effort_log("arm6", seed, dragged(joint, point, size), off=0.2)
+        steps, _ = assert_found(model_file("arm6"), recording, {"aerodynamic_drag": (body,)})
+        values = steps["aerodynamic_drag"][body]
+        assert values["drag"] == pytest.approx(size, rel=0.05)
+        center = [values[axis] + values[f"drag_lever_{axis}"] / values["drag"] for axis in "xyz"]
+        np.testing.assert_allclose(center, point, atol=0.01)
+
+
+def rubbing(seen):
+    size = np.array([3.0, 3.0, 3.0, 0.15, 0.15, 0.15])
+    return size * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)
+
+
+class TestEffortScale:
+    """A gain can be told once the inertias are known from another log."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def known(tmp_path_factory):
+        model = explain(model_file("arm6"), [effort_log("arm6", 1, rubbing).log]).model
+        path = tmp_path_factory.mktemp("known") / "arm6.yaml"
+        save_model(model, path)
+        return load_model(path)
+
+    @pytest.mark.parametrize(("joint", "name"), [(1, "shoulder_pitch"), (4, "wrist_pitch")])
+    def test_found(self, known, joint, name):
+        def hidden(seen):
+            effort = rubbing(seen)
+            effort[:, joint] += 0.08 * (seen.load + effort)[:, joint]
+            return effort
+
+        recording = effort_log("arm6", 7, hidden)
+        steps, found = assert_found(known, recording, {"effort_scale": (name,)})
+        assert steps["effort_scale"][name]["gain_error"] == pytest.approx(0.08, abs=4e-3)
+        motion = Motion(*random_states(), time=None)
+        scaled, plain = found.model.effort(motion), known.effort(motion)
+        np.testing.assert_allclose(scaled[:, joint], 1.08 * plain[:, joint], rtol=0.03, atol=0.05)
+
+    def test_nothing_where_nothing_changed(self, known):
+        assert explain(known, [effort_log("arm6", 8, rubbing).log]).steps == ()
+
+    def test_not_offered_to_a_model_file(self):
+        def hidden(seen):
+            return 0.08 * seen.load * np.eye(6)[1]
+
+        found = explain(model_file("arm6"), [effort_log("arm6", 7, hidden).log])
+        assert "effort_scale" not in {step.effect for step in found.steps}
+        assert "effort_scale" not in {
+            name for step in found.steps for name in step.indistinguishable_from
+        }
+
+
+def random_states(n=50, nv=6):
+    return np.random.default_rng(3).normal(size=(3, n, nv))

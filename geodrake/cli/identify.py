@@ -98,6 +98,8 @@ def named_effects(
             places = [(joint,) for joint in model.single_joints]
         elif effect.places == "joint_pair":
             places = list(model.joint_pairs)
+        elif effect.places == "robot":
+            places = [()]
         else:
             where = f"{kind}@{model.bodies[-1]}" if effect.places == "body" else ""
             raise ArgumentError(

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geodrake.diagnosis.case import Case, error_table, open_case
+from geodrake.diagnosis.columns import with_columns
 from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.exact import to_profile, with_columns, with_exact_shapes
+from geodrake.diagnosis.exact import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.forward import Trail, tuned

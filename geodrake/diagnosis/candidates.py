@@ -24,6 +24,9 @@ COMPLEXITY: Mapping[str, int] = {
     "stribeck_friction": 2,
     "nonlinear_viscous_friction": 2,
     "torque_ripple": 2,
+    "gravity_tilt": 1,
+    "effort_scale": 1,
+    "aerodynamic_drag": 2,
     "wrong_inertia": 3,
 }
 """Of candidates that the data cannot tell apart, the one of least complexity is named."""
@@ -46,8 +49,7 @@ class Package:
     @property
     def parameters(self) -> int:
         """Linear parameters, and one for every shape parameter that was tried on a grid."""
-        shapes = sum(_free_shapes(effect) for effect in self.effects)
-        return sum(len(effect.parameters) for effect in self.effects) + shapes
+        return sum(len(effect.parameters) + effect.free_shapes for effect in self.effects)
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,3 @@ def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> 
     if not is_refinement(effect) or ("asymmetric_friction", effect.where) in taken:
         return True
     return all((name, effect.where) in taken for name in DRY_AND_VISCOUS)
-
-
-def _free_shapes(effect: Effect) -> int:
-    return sum(isinstance(value, float) for value in effect.shape.values())

@@ -122,6 +122,25 @@ def reopen(case: Case, model: RobotModel) -> Case:
     return replace(case, model=model, dataset=dataset)
 
 
+def reduced(
+    case: Case, effects: Sequence[Effect], *, delays: Sequence[float] | None = None
+) -> Dataset:
+    """The logs of a case with columns for other effects.
+
+    Args:
+        case: The case.
+        effects: Effects that get columns.
+        delays: Delays to try on top of the model's, s; by default those of the case.
+    """
+    return reduce_logs(
+        case.model,
+        case.trajectories,
+        case.folds,
+        effects=effects,
+        delays=case.dataset.delays if delays is None else delays,
+    )
+
+
 def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
     """Errors of every joint."""
     columns = (dataset.joints, held_out.rms, dataset.effort_std, dataset.noise_floor)

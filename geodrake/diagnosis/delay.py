@@ -20,9 +20,9 @@ def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
         neighbour on one side, or no maximum between them.
     """
     delays = np.array(hypothesis.dataset.delays)
-    order = np.argsort(delays)
+    order, chosen = np.argsort(delays), delays[hypothesis.delay]
+    order = order[(delays[order] != chosen) | (order == hypothesis.delay)]
     at = int(np.flatnonzero(order == hypothesis.delay)[0])
-    chosen = delays[hypothesis.delay]
     if not 0 < at < len(order) - 1:
         return float(chosen), np.nan
     near = order[at - 1 : at + 2]

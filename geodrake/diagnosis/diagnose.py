@@ -8,9 +8,9 @@ from pathlib import Path
 
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table, open_case
+from geodrake.diagnosis.columns import with_suggestions
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
-from geodrake.diagnosis.exact import with_suggestions
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.forward import Forward, Trail, next_step, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis

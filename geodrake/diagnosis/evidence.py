@@ -16,6 +16,8 @@ from scipy.stats import chi2, t
 
 Array = NDArray[np.float64]
 
+_CLEARLY = 2.0
+
 
 @dataclass(frozen=True)
 class Criteria:
@@ -95,10 +97,22 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
         loss_a: (F,) held-out loss of the better hypothesis per fold.
         loss_b: (F,) held-out loss of the other.
 
+    Where b loses twice as much or more, the losses are compared by their ratios too: folds whose
+    losses differ by orders of magnitude, as those of slow and fast motion do, would hide it.
+
     Returns:
         One-sided p-value of the paired t-test; 1 where the two do not differ at all.
     """
-    difference = (loss_b - loss_a)[(loss_a > 0.0) | (loss_b > 0.0)]
+    seen = (loss_a > 0.0) | (loss_b > 0.0)
+    probability = _paired_t((loss_b - loss_a)[seen])
+    if loss_b.sum() >= _CLEARLY * loss_a.sum():
+        both = (loss_a > 0.0) & (loss_b > 0.0)
+        ratios = np.log(loss_b[both] / loss_a[both])
+        probability = min(probability, _paired_t(ratios)) if len(ratios) else probability
+    return probability
+
+
+def _paired_t(difference: Array) -> float:
     spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
     if spread == 0.0:
         return 0.0 if difference.sum() > 0 else 1.0

@@ -11,18 +11,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.case import Case, reduced
+from geodrake.diagnosis.columns import (
+    to_expand,
+    with_columns,
+    with_exact_expansions,
+    with_suggestions,
+)
 from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.proposals import DOMINANT, suggested
+from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.refine import reshape
 from geodrake.diagnosis.search import PENALTY, gain_of
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.effects import EffortDelay
 from geodrake.effects.base import Effect
-from geodrake.identification.reduce import reduce_logs
 from geodrake.model import FittedEffect
 
 _MOST_ROUNDS = 12
@@ -57,11 +62,12 @@ def searched(
     case, trail = with_suggestions(case, Trail(start, start, {}), least_share=DOMINANT)
     grid, origin, late = case.dataset.effects, case.model.delay, False
     step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
-    profiled = set(fixed)
+    profiled, expanded = set(fixed), set(fixed)
 
     def pause(hypothesis: Hypothesis) -> bool:
         new_delay = not late and hypothesis.delay != trail.start.delay
-        return new_delay or bool(to_profile(hypothesis, grid, profiled))
+        new_shape = bool(to_profile(hypothesis, grid, profiled))
+        return new_delay or new_shape or bool(to_expand(case.model, hypothesis, expanded))
 
     for _ in range(_MOST_ROUNDS):
         more = search(trail.end, fixed, criteria, tune=tune, pause=pause, progress=progress)
@@ -78,6 +84,9 @@ def searched(
         if to_profile(trail.end, grid, profiled):
             case, trail = with_exact_shapes(case, trail, grid, profiled)
             profiled.update(trail.end.unknowns.effects)
+        if to_expand(case.model, trail.end, expanded):
+            case, trail = with_exact_expansions(case, trail, expanded)
+            expanded.update(trail.end.unknowns.effects)
     if late:
         case, trail = with_exact_delay(case, trail, origin=origin, step=0.5 * step)
     return case, trail
@@ -129,31 +138,6 @@ def with_exact_shapes(
     return case, replace(trail, end=end)
 
 
-def with_suggestions(
-    case: Case, trail: Trail, *, known: Sequence[Effect] = (), least_share: float = 0.0
-) -> tuple[Case, Trail]:
-    """The case with columns for what the residual of a trail's end suggests.
-
-    Args:
-        case: The case.
-        trail: A search.
-        known: Effects that are tried already.
-        least_share: Share of the squared error at its joint that an effect must explain.
-    """
-    had = case.dataset.effects
-    more = suggested(case, trail.end, (*had, *known), least_share=least_share)
-    return with_columns(case, trail, [*had, *more]) if more else (case, trail)
-
-
-def with_columns(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[Case, Trail]:
-    """The case with columns for other effects, and the trail carried over."""
-    dataset = reduce_logs(
-        case.model, case.trajectories, case.folds, effects=effects, delays=case.dataset.delays
-    )
-    start, end = (h.moved(dataset, delay=h.delay) for h in (trail.start, trail.end))
-    return replace(case, dataset=dataset), replace(trail, start=start, end=end)
-
-
 def with_exact_delay(case: Case, trail: Trail, *, origin: float, step: float) -> tuple[Case, Trail]:
     """The case with its efforts advanced by the delay that was found, and the trail carried over.
 
@@ -169,12 +153,9 @@ def with_exact_delay(case: Case, trail: Trail, *, origin: float, step: float) ->
     lag = FittedEffect(EffortDelay(delay), np.empty(0), np.empty(0))
     kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
     model = replace(case.model, effects=(*kept, lag))
-    dataset = reduce_logs(
-        model,
-        case.trajectories,
-        case.folds,
-        effects=case.dataset.effects,
-        delays=(0.0, origin - delay, 0.5 * step, -0.5 * step),
+    case = replace(case, model=model)
+    dataset = reduced(
+        case, case.dataset.effects, delays=(0.0, origin - delay, 0.5 * step, -0.5 * step)
     )
     start, end = trail.start.moved(dataset, delay=1), trail.end.moved(dataset, delay=0)
-    return replace(case, model=model, dataset=dataset), replace(trail, start=start, end=end)
+    return replace(case, dataset=dataset), replace(trail, start=start, end=end)

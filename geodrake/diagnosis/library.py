@@ -22,7 +22,8 @@ def candidate_effects(
 ) -> tuple[Effect, ...]:
     """All instances of the catalogue's effects, and of a user's own, that a robot can have.
 
-    Effects whose shape is found in a residual are not among them; see `proposals`.
+    Effects whose shape is found in a residual are not among them (see `proposals`), nor those that
+    only a model with inertias known from other logs can tell.
 
     Args:
         model: The robot.
@@ -33,7 +34,7 @@ def candidate_effects(
     speed = dict(zip(model.joints, peak_speeds.tolist(), strict=True))
     found: list[Effect] = []
     for effect in (*catalogue(), *extra):
-        if effect.from_residual:
+        if effect.from_residual or (effect.needs_known_inertia and model.information is None):
             continue
         if effect.places == "joint":
             for joint in single:
@@ -47,6 +48,8 @@ def candidate_effects(
         elif effect.places == "body":
             for body in model.bodies:
                 found.extend(effect.candidates(body))
+        elif effect.places == "robot":
+            found.extend(effect.candidates())
     return tuple(found)
 
 

@@ -15,7 +15,14 @@ from geodrake.diagnosis.candidates import (
 )
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.search import PENALTY, best_trial, gain_of, settled_trial, try_package
+from geodrake.diagnosis.search import (
+    PENALTY,
+    acted_upon,
+    best_trial,
+    gain_of,
+    settled_trial,
+    try_package,
+)
 from geodrake.diagnosis.shapes import variants
 from geodrake.effects.base import Effect
 
@@ -110,7 +117,7 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
 def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
     """Whether a more complex effect convinces against a simpler one in its place."""
     more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
-    joints = [refined.dataset.joints.index(j) for j in effect.where if j in refined.dataset.joints]
+    joints = acted_upon(refined.dataset, Package((effect,), effect.where))
     before, after = simple.held_out.mse[joints], refined.held_out.mse[joints]
     return (
         gain_of(simple, refined) > PENALTY * max(more, 1)

@@ -27,6 +27,7 @@ without it they are taken by differences.
 
 from __future__ import annotations
 
+from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
 from geodrake.effects.base import (
     BodyEffect,
@@ -42,18 +43,22 @@ from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
+from geodrake.effects.effort_scale import EffortScale
 from geodrake.effects.gravity_compensator import GravityCompensator
+from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.lookup import catalogue, effect_class, load_effect_file, make_effect
 from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
 from geodrake.effects.payload import Payload
+from geodrake.effects.robot_effect import RobotEffect
 from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.stribeck_friction import StribeckFriction
 from geodrake.effects.torque_ripple import TorqueRipple
 from geodrake.effects.viscous_friction import ViscousFriction
 
 __all__ = [
+    "AerodynamicDrag",
     "AsymmetricFriction",
     "BodyEffect",
     "CoulombFriction",
@@ -62,7 +67,9 @@ __all__ = [
     "Effect",
     "EffortDelay",
     "EffortOffset",
+    "EffortScale",
     "GravityCompensator",
+    "GravityTilt",
     "JointEffect",
     "JointMotion",
     "JointPairEffect",
@@ -71,6 +78,7 @@ __all__ = [
     "NonlinearViscousFriction",
     "Parameter",
     "Payload",
+    "RobotEffect",
     "RobotMotion",
     "RotorInertia",
     "StribeckFriction",

@@ -18,7 +18,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient, joint_gradient
+from geodrake.effects.parameter import Parameter
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
@@ -38,19 +40,6 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """One linear parameter of an effect: its name, SI unit and admissible interval.
-
-    Units are those of a revolute joint; at a prismatic joint read N for N·m and m for rad.
-    """
-
-    name: str
-    unit: str
-    lower: float = -np.inf
-    upper: float = np.inf
-
-
 class Effect(abc.ABC):
     """A physical effect at its place: regressor, parameters, force law, and what it looks like.
 
@@ -61,10 +50,13 @@ class Effect(abc.ABC):
         parameters: The linear parameters, in the order of the regressor's columns.
         signature: What the effect looks like in a residual, in words.
         confused_with: Names of effects that a log may not tell apart from this one.
-        places: "joint", "joint_pair", "body" or "log": what an instance is bound to.
+        places: "joint", "joint_pair", "body", "robot" or "log": what an instance is bound to.
         turning_only: Whether the effect makes sense at joints that turn only.
         from_residual: Whether a diagnosis finds its shape in the residual, instead of trying
             `candidates`.
+        needs_known_inertia: Whether the effect can be told only by inertias known from elsewhere.
+        expandable: Whether the columns are slopes of something not linear in the parameters.
+        sees_bodies: Whether the effect depends on where bodies are and how they move.
     """
 
     name: ClassVar[str]
@@ -74,6 +66,9 @@ class Effect(abc.ABC):
     places: ClassVar[str]
     turning_only: ClassVar[bool] = False
     from_residual: ClassVar[bool] = False
+    needs_known_inertia: ClassVar[bool] = False
+    expandable: ClassVar[bool] = False
+    sees_bodies: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
@@ -126,6 +121,23 @@ class Effect(abc.ABC):
         """The fields that are not the place: the shape parameters by name."""
         place = {"joint", "joints", "body"}
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
+
+    @property
+    def free_shapes(self) -> int:
+        """How many shape parameters the data choose, beside the linear ones."""
+        return sum(isinstance(value, float) for value in self.shape.values())
+
+    def expanded_about(self, parameters: Array, bodies: RobotBodies) -> Effect:
+        """The effect with columns that are exact near some values of its parameters.
+
+        Itself, unless `expandable`.
+
+        Args:
+            parameters: (k,) values.
+            bodies: The robot's bodies, in no configuration.
+        """
+        del parameters, bodies
+        return self
 
     @property
     def distinct(self) -> bool:

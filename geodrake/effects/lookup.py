@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
 from geodrake.effects.base import Effect
 from geodrake.effects.coulomb_friction import CoulombFriction
@@ -20,7 +21,9 @@ from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
+from geodrake.effects.effort_scale import EffortScale
 from geodrake.effects.gravity_compensator import GravityCompensator
+from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
@@ -31,7 +34,13 @@ from geodrake.effects.torque_ripple import TorqueRipple
 from geodrake.effects.viscous_friction import ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 
-_PLACE_FIELDS = {"joint": "joint", "joint_pair": "joints", "body": "body", "log": "joint"}
+_PLACE_FIELDS = {
+    "joint": "joint",
+    "joint_pair": "joints",
+    "body": "body",
+    "robot": "",
+    "log": "joint",
+}
 
 
 def catalogue() -> tuple[type[Effect], ...]:
@@ -45,6 +54,7 @@ def catalogue() -> tuple[type[Effect], ...]:
         LoadDependentFriction,
         CoupledFriction,
         EffortOffset,
+        EffortScale,
         EffortDelay,
         JointSpring,
         GravityCompensator,
@@ -52,6 +62,8 @@ def catalogue() -> tuple[type[Effect], ...]:
         RotorInertia,
         CoupledRotorInertia,
         Payload,
+        GravityTilt,
+        AerodynamicDrag,
     )
 
 
@@ -97,11 +109,13 @@ def make_effect(
     cls = effect_class(name, extra)
     shape = dict(shape or {})
     place = _PLACE_FIELDS[cls.places]
-    counts = {"joint_pair": (2,), "log": (0, 1)}.get(cls.places, (1,))
+    counts = {"joint_pair": (2,), "log": (0, 1), "robot": (0,)}.get(cls.places, (1,))
     if isinstance(where, str) or len(where) not in counts:
-        wanted = {"joint_pair": "two joints", "log": "one joint or none"}.get(
-            cls.places, f"one {cls.places}"
-        )
+        wanted = {
+            "joint_pair": "two joints",
+            "log": "one joint or none",
+            "robot": "no place, as it is one of the whole robot",
+        }.get(cls.places, f"one {cls.places}")
         raise ArgumentError(f"{name} needs {wanted}; it got {where!r}.")
     known = [field for field in inspect.signature(cls).parameters if field != place]
     unknown = [key for key in shape if key not in known]
@@ -160,7 +174,9 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
             what = ", ".join(missing) or "the line @dataclass(frozen=True)"
             raise ModelError(f"The effect {effect.__name__} of {path} lacks {what}.")
         place = _PLACE_FIELDS.get(effect.places)
-        if place is None or not (effect.places == "log" or place in _field_names(effect)):
+        if place is None or not (
+            effect.places in ("log", "robot") or place in _field_names(effect)
+        ):
             raise ModelError(
                 f"The effect {effect.__name__} of {path} has places = {effect.places!r} and the "
                 f"fields {_field_names(effect)}.",

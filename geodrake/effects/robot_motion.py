@@ -48,6 +48,8 @@ class RobotMotion:
         bodies: Poses and Jacobians of the bodies; None where nobody computes them.
         time: (N,) instants since the log began, s; None where samples are no series.
         log: Number that tells a log from others; 0 for none.
+        effort: Gives the effort (N, nv) that the model needs with all its effects, scales left
+            aside; None where nobody computes it.
     """
 
     joints: tuple[str, ...]
@@ -60,6 +62,7 @@ class RobotMotion:
     bodies: RobotBodies | None = None
     time: Array | None = None
     log: int = 0
+    effort: Callable[[], Array] | None = None
 
     def joint(self, name: str) -> JointMotion:
         """The motion of one joint.

@@ -15,7 +15,7 @@ _USUAL = 6.0
 
 @dataclass(frozen=True)
 class TorqueRipple(JointEffect):
-    """Effort that repeats over the joint's position: cogging, commutation, gear teeth, eccentricity.
+    """Effort that repeats over the joint's position: cogging, commutation, gear teeth.
 
     effort = a cos nq + b sin nq, with a and b in N·m.
 

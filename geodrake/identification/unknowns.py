@@ -152,7 +152,8 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     """Prior mean and information of an effect that a fit adds: so weak that the data decide.
 
     A payload is known to within ten times the size of `payload_reference`, in the geometric
-    distance; everything else to within a million times the effort of its joint.
+    distance; everything else to within a million times the effort of its joint, or what its
+    parameters say.
 
     Returns:
         mean (k,) and information (k, k).
@@ -167,4 +168,5 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
         on = local >= 0
         power = np.square(data.factors[:, :, local[on]]).sum((0, 1))
         squares[on] += power / std**2 / data.samples.sum()
-    return np.zeros(k), np.diag(np.maximum(1e-12 * squares, 1e-300))
+    spread = np.array([parameter.spread for parameter in effect.parameters])
+    return np.zeros(k), np.diag(np.maximum(1e-12 * squares, np.maximum(spread**-2.0, 1e-300)))

@@ -1,0 +1,85 @@
+"""Other columns for a case in the middle of a search: what the residual suggests, finer shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from geodrake.diagnosis.case import Case, reduced
+from geodrake.diagnosis.forward import Trail
+from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.proposals import suggested
+from geodrake.diagnosis.search import gain_of
+from geodrake.effects.base import Effect
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.model import RobotModel
+
+_MOST_EXPANSIONS = 3
+
+
+def with_suggestions(
+    case: Case, trail: Trail, *, known: Sequence[Effect] = (), least_share: float = 0.0
+) -> tuple[Case, Trail]:
+    """The case with columns for what the residual of a trail's end suggests.
+
+    Args:
+        case: The case.
+        trail: A search.
+        known: Effects that are tried already.
+        least_share: Share of the squared error at its joint that an effect must explain.
+    """
+    had = case.dataset.effects
+    more = suggested(case, trail.end, (*had, *known), least_share=least_share)
+    return with_columns(case, trail, [*had, *more]) if more else (case, trail)
+
+
+def with_columns(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[Case, Trail]:
+    """The case with columns for other effects, and the trail carried over."""
+    dataset = reduced(case, effects)
+    start, end = (h.moved(dataset, delay=h.delay) for h in (trail.start, trail.end))
+    return replace(case, dataset=dataset), replace(trail, start=start, end=end)
+
+
+def to_expand(
+    model: RobotModel, hypothesis: Hypothesis, fixed: Collection[Effect]
+) -> Mapping[Effect, Effect]:
+    """Effects whose columns are slopes about another place than their parameters say, and those.
+
+    Args:
+        model: The model, whose bodies the effects act on.
+        hypothesis: A fit of the effects.
+        fixed: Effects that stay as they are.
+    """
+    effects = [e for e in hypothesis.unknowns.effects if e.expandable and e not in fixed]
+    if not effects:
+        return {}
+    bodies = RobotBodies(model.tree, np.zeros((0, model.tree.num_positions)), model.total_phi)
+    x = hypothesis.cv.fit_all()
+    moved = {e: e.expanded_about(x[hypothesis.unknowns.span(e)], bodies) for e in effects}
+    return {before: after for before, after in moved.items() if before != after}
+
+
+def with_exact_expansions(
+    case: Case, trail: Trail, fixed: Collection[Effect]
+) -> tuple[Case, Trail]:
+    """The case with effects that are not linear in their parameters expanded where these are now.
+
+    Args:
+        case: The case.
+        trail: A search that found such effects.
+        fixed: Effects that stay as they are.
+    """
+    for _ in range(_MOST_EXPANSIONS):
+        moved = to_expand(case.model, trail.end, fixed)
+        if not moved:
+            break
+        had = [*case.dataset.effects, *trail.end.unknowns.effects]
+        tried, there = with_columns(case, trail, [*had, *moved.values()])
+        end = there.end.without([*moved]).with_effects([*moved.values()])
+        if gain_of(there.end, end) <= 0.0:
+            break
+        kept = [e for e in (*had, *moved.values()) if e not in moved]
+        case, trail = with_columns(tried, replace(there, end=end), kept)
+    return case, trail

@@ -1,0 +1,89 @@
+"""Drag of the air on a body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion
+from geodrake.effects.body_motion import RobotBodies
+
+_LEVER = "N·s²/m"
+_LEAST_STEP, _LARGEST_STEP = 1e-3, 2.0  # m, of the centre of pressure
+
+
+@dataclass(frozen=True)
+class AerodynamicDrag(BodyEffect):
+    """Drag on a body that moves fast, or through water: force −d |v| v at its centre of pressure.
+
+    effort = d Jᵀ |v| v, with v = J v_joints the velocity of the centre of pressure P, and d ≥ 0 in
+    N·s²/m². How the effort changes with a step p of P is linear in d p as long as p is small, and
+    d p, in N·s²/m, are parameters of their own.
+
+    Attributes:
+        body: Name of the body.
+        x: Position of P from Bo along x of the body's frame, m, from which p is a step; None for
+            that of the mass centre.
+        y: The same along y.
+        z: The same along z.
+    """
+
+    x: float | None = None
+    y: float | None = None
+    z: float | None = None
+
+    name = "aerodynamic_drag"
+    parameters = (
+        Parameter("drag", "N·s²/m²", lower=0.0),
+        *(Parameter(f"drag_lever_{axis}", _LEVER, spread=1e3) for axis in "xyz"),
+    )
+    signature = "grows with the square of a body's speed, at all joints up to it"
+    sees_bodies = True
+    expandable = True
+    confused_with = ("nonlinear_viscous_friction", "viscous_friction", "effort_delay")
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the position is a matter of the parameters."""
+        return 0
+
+    def center(self, p_BoBcm_B: Array) -> Array:
+        """(3,) position of P from Bo, m.
+
+        Args:
+            p_BoBcm_B: (3,) that of the mass centre.
+        """
+        given = zip((self.x, self.y, self.z), p_BoBcm_B.tolist(), strict=True)
+        return np.array([mean if value is None else value for value, mean in given])
+
+    def expanded_about(self, parameters: Array, bodies: RobotBodies) -> AerodynamicDrag:
+        """The drag about the centre of pressure that its parameters say; itself if that is here."""
+        drag, lever = float(parameters[0]), parameters[1:]
+        if not _LEAST_STEP * drag < np.linalg.norm(lever) < _LARGEST_STEP * drag:
+            return self
+        step = lever / drag
+        x, y, z = (self.center(bodies.mass_center(self.body)) + step).tolist()
+        return replace(self, x=x, y=y, z=z)
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """[Jᵀ |v| v, and its slopes in the position of P] at the joints that move the body."""
+        bodies = motion.body_motions(self.name)
+        body = bodies.motion(self.body)
+        J = body.jacobian_at(self.center(bodies.mass_center(self.body)))
+        v = np.einsum("nij,nj->ni", J, motion.v)
+        speed = np.linalg.norm(v, axis=1)[:, None]
+        force = speed * v
+        along = v / np.maximum(speed, np.finfo(float).tiny)
+        w = np.einsum("nij,nj->ni", body.angular, motion.v)
+        columns = [np.einsum("nij,ni->nj", J, force)]
+        for arm in body.rotation.transpose(2, 0, 1):
+            change = np.cross(w, arm)
+            slope = speed * change + along * (v * change).sum(1, keepdims=True)
+            columns.append(
+                np.einsum("nij,ni->nj", J, slope)
+                + np.einsum("nij,ni->nj", body.angular, np.cross(arm, force))
+            )
+        all_joints = np.stack(columns, -1)
+        return {motion.joints[i]: all_joints[:, i] for i in body.dofs}
