@@ -89,17 +89,17 @@ class RigidSample:
         """Y (nv, 10 nb)."""
         momenta = (self.motions @ MOMENTUM).reshape(-1, 18, PARAMETERS_PER_BODY)
         wrenches = self.crosses.transpose(0, 2, 1) @ momenta
-        return self._spread(wrenches, self.placement.subspace)
+        return self._spread(wrenches[None], self.placement.subspace)[0]
 
     @cached_property
     def momentum_regressors(self) -> tuple[Array, Array]:
         """Regressors (nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g, that is Σ Jᵀ G V and Σ J̇ᵀ G V + τ_g."""
-        wrenches = (self.motions[:, 2] @ MOMENTUM).reshape(-1, 6, PARAMETERS_PER_BODY)
+        # (What goes along the subspace goes together: the cost is in the number of calls.)
         reaction = self.tree.reaction[:, None] @ self.placement.wrenches
-        weights = (reaction @ MOMENTUM).reshape(-1, 6, PARAMETERS_PER_BODY)
-        momentum = self._spread(wrenches, self.placement.subspace)
-        drift = self._spread(wrenches, self.subspace_rate)
-        return momentum, drift - self._spread(weights, self.placement.subspace)
+        both = np.concatenate([self.motions[:, 2], reaction[:, 0]]) @ MOMENTUM
+        both = both.reshape(2, -1, 6, PARAMETERS_PER_BODY)
+        momentum, weight = self._spread(both, self.placement.subspace)
+        return momentum, self._spread(both[:1], self.subspace_rate)[0] - weight
 
     def mass_matrix(self, phi: Array) -> Array:
         """M (nv, nv) for φ (nb, 10)."""
@@ -117,11 +117,13 @@ class RigidSample:
         return _sum_of_products(J, J_rate @ G + J @ B.transpose(0, 2, 1))
 
     def _spread(self, wrenches: Array, subspace: Array) -> Array:
-        """Regressor (nv, 10 nb) of wrenches (nb, 6, 10) in B, along directions (nv, 6) in W."""
-        in_world = (self.placement.wrenches @ wrenches).transpose(1, 0, 2)
-        product = (subspace @ in_world.reshape(6, -1)).reshape(len(subspace), *in_world.shape[1:])
+        """Regressors (k, nv, 10 nb) of wrenches (k, nb, 6, 10) in B, along directions (nv, 6)."""
+        in_world = (self.placement.wrenches @ wrenches).transpose(0, 2, 1, 3)
+        size, bodies = len(wrenches), in_world.shape[2]
+        product = subspace @ in_world.reshape(size, 6, -1)
+        product = product.reshape(size, len(subspace), bodies, -1)
         product *= self.tree.moves.T[:, :, None]
-        return product.reshape(len(subspace), -1)
+        return product.reshape(size, len(subspace), -1)
 
     def _jacobian(self, subspace: Array) -> Array:
         """Rows (nb, nv, 6) of the bodies' velocities in B, from directions (nv, 6) in W."""

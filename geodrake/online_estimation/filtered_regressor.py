@@ -86,25 +86,22 @@ class FilteredRegressor:
             effort: (nv,) efforts.
             sample: The robot at q, q̇ and v = q̇, if that is known already.
         """
-        if not all(np.isfinite(x).all() for x in (q, qd, effort)):
+        if not np.isfinite(np.concatenate([q, qd, effort])).all():
             return self.skipped(memory)
-        after = memory.copy()
-        known = bool(memory[0])
-        stack = after[1:].reshape(self.order + 1, *self.shape)
-        # The interval's rows are [now] − [before], with the filters linear in both.
-        before = stack[-1].copy()
         if sample is None:
             sample = self.control.at(q, qd, qd, np.zeros_like(qd))
         now, following = self._ends(sample, effort)
         if not np.isfinite(now).all():
-            after[0] = 0.0
-            return after
-        stack[-1], after[0] = following, 1.0
-        if known:
-            rows = now - before
+            return self.skipped(memory)
+        after = memory.copy()
+        stack = after[1:].reshape(self.order + 1, *self.shape)
+        if memory[0]:
+            # The interval's rows are [now] − [before], with the filters linear in both.
+            rows = np.subtract(now, stack[-1], out=now)
             for i in range(self.order):
                 stack[i] += self._pass * (rows - stack[i])
                 rows = stack[i]
+        stack[-1], after[0] = following, 1.0
         return after
 
     def skipped(self, memory: Array) -> Array:

@@ -144,11 +144,11 @@ class SlabProjection:
         multipliers, kept = np.zeros(len(bound)), np.arange(len(bound))
         while len(kept):
             found = _solve_scaled(products[np.ix_(kept, kept)], error[kept], _SHARING)
-            pushed = found * side[kept]
-            if (pushed >= 0).all():
+            right = found * side[kept] >= 0
+            if right.all():
                 multipliers[kept] = found
                 break
-            kept = np.delete(kept, np.argmin(pushed))
+            kept = kept[right]
         length = np.sqrt(max(float(error @ multipliers) / self._map.lightest, 0.0))
         y = self._map.moved(point, rows, (relaxation / (1.0 + length)) * multipliers)
         return None if y is None else self._map.parameters(y)

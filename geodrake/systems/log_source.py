@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -55,6 +56,7 @@ class LogSource(LeafSystem):
             raise ArgumentError(f"Log {log.name!r} has {len(log)} samples; playing it needs two.")
         self.log = log = log if joints is None else log.select(joints)
         self._time = log.time - log.time[0]
+        self._stamps = self._time.tolist()
         usual = _USUAL_GAPS * float(np.median(np.diff(self._time)))
         self._largest_gap = usual if largest_gap is None else largest_gap
         velocity = log.velocity
@@ -86,11 +88,11 @@ class LogSource(LeafSystem):
         return calc
 
     def _at(self, t: float, values: Array, last: Array) -> Array:
-        if t > self._time[-1]:
+        if t > self._stamps[-1]:
             return last
-        i = int(np.clip(np.searchsorted(self._time, t, "right") - 1, 0, len(self._time) - 2))
-        gap = self._time[i + 1] - self._time[i]
-        share = max(t - self._time[i], 0.0) / gap
+        i = min(max(bisect_right(self._stamps, t) - 1, 0), len(self._stamps) - 2)
+        gap = self._stamps[i + 1] - self._stamps[i]
+        share = max(t - self._stamps[i], 0.0) / gap
         if share in (0.0, 1.0):
             return values[i + int(share)]
         if gap > self._largest_gap:

@@ -1,0 +1,295 @@
+"""How fast adaptive control is: a closed loop, one step of a controller, and the online estimator.
+
+A seven-joint arm with 70 inertial parameters and 14 of friction is controlled at 1 kHz by the
+passivity-based controller with the natural law, its plant at 10 kHz. Three questions: how much
+faster than real time that is; how much longer a step of the controller is with adaptation than
+without; how many samples a second the estimator takes. All times are CPU times of one core, of
+pieces of 50 ms of runs that take turns: the median, and the fastest tenth, which is what they are
+where nothing else runs.
+
+    OMP_NUM_THREADS=1 python diagrams/adaptive_speed.py --json speed.json --figures figures
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+from rich.progress import track
+
+from geodrake.adaptation import BatchedProduct, UpdateLaw, natural_adaptation, parameter_manifold
+from geodrake.control_regressor import ControlModel
+from geodrake.effects import CoulombFriction, ViscousFriction
+from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
+from geodrake.loops import add_adaptive_loop
+from geodrake.model import FittedEffect, RobotModel, load_description
+from geodrake.motion import JointLog
+from geodrake.online_estimation import SampleUpdate
+from geodrake.systems import (
+    AdaptiveComputedTorqueController,
+    AdaptiveController,
+    BregmanProjectionEstimator,
+    LogSource,
+    PassivityBasedAdaptiveController,
+)
+
+Array = NDArray[np.float64]
+
+ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
+CONTROL_STEP, PLANT_STEP = 1e-3, 1e-4  # s
+DAMPING, COULOMB = 2.0, 1.0  # N·m·s/rad, N·m
+PIECE = 0.05  # s, of simulated time
+GAMMA = 0.05
+NOISE = 0.02  # N·m, of the efforts that the estimator sees
+WRONG = 0.1  # size of the congruences that spoil the first estimate
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The arm, a wrong estimate of it, and a motion.
+
+    Attributes:
+        model: The arm with its friction.
+        seed: Of the wrong estimate and the noise.
+    """
+
+    model: RobotModel
+    seed: int
+
+    @classmethod
+    def load(cls, seed: int) -> Arm:
+        """The seven-joint arm with viscous and Coulomb friction at every joint."""
+        model = load_description(ARM)
+        effects = [
+            FittedEffect(kind(joint), np.array([value]))
+            for kind, value in ((ViscousFriction, DAMPING), (CoulombFriction, COULOMB))
+            for joint in model.joints
+        ]
+        return cls(replace(model, effects=tuple(effects)), seed)
+
+    @cached_property
+    def control(self) -> ControlModel:
+        """The arm as a controller sees it."""
+        return ControlModel.of(self.model)
+
+    @cached_property
+    def manifold(self) -> BatchedProduct:
+        """The manifold of its 84 parameters."""
+        return parameter_manifold(self.model)
+
+    @cached_property
+    def start(self) -> Array:
+        """A wrong but physical estimate (84,)."""
+        rng = np.random.default_rng(self.seed)
+        P = pseudo_inertia(self.control.phi(self.control.prior))
+        G = np.eye(4) + WRONG * rng.normal(size=P.shape)
+        phi = from_pseudo_inertia(G @ P @ G.transpose(0, 2, 1))
+        return np.concatenate([phi.ravel(), 1.2 * self.control.prior[phi.size :]])
+
+    @cached_property
+    def motion(self) -> PiecewisePolynomial:
+        """A smooth motion of all joints."""
+        t = np.linspace(0.0, 20.0, 201)
+        phase = np.outer(np.linspace(0.7, 2.0, 7), t) + np.arange(7)[:, None]
+        return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, 0.5 * np.sin(phase))
+
+    def plant(self, damping: float = DAMPING) -> MultibodyPlant:
+        """The discrete plant, with viscous friction as Drake's damping."""
+        plant = MultibodyPlant(PLANT_STEP)
+        plant.SetUseSampledOutputPorts(False)
+        # Without contact every approximation is the same; this one is the fastest.
+        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kTamsi)
+        Parser(plant).AddModels(str(ARM))
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link_0"))
+        for index in plant.GetJointIndices():
+            joint = plant.get_mutable_joint(index)
+            if joint.num_velocities() == 1:
+                joint.set_default_damping_vector([damping])
+                if not plant.HasJointActuatorNamed(joint.name()):
+                    plant.AddJointActuator(joint.name(), joint)
+        plant.Finalize()
+        return plant
+
+    def controller(self, law: UpdateLaw | None) -> AdaptiveController:
+        """The passivity-based controller."""
+        return PassivityBasedAdaptiveController(
+            self.control, law, time_step=CONTROL_STEP, parameters=self.start
+        )
+
+    def filtered(self, law: UpdateLaw | None) -> AdaptiveController:
+        """Computed torque by the filtered regressor."""
+        return AdaptiveComputedTorqueController(
+            self.control, law, bandwidth=20.0, time_step=CONTROL_STEP, parameters=self.start
+        )
+
+    @cached_property
+    def law(self) -> UpdateLaw:
+        """The natural law."""
+        return natural_adaptation(self.manifold, GAMMA)
+
+
+def closed_loop(arm: Arm, law: UpdateLaw | None, *, dry: bool) -> tuple[Diagram, Context]:
+    """The whole loop; with dry friction, its force is evaluated at every step of the plant."""
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(arm.plant(0.0 if dry else DAMPING))
+    effects = [(fitted.effect, fitted.parameters) for fitted in arm.model.effects] if dry else []
+    loop = add_adaptive_loop(
+        builder, plant, arm.controller(law), arm.motion, effects=effects, sign_width=0.05
+    )
+    diagram = builder.Build()
+    return diagram, loop.context(diagram)
+
+
+def controller_alone(arm: Arm, system: AdaptiveController) -> tuple[Diagram, Context]:
+    """A controller that sees a motion 0.1 ms late, so that there always is a little to adapt to."""
+    builder = DiagramBuilder()
+    builder.AddSystem(system)
+    t = np.linspace(0.0, 20.0, 201)
+    late = arm.motion.vector_values(np.maximum(t - 1e-4, 0.0))
+    seen = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, late)
+    sources = {
+        "estimated_state": TrajectorySource(seen, 1),
+        "desired_state": TrajectorySource(arm.motion, 1),
+        "desired_acceleration": TrajectorySource(arm.motion.MakeDerivative(2)),
+    }
+    for name, source in sources.items():
+        builder.Connect(builder.AddSystem(source).get_output_port(), system.GetInputPort(name))
+    diagram = builder.Build()
+    return diagram, diagram.CreateDefaultContext()
+
+
+def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
+    """The estimator fed from a log of noisy efforts."""
+    time_stamps = np.arange(0.0, duration + 0.2, CONTROL_STEP)
+    q, v, a = (
+        np.array([arm.motion.EvalDerivative(t, order).ravel() for t in time_stamps])
+        for order in range(3)
+    )
+    control = arm.control
+    rows = zip(q, v, a, strict=True)
+    effort = np.array([control.at(q, v, v, a).effort(control.prior) for q, v, a in rows])
+    effort += NOISE * np.random.default_rng(arm.seed).normal(size=effort.shape)
+    log = JointLog("arm", arm.model.joints, time_stamps, q, effort, velocity=v)
+    builder = DiagramBuilder()
+    source = builder.AddSystem(LogSource(log))
+    system = builder.AddSystem(
+        BregmanProjectionEstimator(
+            control,
+            SampleUpdate(arm.manifold, np.full(7, 2.0 * NOISE)),
+            time_step=CONTROL_STEP,
+            parameters=arm.start,
+        )
+    )
+    builder.Connect(source.GetOutputPort("state"), system.GetInputPort("estimated_state"))
+    builder.Connect(source.GetOutputPort("effort"), system.GetInputPort("effort"))
+    diagram = builder.Build()
+    return diagram, diagram.CreateDefaultContext()
+
+
+def cpu_times(made: tuple[Diagram, Context], duration: float) -> list[float]:
+    """CPU seconds a simulated second of every piece, after a tenth of a second to warm up."""
+    simulator = Simulator(*made)
+    simulator.Initialize()
+    simulator.AdvanceTo(0.1)
+    times = []
+    for stop in 0.1 + PIECE * np.arange(1, round(duration / PIECE) + 1):
+        start = time.process_time()
+        simulator.AdvanceTo(stop)
+        times.append((time.process_time() - start) / PIECE)
+    return times
+
+
+def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]]:
+    """CPU seconds a simulated second of all pieces of everything, `repeats` times in turn."""
+    work: dict[str, Callable[[], tuple[Diagram, Context]]] = {
+        "loop": lambda: closed_loop(arm, arm.law, dry=False),
+        "loop without adaptation": lambda: closed_loop(arm, None, dry=False),
+        "loop with dry friction": lambda: closed_loop(arm, arm.law, dry=True),
+        "step": lambda: controller_alone(arm, arm.controller(arm.law)),
+        "step without adaptation": lambda: controller_alone(arm, arm.controller(None)),
+        "filtered step": lambda: controller_alone(arm, arm.filtered(arm.law)),
+        "filtered step without adaptation": lambda: controller_alone(arm, arm.filtered(None)),
+        "estimator": lambda: estimator(arm, duration),
+    }
+    times: dict[str, list[float]] = {name: [] for name in work}
+    for _ in track(range(repeats), description="measuring"):
+        for name, make in work.items():
+            times[name] += cpu_times(make(), duration)
+    return times
+
+
+def summary(times: dict[str, list[float]]) -> dict[str, Any]:
+    """The answers, of the fastest tenth of all pieces (undisturbed) and of the median piece."""
+    table: dict[str, Any] = {}
+    for name, share in (("undisturbed", 0.1), ("median", 0.5)):
+        cost = {key: float(np.quantile(values, share)) for key, values in times.items()}
+        step, fixed = cost["step"], cost["step without adaptation"]
+        table[name] = {
+            "CPU seconds a simulated second": cost,
+            "times real time": 1.0 / cost["loop"],
+            "times real time, without adaptation": 1.0 / cost["loop without adaptation"],
+            "times real time, with dry friction": 1.0 / cost["loop with dry friction"],
+            "adaptive step / step": step / fixed,
+            "filtered adaptive step / step": cost["filtered step"]
+            / cost["filtered step without adaptation"],
+            "estimator, samples a second": 1.0 / (CONTROL_STEP * cost["estimator"]),
+        }
+    return table
+
+
+def draw(table: dict[str, Any], path: Path) -> None:
+    """What a millisecond of control costs."""
+    from matplotlib.figure import Figure
+
+    times = table["undisturbed"]["CPU seconds a simulated second"]
+    names, cost = list(times), [1e3 * CONTROL_STEP * value for value in times.values()]
+    figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+    axes = figure.subplots()
+    colors = ["#6b7683" if "without" in name else "#1b6ca8" for name in names]
+    axes.bar_label(axes.barh(names[::-1], cost[::-1], color=colors[::-1]), fmt="%.2f", padding=3)
+    axes.axvline(0.5, color="#c8442f", lw=1, ls="--")
+    axes.text(0.5, 1.01, "twice real time", color="#c8442f", transform=axes.get_xaxis_transform())
+    axes.set_xlabel("CPU time of one millisecond of control, ms")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.margins(x=0.12)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=150)
+
+
+def main() -> None:
+    """Measures, prints, and writes what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a short run, once")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--repeats", type=int, help="of every time")
+    parser.add_argument("--json", type=Path, help="file for the numbers")
+    parser.add_argument("--figures", type=Path, help="folder for the figure")
+    options = parser.parse_args()
+    duration = 0.2 if options.quick else 2.0
+    repeats = options.repeats or (1 if options.quick else 7)
+    times = measure(Arm.load(options.seed), duration=duration, repeats=repeats)
+    table = summary(times)
+    print(json.dumps(table, indent=2))
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    if options.figures:
+        draw(table, options.figures / "adaptive_speed.png")
+
+
+if __name__ == "__main__":
+    main()
