@@ -37,13 +37,11 @@ from geodrake.effects import CoulombFriction, ViscousFriction
 from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
 from geodrake.loops import add_adaptive_loop
 from geodrake.model import FittedEffect, RobotModel, load_description
-from geodrake.motion import JointLog
 from geodrake.online_estimation import SampleUpdate
 from geodrake.systems import (
     AdaptiveComputedTorqueController,
     AdaptiveController,
     BregmanProjectionEstimator,
-    LogSource,
     PassivityBasedAdaptiveController,
 )
 
@@ -173,7 +171,7 @@ def controller_alone(arm: Arm, system: AdaptiveController) -> tuple[Diagram, Con
 
 
 def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
-    """The estimator fed from a log of noisy efforts."""
+    """The estimator along the motion, fed with noisy efforts."""
     time_stamps = np.arange(0.0, duration + 0.2, CONTROL_STEP)
     q, v, a = (
         np.array([arm.motion.EvalDerivative(t, order).ravel() for t in time_stamps])
@@ -183,9 +181,11 @@ def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
     rows = zip(q, v, a, strict=True)
     effort = np.array([control.at(q, v, v, a).effort(control.prior) for q, v, a in rows])
     effort += NOISE * np.random.default_rng(arm.seed).normal(size=effort.shape)
-    log = JointLog("arm", arm.model.joints, time_stamps, q, effort, velocity=v)
     builder = DiagramBuilder()
-    source = builder.AddSystem(LogSource(log))
+    sources = {
+        "estimated_state": TrajectorySource(arm.motion, 1),
+        "effort": TrajectorySource(PiecewisePolynomial.FirstOrderHold(time_stamps, effort.T)),
+    }
     system = builder.AddSystem(
         BregmanProjectionEstimator(
             control,
@@ -194,8 +194,8 @@ def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
             parameters=arm.start,
         )
     )
-    builder.Connect(source.GetOutputPort("state"), system.GetInputPort("estimated_state"))
-    builder.Connect(source.GetOutputPort("effort"), system.GetInputPort("effort"))
+    for name, source in sources.items():
+        builder.Connect(builder.AddSystem(source).get_output_port(), system.GetInputPort(name))
     diagram = builder.Build()
     return diagram, diagram.CreateDefaultContext()
 

@@ -36,15 +36,13 @@ class RigidSample:
     Attributes:
         tree: What is constant.
         placement: What depends on q.
-        motions: (nb, 3, 6) rows A', U and V of each body about Bo, in B.
-        crosses: (nb, 18, 6) the matrices 𝟙, −½ V × and −½ U ×.
+        motions: (nb, 3, 6) rows A, U and V of each body about Bo, in B.
         subspace_rate: (nv, 6) rate of the placement's subspace along the motion q̇.
     """
 
     tree: OnlineTree
     placement: Placement
     motions: Array
-    crosses: Array
     subspace_rate: Array
 
     @classmethod
@@ -61,17 +59,27 @@ class RigidSample:
         sums[:, 0] = S * a[:, None] + subspace_rate * v[:, None]
         motions = (tree.moves @ sums.reshape(-1, 18)).reshape(-1, 3, 6)
         motions[:, 0] += tree.reaction
-        motions = motions @ placement.wrenches
-        crosses = np.empty((len(motions), 3, 6, 6))
+        return cls(tree, placement, motions @ placement.wrenches, subspace_rate)
+
+    @cached_property
+    def crosses(self) -> Array:
+        """The matrices 𝟙, −½ V × and −½ U × (nb, 18, 6)."""
+        crosses = np.empty((len(self.motions), 3, 6, 6))
         crosses[:, 0] = _IDENTITY
-        np.multiply(motion_cross(motions[:, :0:-1]), -0.5, out=crosses[:, 1:])
-        motions[:, 0] += (crosses[:, 1] @ motions[:, 1, :, None])[:, :, 0]
-        return cls(tree, placement, motions, crosses.reshape(-1, 18, 6), subspace_rate)
+        np.multiply(motion_cross(self.motions[:, :0:-1]), -0.5, out=crosses[:, 1:])
+        return crosses.reshape(-1, 18, 6)
+
+    @cached_property
+    def pushed(self) -> Array:
+        """Rows A', U and V (nb, 3, 6)."""
+        pushed = self.motions.copy()
+        pushed[:, 0] += (self.crosses[:, 6:12] @ self.motions[:, 1, :, None])[:, :, 0]
+        return pushed
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
         G = (phi @ INERTIA).reshape(-1, 6, 6)
-        momenta = (self.motions @ G).reshape(-1, 1, 18)
+        momenta = (self.pushed @ G).reshape(-1, 1, 18)
         wrenches = (momenta @ self.crosses) @ self.placement.wrenches.transpose(0, 2, 1)
         total = self.tree.moves.T @ wrenches[:, 0]
         return np.einsum("ij,ij->i", self.placement.subspace, total)
@@ -81,13 +89,13 @@ class RigidSample:
         along = self.tree.moves @ (self.placement.subspace * r[:, None])
         R = along[:, None] @ self.placement.wrenches
         sides = (self.crosses @ R.transpose(0, 2, 1)).reshape(-1, 3, 6)
-        products = sides.transpose(0, 2, 1) @ self.motions
+        products = sides.transpose(0, 2, 1) @ self.pushed
         return products.reshape(-1, 36) @ INERTIA.T
 
     @cached_property
     def regressor(self) -> Array:
         """Y (nv, 10 nb)."""
-        momenta = (self.motions @ MOMENTUM).reshape(-1, 18, PARAMETERS_PER_BODY)
+        momenta = (self.pushed @ MOMENTUM).reshape(-1, 18, PARAMETERS_PER_BODY)
         wrenches = self.crosses.transpose(0, 2, 1) @ momenta
         return self._spread(wrenches[None], self.placement.subspace)[0]
 

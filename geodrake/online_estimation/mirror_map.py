@@ -156,6 +156,21 @@ class MirrorMap:
             return None
         return Point(root.swapaxes(-1, -2) @ root, P_inverse, x)
 
+    def moved_a_little(self, point: Point, rows: Covectors, multipliers: Array) -> Array | None:
+        """Parameters (n,) of the point y of `moved`, where one is known to exist.
+
+        As after steps that are shorter than one in the manifold's metric.
+        """
+        push = multipliers @ rows.X_light.reshape(len(multipliers), -1)
+        x = self._moved_others(point.x, multipliers @ rows.a_light)
+        if x is None:
+            return None
+        p = np.empty(self.bodies.size + self.others.size)
+        P = np.linalg.inv(point.P_inverse + push.reshape(point.P.shape))
+        p[self.bodies] = P.reshape(-1, 16) @ _FROM_MATRIX
+        p[self.others] = x
+        return p
+
     def mixed(self, point: Point, other: Point, share: float) -> Point | None:
         """The point y with ∇h(y) = (1 − s) ∇h(x) + s ∇h(x') for a share s in [0, 1]."""
         P_inverse = point.P_inverse + share * (other.P_inverse - point.P_inverse)

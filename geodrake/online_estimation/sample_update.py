@@ -76,17 +76,6 @@ class SampleUpdate:
     def _prior_point(self) -> Point:
         return self._map.point(np.asarray(self.prior, float))
 
-    def _epsilon(self, effort: Array) -> Array:
-        """ε of efforts (k,), of one sample or of several after each other."""
-        return np.resize(np.asarray(self.tolerance, float), effort.shape)
-
-    def _projected(self, p: Array, Y: Array, effort: Array) -> Array | None:
-        epsilon = self._epsilon(effort)
-        try:
-            return self._slabs.nudged(p, Y, effort, epsilon, relaxation=self.relaxation)
-        except np.linalg.LinAlgError:
-            return None
-
     def updated(
         self, p: Array, Y: Array, effort: Array, dt: float, *, earlier: Rows | None = None
     ) -> Array:
@@ -103,9 +92,14 @@ class SampleUpdate:
         if not (np.isfinite(Y).all() and np.isfinite(effort).all()):
             return p
         following = self._forgotten(p, dt) if self.forgetting > 0 else p
+        epsilon = np.broadcast_to(np.asarray(self.tolerance, float), effort.shape)
         if earlier is not None:
             Y, effort = np.vstack([Y, earlier[0]]), np.concatenate([effort, earlier[1]])
-        moved = self._projected(following, Y, effort)
+            epsilon = np.concatenate([epsilon, epsilon])
+        try:
+            moved = self._slabs.nudged(following, Y, effort, epsilon, relaxation=self.relaxation)
+        except np.linalg.LinAlgError:
+            return p
         if moved is None:
             return p
         if self._limited is not None:

@@ -150,8 +150,8 @@ class SlabProjection:
                 break
             kept = kept[right]
         length = np.sqrt(max(float(error @ multipliers) / self._map.lightest, 0.0))
-        y = self._map.moved(point, rows, (relaxation / (1.0 + length)) * multipliers)
-        return None if y is None else self._map.parameters(y)
+        multipliers *= relaxation / (1.0 + length)
+        return self._map.moved_a_little(point, rows, multipliers)
 
     def _multipliers(self, x: Point, face: _Face, start: Array) -> Array | None:
         """Multipliers (m,) with which the rows of a face have their targets.
