@@ -13,7 +13,7 @@ natural law's are geodesic, and for comparison the source's Euler steps. The spe
 is chosen by one rule on draws of their own (`adaptive/gains.py`, `--choose-gains`), or is the
 source's (`--gains source`). There is no friction, and no limit of joints and efforts, as there.
 
-    python diagrams/wam_adaptation.py --json wam.json --figures figures
+    python diagrams/wam_adaptation.py --draws 4 --json wam.json --figures figures
 """
 
 from __future__ import annotations
@@ -175,9 +175,9 @@ def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
     add_gains(parser)
-    parser.add_argument("--draws", type=int, help="number of first estimates (4; 1 with --quick)")
+    parser.add_argument("--draws", type=int, help="number of first estimates (2; 1 with --quick)")
     options = parser.parse_args()
-    draws = options.draws or (1 if options.quick else 4)
+    draws = options.draws or (1 if options.quick else 2)
     console = Console(width=160)
     form = {"speed": "g", "draws": "d", "lost": "d", "rms": ".3f", "unphysical": ".1%"}
     if options.choose_gains:

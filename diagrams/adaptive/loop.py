@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from geodrake.effects import Effect
@@ -71,6 +71,7 @@ def simulate(
     *,
     effects: Sequence[tuple[Effect, ArrayLike]] = (),
     end: float | None = None,
+    sensor: System | None = None,
 ) -> Record:
     """Simulates a loop over a whole motion, or until it is lost.
 
@@ -80,11 +81,18 @@ def simulate(
         motion: What is to be tracked.
         effects: What acts on the plant beside rigid bodies, with parameters.
         end: When to stop, s; None for the end of the motion.
+        sensor: What the controller sees the plant through; nothing if None.
     """
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     loop = add_adaptive_loop(
-        builder, plant, controller, motion, effects=effects, log_period=LOG_PERIOD
+        builder,
+        plant,
+        controller,
+        motion,
+        effects=effects,
+        log_period=LOG_PERIOD,
+        sensor=sensor,
     )
     diagram = builder.Build()
     simulator = Simulator(diagram, loop.context(diagram))

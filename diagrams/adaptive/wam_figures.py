@@ -34,9 +34,9 @@ def error_figure(lines: Sequence[dict[str, Any]]) -> Figure:
     _bars(left, lines, ("sigma", sigmas), "rms")
     _title(left, "Tracking error of all joints: RMS, degrees")
     style.log_scale(left, "y")
-    for law in _names(lines, "law")[1:]:
+    for k, law in enumerate(_names(lines, "law")[1:]):
         share = [100.0 * _line(lines, sigma=s, law=law)["unphysical"] for s in sigmas]
-        right.plot(sigmas, share, color=COLORS[law], marker="o", markersize=4)
+        right.plot(sigmas, share, color=COLORS[law], marker="o", markersize=7 - 1.5 * k)
     _title(right, "Time with a body that cannot exist, %")
     right.set_ylim(-4.0, 104.0)
     for ax in (left, right):
@@ -54,10 +54,11 @@ def rounds_figure(lines: Sequence[dict[str, Any]]) -> Figure:
     """Tracking error of every round of growing amplitude."""
     figure = style.new_figure(3.4)
     ax = figure.subplots()
-    for line in lines:
+    for k, line in enumerate(lines):
         if line["rounds"]:
             rounds = 1 + np.arange(len(line["rounds"]))
-            ax.plot(rounds, line["rounds"], color=COLORS[line["law"]], marker="o", markersize=4)
+            look = {"color": COLORS[line["law"]], "marker": "o", "markersize": 7 - 1.5 * k}
+            ax.plot(rounds, line["rounds"], **look)
     _title(ax, "Tracking error of all joints in rounds of growing amplitude: RMS, degrees")
     ax.set_xticks(rounds)
     ax.set_xlabel("round", **style.plain(style.SMALL, style.QUIET))
