@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from adaptive.laws import COLORS
@@ -38,14 +39,8 @@ def controller_figure(summary: Sequence[dict[str, Any]]) -> Figure:
         for k, law in enumerate(laws):
             for at, controller in enumerate(NAMES):
                 cell = (noise, sigma, controller, law)
-                found = [x for x in summary if _cell(x) == cell and x["rms"] is not None]
-                if found:
-                    x, error = (
-                        at + WIDTH * (k - 1),
-                        min(found[0]["deviation"], 0.9 * found[0]["rms"]),
-                    )
-                    look = {"color": COLORS[law], "ecolor": style.INK, "capsize": 1.5}
-                    ax.bar(x, found[0]["rms"], 0.9 * WIDTH, yerr=error, **look)
+                for line in (line for line in summary if _cell(line) == cell):
+                    _draw_bar(ax, at + WIDTH * (k - 1), line)
         ax.set_xticks(np.arange(len(NAMES)), NAMES.values())
         title = f"Velocity noise {noise:g} rad/s" if noise else "Exact velocity"
         style.polish(ax, grid="y").set_title(title, loc="left", **style.plain(fontweight="bold"))
@@ -55,6 +50,17 @@ def controller_figure(summary: Sequence[dict[str, Any]]) -> Figure:
     lost = sum(x["lost"] for x in summary if x["sigma"] == sigma)
     style.note_below(figure, f"{lost} unstable loops are left out." if lost else "")
     return figure
+
+
+def _draw_bar(ax: Axes, x: float, line: dict[str, Any]) -> None:
+    """The error of one controller and law, or that all its loops were unstable."""
+    rms, color = line["rms"], COLORS[line["law"]]
+    if rms is None:
+        where = {"xy": (x, 0.02), "xycoords": ("data", "axes fraction"), "ha": "center"}
+        ax.annotate("unstable", **where, rotation=90, **style.plain(style.SMALL, color))
+        return
+    error = min(line["deviation"], 0.9 * rms)
+    ax.bar(x, rms, 0.9 * WIDTH, yerr=error or None, color=color, ecolor=style.INK, capsize=1.5)
 
 
 def _cell(line: dict[str, Any]) -> tuple[Any, ...]:
