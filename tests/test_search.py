@@ -18,8 +18,9 @@ from geodrake.diagnosis.forward import search, tuned
 from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
 from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
 from geodrake.diagnosis.refine import prune, simplify
-from geodrake.diagnosis.search import choose, convincing, gain_of, rank, try_package
+from geodrake.diagnosis.search import choose, convincing, rank
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
+from geodrake.diagnosis.trials import gain_of, try_package
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,

@@ -15,8 +15,9 @@ from geodrake.diagnosis.forward import Trail, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.proposals import suggested_of
 from geodrake.diagnosis.results import Explanation
-from geodrake.diagnosis.search import LOOSER_PRIORS, gain_of
+from geodrake.diagnosis.search import LOOSER_PRIORS
 from geodrake.diagnosis.steps import steps_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import effect_class
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError

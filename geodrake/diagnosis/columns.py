@@ -11,7 +11,7 @@ from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import suggested
-from geodrake.diagnosis.search import gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.model import RobotModel

@@ -16,8 +16,9 @@ from geodrake.diagnosis.forward import Forward, Trail, next_step, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.results import Candidate, Diagnosis
-from geodrake.diagnosis.search import PENALTY, Ranked, gain_of
+from geodrake.diagnosis.search import Ranked
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
+from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
 from geodrake.identification.model_fit import as_it_stands, effects_of, model_unknowns
 from geodrake.model import RobotModel

@@ -24,8 +24,8 @@ from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.refine import reshape
-from geodrake.diagnosis.search import PENALTY, gain_of
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
+from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects import EffortDelay
 from geodrake.effects.base import Effect
 from geodrake.model import FittedEffect

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.refine import prune, reshape, simplify
-from geodrake.diagnosis.search import PENALTY, Ranked, choose, gain_of, rank
+from geodrake.diagnosis.search import Ranked, choose, rank
+from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
 
 TIGHTER_PRIORS = (0.1, 1.0 / 3.0, 1.0)

@@ -15,15 +15,9 @@ from geodrake.diagnosis.candidates import (
 )
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.search import (
-    PENALTY,
-    acted_upon,
-    best_trial,
-    gain_of,
-    settled_trial,
-    try_package,
-)
+from geodrake.diagnosis.search import best_trial
 from geodrake.diagnosis.shapes import variants
+from geodrake.diagnosis.trials import PENALTY, acted_upon, gain_of, settled_trial, try_package
 from geodrake.effects.base import Effect
 
 

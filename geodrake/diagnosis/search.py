@@ -6,63 +6,33 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
 from geodrake.diagnosis.evidence import (
     Criteria,
     false_alarm_probability,
     fold_agreement,
-    log_likelihood_gain,
     tie_probability,
 )
-from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
+from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.trials import PENALTY, Trial, gain_of, try_package
 from geodrake.effects.base import Effect
-from geodrake.identification.cross_validation import HeldOut
-from geodrake.identification.dataset import Dataset, is_payload
+from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+__all__ = [
+    "PENALTY",
+    "Ranked",
+    "best_trial",
+    "choose",
+    "convincing",
+    "gain_of",
+    "rank",
+]
 
-PENALTY = 6.0
-"""Gain that a parameter must bring before a hypothesis with it is preferred."""
 
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """A package tried on a hypothesis.
-
-    Attributes:
-        package: What was tried.
-        gain: Twice the held-out log-likelihood ratio.
-        reduction: Share of the squared error gone at the joints that the package acts on.
-        agreement: Share of folds in which the error fell there.
-        alarm: Probability of a false alarm, all candidates counted.
-    """
-
-    package: Package
-    gain: float
-    reduction: float
-    agreement: float
-    alarm: float
-
-    @property
-    def score(self) -> float:
-        """Gain less the penalty of the parameters."""
-        return self.gain - PENALTY * self.package.parameters
-
-    def convinces(self, criteria: Criteria) -> bool:
-        """Whether all criteria are met."""
-        return (
-            self.alarm <= criteria.alarm
-            and self.reduction >= criteria.reduction
-            and self.agreement >= criteria.agreement
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,64 +65,11 @@ class Ranked:
         return self.gain - PENALTY * self.parameters
 
 
-def try_package(hypothesis: Hypothesis, package: Package, tried: int) -> Trial:
-    """Held-out evidence for a package, with everything that may move refitted.
-
-    Args:
-        hypothesis: What the package is added to.
-        package: The effects to try together.
-        tried: Number of candidates that compete, for the probability of a false alarm.
-    """
-    dataset, before = hypothesis.dataset, hypothesis.held_out
-    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
-    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
-    parameters = [p for effect in package.effects for p in effect.parameters]
-    lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
-    after = hypothesis.cv.with_candidate(columns, information, lower, upper)
-    both = np.concatenate([hypothesis.unknowns.columns, columns])
-    effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
-    gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
-    return _trial(package, (before, after), acted_upon(dataset, package), gain=gain, tried=tried)
-
-
-def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:
-    """The evidence for a package between the hypotheses without and with it, both fitted in full.
-
-    Where inertias stand in for a package, they may do so well at the joints that it acts upon, and
-    leave the error to another one. The joint that gains most is therefore looked at too.
-    """
-    errors = before.held_out, after.held_out
-    seen = acted_upon(before.dataset, package)
-    seen[np.argmin(errors[1].mse / errors[0].mse)] = True
-    return _trial(package, errors, seen, gain=gain_of(before, after), tried=1)
-
-
-def acted_upon(dataset: Dataset, package: Package) -> Mask:
-    """(nv,) whether the effects of a package act on a joint."""
-    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
-    return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
-
-
-def _trial(
-    package: Package, errors: tuple[HeldOut, HeldOut], joints: Mask, *, gain: float, tried: int
-) -> Trial:
-    before, after = errors
-    weight = joints / before.mse
-    lost, left = before.sse @ weight, after.sse @ weight
-    return Trial(
-        package,
-        gain,
-        float(1.0 - left.sum() / lost.sum()),
-        fold_agreement(lost, left),
-        false_alarm_probability(gain, package.parameters, tried),
-    )
-
-
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
     """The best convincing package at every place of a kind; one place only if it cannot unite."""
     found = []
     for packages in kind.options.values():
-        trials = [try_package(hypothesis, package, tried) for package in packages]
+        trials = [try_package(hypothesis, p, tried, least=criteria) for p in packages]
         good = [trial for trial in trials if trial.convinces(criteria)]
         if good:
             found.append(best_trial(hypothesis, good))
@@ -210,12 +127,6 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 def choose(ranked: Sequence[Ranked]) -> Ranked:
     """Of those that cannot be told from the best, the simplest; of these the best."""
     return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
-
-
-def gain_of(before: Hypothesis, after: Hypothesis) -> float:
-    """Twice the held-out log-likelihood ratio of two hypotheses."""
-    gains = log_likelihood_gain(before.held_out.mse, after.held_out.mse, after.effective)
-    return float(gains.sum())
 
 
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:

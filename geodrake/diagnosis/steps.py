@@ -20,7 +20,7 @@ from geodrake.diagnosis.evidence import (
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.results import Step
-from geodrake.diagnosis.search import gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.identification.model_fit import ModelFit, as_it_stands

@@ -1,0 +1,121 @@
+"""Trials: the held-out evidence for single packages of effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.evidence import (
+    Criteria,
+    false_alarm_probability,
+    fold_agreement,
+    log_likelihood_gain,
+)
+from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
+from geodrake.identification.cross_validation import HeldOut
+from geodrake.identification.dataset import Dataset
+from geodrake.identification.unknowns import effect_prior
+
+Mask = NDArray[np.bool_]
+
+PENALTY = 6.0
+"""Gain that a parameter must bring before a hypothesis with it is preferred."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A package tried on a hypothesis.
+
+    Attributes:
+        package: What was tried.
+        gain: Twice the held-out log-likelihood ratio.
+        reduction: Share of the squared error gone at the joints that the package acts on.
+        agreement: Share of folds in which the error fell there.
+        alarm: Probability of a false alarm, all candidates counted.
+    """
+
+    package: Package
+    gain: float
+    reduction: float
+    agreement: float
+    alarm: float
+
+    @property
+    def score(self) -> float:
+        """Gain less the penalty of the parameters."""
+        return self.gain - PENALTY * self.package.parameters
+
+    def convinces(self, criteria: Criteria) -> bool:
+        """Whether all criteria are met."""
+        return (
+            self.alarm <= criteria.alarm
+            and self.reduction >= criteria.reduction
+            and self.agreement >= criteria.agreement
+        )
+
+
+def gain_of(before: Hypothesis, after: Hypothesis) -> float:
+    """Twice the held-out log-likelihood ratio of two hypotheses."""
+    gains = log_likelihood_gain(before.held_out.mse, after.held_out.mse, after.effective)
+    return float(gains.sum())
+
+
+def try_package(
+    hypothesis: Hypothesis, package: Package, tried: int, *, least: Criteria | None = None
+) -> Trial:
+    """Held-out evidence for a package, with everything that may move refitted.
+
+    Args:
+        hypothesis: What the package is added to.
+        package: The effects to try together.
+        tried: Number of candidates that compete, for the probability of a false alarm.
+        least: Spare the effective samples of a package that reduces too little by these criteria;
+            its gain is then given as zero.
+    """
+    dataset, before = hypothesis.dataset, hypothesis.held_out
+    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
+    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
+    parameters = [p for effect in package.effects for p in effect.parameters]
+    lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
+    after = hypothesis.cv.with_candidate(columns, information, lower, upper)
+    errors, joints = (before, after), acted_upon(dataset, package)
+    reduction, agreement = _improvement(errors, joints)
+    if least and (reduction < least.reduction or agreement < least.agreement):
+        return Trial(package, 0.0, reduction, agreement, 1.0)
+    both = np.concatenate([hypothesis.unknowns.columns, columns])
+    effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
+    gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
+    alarm = false_alarm_probability(gain, package.parameters, tried)
+    return Trial(package, gain, reduction, agreement, alarm)
+
+
+def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:
+    """The evidence for a package between the hypotheses without and with it, both fitted in full.
+
+    Where inertias stand in for a package, they may do so well at the joints that it acts upon, and
+    leave the error to another one. The joint that gains most is therefore looked at too.
+    """
+    errors = before.held_out, after.held_out
+    seen = acted_upon(before.dataset, package)
+    seen[np.argmin(errors[1].mse / errors[0].mse)] = True
+    gain = gain_of(before, after)
+    alarm = false_alarm_probability(gain, package.parameters, 1)
+    return Trial(package, gain, *_improvement(errors, seen), alarm)
+
+
+def acted_upon(dataset: Dataset, package: Package) -> Mask:
+    """(nv,) whether the effects of a package act on a joint."""
+    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
+    return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
+
+
+def _improvement(errors: tuple[HeldOut, HeldOut], joints: Mask) -> tuple[float, float]:
+    """Share of the squared error gone at some joints, and share of the folds in which it fell."""
+    before, after = errors
+    weight = joints / before.mse
+    lost, left = before.sse @ weight, after.sse @ weight
+    return float(1.0 - left.sum() / lost.sum()), fold_agreement(lost, left)
