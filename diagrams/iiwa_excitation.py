@@ -1,0 +1,253 @@
+"""Motions of a KUKA iiwa designed in four base representations with three normalizations.
+
+[Lee2019] §4.6.2 and table 4.2: Fourier motions of 10 s by E-optimality. With the geometric
+normalization, base parameters may be written down in any way. Beside them are motions by criteria
+that others published, with the same start, limits and number of solver iterations, and the best of
+random motions, of which there are as many as the solver may take iterations. Errors are those to be
+expected, exactly, by the covariance of least squares. The iiwa is read from the folder --shared;
+without it, and with --quick, an arm of our own takes its place. Finished designs are kept beside
+the table, so that an interrupted run goes on.
+
+    python diagrams/iiwa_excitation.py --json iiwa.json --figures figures
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from excitation.manipulator import (
+    IIWA,
+    Validation,
+    family,
+    limits,
+    manipulator,
+    represented_target,
+)
+from excitation.options import SHARED, cache_beside, study_parser, write_table
+from resumable.draws import results_of
+from rich.console import Console
+from rich.table import Table
+
+from geodrake.excitation import (
+    NORMALIZATIONS,
+    Criterion,
+    DesignOptions,
+    Objective,
+    design_excitation,
+)
+from geodrake.excitation.design import make_problem
+from geodrake.excitation.guess import random_guess
+from geodrake.visualization import style
+
+VERSION = 1
+"""Of what a design is; one more when kept designs of older versions must not be used."""
+RANDOM = "random"
+PEERS = {
+    ("none", "condition_number"): "Gautier and Khalil 1992",
+    ("diagonal", "condition_number"): "Venture, Ayusawa and Nakamura 2009 [64]",
+    ("none", "d_optimality"): "Swevers et al. 1997",
+}
+"""Criteria of others; D-optimality is the same with every normalization."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What every design has in common.
+
+    Attributes:
+        shared: Folder with the iiwa; None for our own arm.
+        modes: Of the Fourier series.
+        samples: By which information is counted.
+        iterations: Most iterations of the solver, in each of its two stages.
+        seeds: Number of random starts.
+        validation: Number of random samples at which efforts are predicted.
+        seed: Of starts, prior, base representations and validation.
+    """
+
+    shared: str | None
+    modes: int = 5
+    samples: int = 300
+    iterations: int = 150
+    seeds: int = 1
+    validation: int = 2000
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A line of the table.
+
+    Attributes:
+        normalization: One of `NORMALIZATIONS`, or `RANDOM`.
+        base: Number of the base representation, from one.
+        criterion: One of `CRITERIA`.
+    """
+
+    normalization: str
+    base: int = 1
+    criterion: str = "e_optimality"
+
+
+def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
+    """The best motion by one criterion in one representation, and the errors that it leaves."""
+    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    target = represented_target(model, cell.base, plan.seed)
+    options = DesignOptions(samples=plan.samples, rest=False, iterations=plan.iterations)
+    judge = make_problem(Objective(target), limits(model), family(plan.modes), options)
+    if cell.normalization == RANDOM:
+        rng = np.random.default_rng([plan.seed, 1])
+        middle = judge.limits.middle[None]
+        guesses = [random_guess(judge, middle, rng) for _ in range(2 * plan.iterations)]
+        motions = [judge.trajectory(guess) for guess in guesses]
+        values = [judge.objective.value(motion.motion(judge.times)) for motion in motions]
+        trajectory, evaluations = motions[int(np.argmin(values))], len(values)
+    else:
+        result = design_excitation(
+            target,
+            limits(model),
+            criterion=cell.criterion,
+            normalization=cell.normalization,
+            trajectory=family(plan.modes),
+            options=options,
+            seeds=range(plan.seed, plan.seed + plan.seeds),
+        )
+        trajectory = result.trajectory
+        evaluations = sum(outcome.evaluations for outcome in result.outcomes)
+    eigenvalues = judge.objective.eigenvalues(trajectory.motion(judge.times))
+    return {
+        **asdict(cell),
+        "evaluations": evaluations,
+        "coefficients": trajectory.coefficients.tolist(),
+        "geometric_e": Criterion().value(eigenvalues),
+        "geometric_condition": Criterion("condition_number").value(eigenvalues),
+        **Validation.of(model, plan.validation, plan.seed).errors(target, trajectory),
+    }
+
+
+def first_random(plan: Plan) -> dict[str, Any]:
+    """The motion that all designs start from."""
+    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    target = represented_target(model, 1, plan.seed)
+    options = DesignOptions(samples=plan.samples, rest=False)
+    problem = make_problem(Objective(target), limits(model), family(plan.modes), options)
+    rng = np.random.default_rng(plan.seed)
+    trajectory = problem.trajectory(random_guess(problem, problem.limits.middle[None], rng))
+    value = problem.objective.value(trajectory.motion(problem.times))
+    errors = Validation.of(model, plan.validation, plan.seed).errors(target, trajectory)
+    return {**asdict(Cell("one random motion")), "geometric_e": value, **errors}
+
+
+def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
+    """How much base representations matter to the error and to the motion's coefficients."""
+    cells = [(row, row["normalization"], row["criterion"]) for row in rows]
+    own = [row for row, *cell in cells if cell == [normalization, "e_optimality"]]
+    error, motion = [r["error"] for r in own], np.array([r["coefficients"] for r in own])
+    return {
+        "error_largest_over_smallest_less_1": max(error) / min(error) - 1.0,
+        "coefficients_apart": float(np.abs(motion - motion[0]).max()),
+    }
+
+
+def run(plan: Plan, *, bases: int, cache: Path | None, workers: int) -> dict[str, Any]:
+    """Table 4.2, and the comparison with others."""
+    cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
+    cells += [Cell(name, 1, criterion) for name, criterion in PEERS] + [Cell(RANDOM)]
+    key = {"version": VERSION, **asdict(plan), "shared": plan.shared is not None}
+    rows = results_of(partial(design, plan=plan), cells, key=key, cache=cache, workers=workers)
+    best = min(r["geometric_e"] for r in rows if r["normalization"] == "geometric")
+    spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
+    rows = [*rows, first_random(plan)]
+    for row in rows:
+        row.pop("coefficients", None)
+        row["criterion_over_best_geometric"] = row["geometric_e"] / best
+    return {
+        "plan": {**asdict(plan), "shared": plan.shared is not None},
+        "rows": rows,
+        "spread": spreads,
+    }
+
+
+def show(table: dict[str, Any], console: Console) -> None:
+    """Print table 4.2."""
+    groups = list(table["rows"][0]["effort"])
+    out = Table("normalization", "criterion", "base", "error", *(f"J {g}, N·m" for g in groups))
+    for name in (*(f"J {g}, rad/s²" for g in groups), "E over best"):
+        out.add_column(name)
+    for row in table["rows"]:
+        values = [row["error"], *row["effort"].values(), *row["acceleration"].values()]
+        out.add_row(
+            row["normalization"],
+            row["criterion"].replace("_", " "),
+            str(row["base"]),
+            *(f"{value:.3g}" for value in values),
+            f"{row['criterion_over_best_geometric']:.3g}",
+        )
+    console.print(out)
+    for name, one in table["spread"].items():
+        error, apart = one["error_largest_over_smallest_less_1"], one["coefficients_apart"]
+        console.print(f"{name}: errors differ by {error:.3g}, coefficients by {apart:.3g}")
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Errors by criterion and base representation."""
+    figure = style.new_figure(4.2)
+    colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
+    names = [f"{r['normalization']} {r['criterion']} {r['base']}" for r in rows]
+    panels = {
+        "parameter error": [row["error"] for row in rows],
+        "acceleration of the last joint, rad/s²": [
+            list(row["acceleration"].values())[-1] for row in rows
+        ],
+        "criterion (geometric E) over the best": [
+            row["criterion_over_best_geometric"] for row in rows
+        ],
+    }
+    shades = [colors.get(row["normalization"], style.FLOOR) for row in rows]
+    for i, (ax, title) in enumerate(zip(figure.subplots(1, 3), panels, strict=True)):
+        ax.scatter(panels[title], range(len(rows)), color=shades, s=28)
+        ax.set_yticks(range(len(rows)), [""] * len(rows) if i else names)
+        ax.invert_yaxis()
+        style.polish(ax)
+        style.log_scale(ax, "x")
+        ax.set_title(title, loc="left", **style.plain())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = study_parser(__doc__)
+    parser.add_argument("--shared", type=Path, default=SHARED, help="folder with the iiwa")
+    parser.add_argument("--bases", type=int, help="base representations (4; 2 with --quick)")
+    parser.add_argument("--iterations", type=int, help="of the solver (150; 5 with --quick)")
+    parser.add_argument("--seeds", type=int, default=1, help="number of random starts")
+    parser.add_argument("--workers", type=int, help="number of processes")
+    options = parser.parse_args()
+    own = options.quick or not (options.shared / IIWA).is_file()
+    plan = Plan(
+        shared=None if own else str(options.shared),
+        modes=3 if options.quick else 5,
+        samples=60 if options.quick else 300,
+        iterations=options.iterations or (5 if options.quick else 150),
+        seeds=options.seeds,
+        validation=200 if options.quick else 2000,
+        seed=options.seed,
+    )
+    bases = options.bases or (2 if options.quick else 4)
+    workers = options.workers or (1 if options.quick else min(2, os.cpu_count() or 1))
+    console = Console(width=200)
+    table = run(plan, bases=bases, cache=cache_beside(options.json), workers=workers)
+    show(table, console)
+    write_table(options.json, table)
+    if options.figures:
+        draw(table["rows"], options.figures / "iiwa_excitation.png")
+
+
+if __name__ == "__main__":
+    main()
