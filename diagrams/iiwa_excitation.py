@@ -3,7 +3,9 @@
 [Lee2019] §4.6.2 and table 4.2: Fourier motions of 10 s by E-optimality. With the geometric
 normalization, base parameters may be written down in any way. Beside them are motions by criteria
 that others published, with the same start, limits and number of solver iterations, and the best of
-random motions, of which there are as many as the solver may take iterations. Errors are those to be
+random motions, of which there are as many as the solver may take iterations. Rounding may lead the
+solver different ways; from the best geometric motion it goes on to the same optimum in every
+representation. Errors are those to be
 expected, exactly, by the covariance of least squares. The iiwa is read from the folder --shared;
 without it, and with --quick, an arm of our own takes its place. Finished designs are kept beside
 the table, so that an interrupted run goes on.
@@ -22,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from excitation.manipulator import (
+    DURATION,
     IIWA,
     Validation,
     family,
@@ -29,7 +32,9 @@ from excitation.manipulator import (
     manipulator,
     represented_target,
 )
+from excitation.manipulator_figures import draw
 from excitation.options import SHARED, cache_beside, study_parser, write_table
+from excitation.refined import refined
 from resumable.draws import results_of
 from rich.console import Console
 from rich.table import Table
@@ -38,12 +43,14 @@ from geodrake.excitation import (
     NORMALIZATIONS,
     Criterion,
     DesignOptions,
+    ExcitationTrajectory,
     Objective,
+    Target,
     design_excitation,
 )
 from geodrake.excitation.design import make_problem
 from geodrake.excitation.guess import random_guess
-from geodrake.visualization import style
+from geodrake.motion import Motion
 
 VERSION = 1
 """Of what a design is; one more when kept designs of older versions must not be used."""
@@ -54,6 +61,8 @@ PEERS = {
     ("none", "d_optimality"): "Swevers et al. 1997",
 }
 """Criteria of others; D-optimality is the same with every normalization."""
+REFINED = "geometric, refined"
+REFINEMENT = 400
 
 
 @dataclass(frozen=True)
@@ -84,7 +93,7 @@ class Cell:
     """A line of the table.
 
     Attributes:
-        normalization: One of `NORMALIZATIONS`, or `RANDOM`.
+        normalization: One of `NORMALIZATIONS`, `RANDOM` or `REFINED`.
         base: Number of the base representation, from one.
         criterion: One of `CRITERIA`.
     """
@@ -119,10 +128,30 @@ def design(cell: Cell, *, plan: Plan) -> dict[str, Any]:
         )
         trajectory = result.trajectory
         evaluations = sum(outcome.evaluations for outcome in result.outcomes)
-    eigenvalues = judge.objective.eigenvalues(trajectory.motion(judge.times))
+    return {"evaluations": evaluations, **line(cell, trajectory, target, plan)}
+
+
+def refine(cell: Cell, *, plan: Plan, coefficients: Sequence[Any]) -> dict[str, Any]:
+    """The optimum that the solver finds from the best motion, in one representation."""
+    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    target = represented_target(model, cell.base, plan.seed)
+    iterations = min(REFINEMENT, 4 * plan.iterations)
+    options = DesignOptions(samples=plan.samples, rest=False, iterations=iterations)
+    arguments = (target, limits(model), family(plan.modes), np.array(coefficients), options)
+    trajectory, minimized, status = refined(*arguments)
+    found = {"minimized": minimized, "status": status}
+    return {**found, **line(cell, trajectory, target, plan)}
+
+
+def line(
+    cell: Cell, trajectory: ExcitationTrajectory, target: Target, plan: Plan
+) -> dict[str, Any]:
+    """What a motion of a cell is worth: by the geometric criteria, and in expected errors."""
+    motion = trajectory.motion(trajectory.family.times(plan.samples))
+    eigenvalues = Objective(target).eigenvalues(motion)
+    model = manipulator(None if plan.shared is None else Path(plan.shared))
     return {
         **asdict(cell),
-        "evaluations": evaluations,
         "coefficients": trajectory.coefficients.tolist(),
         "geometric_e": Criterion().value(eigenvalues),
         "geometric_condition": Criterion("condition_number").value(eigenvalues),
@@ -138,9 +167,17 @@ def first_random(plan: Plan) -> dict[str, Any]:
     problem = make_problem(Objective(target), limits(model), family(plan.modes), options)
     rng = np.random.default_rng(plan.seed)
     trajectory = problem.trajectory(random_guess(problem, problem.limits.middle[None], rng))
-    value = problem.objective.value(trajectory.motion(problem.times))
-    errors = Validation.of(model, plan.validation, plan.seed).errors(target, trajectory)
-    return {**asdict(Cell("one random motion")), "geometric_e": value, **errors}
+    return line(Cell("one random motion"), trajectory, target, plan)
+
+
+def values_by_base(found: dict[str, Any], bases: int, plan: Plan) -> list[float]:
+    """The criterion of one motion, normalized as it was designed, in every representation."""
+    model = manipulator(None if plan.shared is None else Path(plan.shared))
+    motion = family(plan.modes).basis(np.linspace(0.0, DURATION, plan.samples))
+    q, v, vd = motion @ np.array(found["coefficients"])
+    targets = (represented_target(model, base + 1, plan.seed) for base in range(bases))
+    criterion, way = Criterion(found["criterion"]), found["normalization"]
+    return [Objective(one, criterion, way).value(Motion(q, v, vd)) for one in targets]
 
 
 def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, float]:
@@ -148,8 +185,10 @@ def spread(rows: Sequence[dict[str, Any]], normalization: str) -> dict[str, floa
     cells = [(row, row["normalization"], row["criterion"]) for row in rows]
     own = [row for row, *cell in cells if cell == [normalization, "e_optimality"]]
     error, motion = [r["error"] for r in own], np.array([r["coefficients"] for r in own])
+    value = [row["geometric_e"] for row in own]
     return {
         "error_largest_over_smallest_less_1": max(error) / min(error) - 1.0,
+        "value_largest_over_smallest_less_1": max(value) / min(value) - 1.0,
         "coefficients_apart": float(np.abs(motion - motion[0]).max()),
     }
 
@@ -158,10 +197,21 @@ def run(plan: Plan, *, bases: int, cache: Path | None, workers: int) -> dict[str
     """Table 4.2, and the comparison with others."""
     cells = [Cell(name, base + 1) for name in NORMALIZATIONS for base in range(bases)]
     cells += [Cell(name, 1, criterion) for name, criterion in PEERS] + [Cell(RANDOM)]
+    cells.append(Cell("geometric", 1, "a_optimality"))
     key = {"version": VERSION, **asdict(plan), "shared": plan.shared is not None}
-    rows = results_of(partial(design, plan=plan), cells, key=key, cache=cache, workers=workers)
-    best = min(r["geometric_e"] for r in rows if r["normalization"] == "geometric")
-    spreads = {name: spread(rows, name) for name in NORMALIZATIONS}
+    resumable = {"cache": cache, "workers": workers}
+    rows = results_of(partial(design, plan=plan), cells, key=key, **resumable)
+    own = [row for row in rows if row["normalization"] == "geometric"]
+    first = min(own, key=lambda row: row["geometric_e"])
+    best, start = first["geometric_e"], first["coefficients"]
+    cells = [Cell(REFINED, base + 1) for base in range(bases)]
+    task = partial(refine, plan=plan, coefficients=start)
+    rows += results_of(task, cells, key={**key, "from": best}, **resumable)
+    spreads = {name: spread(rows, name) for name in (*NORMALIZATIONS, REFINED)}
+    for name in NORMALIZATIONS:
+        first = next(row for row in rows if row["normalization"] == name)
+        values = values_by_base(first, bases, plan)
+        spreads[name]["criterion_largest_over_smallest_less_1"] = max(values) / min(values) - 1.0
     rows = [*rows, first_random(plan)]
     for row in rows:
         row.pop("coefficients", None)
@@ -191,33 +241,13 @@ def show(table: dict[str, Any], console: Console) -> None:
     console.print(out)
     for name, one in table["spread"].items():
         error, apart = one["error_largest_over_smallest_less_1"], one["coefficients_apart"]
-        console.print(f"{name}: errors differ by {error:.3g}, coefficients by {apart:.3g}")
-
-
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Errors by criterion and base representation."""
-    figure = style.new_figure(4.2)
-    colors = {"none": style.MEASURED, "diagonal": style.BEFORE, "geometric": style.AFTER}
-    names = [f"{r['normalization']} {r['criterion']} {r['base']}" for r in rows]
-    panels = {
-        "parameter error": [row["error"] for row in rows],
-        "acceleration of the last joint, rad/s²": [
-            list(row["acceleration"].values())[-1] for row in rows
-        ],
-        "criterion (geometric E) over the best": [
-            row["criterion_over_best_geometric"] for row in rows
-        ],
-    }
-    shades = [colors.get(row["normalization"], style.FLOOR) for row in rows]
-    for i, (ax, title) in enumerate(zip(figure.subplots(1, 3), panels, strict=True)):
-        ax.scatter(panels[title], range(len(rows)), color=shades, s=28)
-        ax.set_yticks(range(len(rows)), [""] * len(rows) if i else names)
-        ax.invert_yaxis()
-        style.polish(ax)
-        style.log_scale(ax, "x")
-        ax.set_title(title, loc="left", **style.plain())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+        console.print(
+            f"{name}: between representations, errors of the designs differ by {error:.3g}, and "
+            f"coefficients by {apart:.3g}"
+        )
+        if name in NORMALIZATIONS:
+            value = one["criterion_largest_over_smallest_less_1"]
+            console.print(f"    the criterion of one and the same motion by {value:.3g}")
 
 
 def main() -> None:

@@ -215,8 +215,10 @@ def main() -> None:
     show(table["rows"], console)
     for name, one in table["spread"].items():
         error, apart = one["error_largest_over_smallest_less_1"], one["samples_apart"]
+        value = one["criterion_largest_over_smallest_less_1"]
         console.print(
-            f"{name}: errors differ by {error:.3g} between frames, samples by {apart:.3g}"
+            f"{name}: between frames, the criterion of the same samples differs by {value:.3g}, "
+            f"errors of the designs by {error:.3g}, and their samples by {apart:.3g}"
         )
     write_table(options.json, table)
     if options.figures:

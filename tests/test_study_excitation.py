@@ -163,3 +163,14 @@ class TestManipulator:
         for other in (none, random):
             assert geometric["error"] < 0.7 * other["error"]
             assert geometric["geometric_e"] < 0.5 * other["geometric_e"]
+        ends = [
+            study.iiwa.refine(
+                study.iiwa.Cell(study.iiwa.REFINED, base),
+                plan=plan,
+                coefficients=geometric["coefficients"],
+            )
+            for base in (1, 2)
+        ]
+        apart = np.subtract(ends[0]["coefficients"], ends[1]["coefficients"])
+        assert np.abs(apart).max() < 1e-6
+        assert ends[0]["geometric_e"] < geometric["geometric_e"]

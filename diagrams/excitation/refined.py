@@ -1,0 +1,50 @@
+"""Further steps from a design: where solvers end that rounding had led different ways."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.excitation import (
+    Criterion,
+    DesignOptions,
+    ExcitationTrajectory,
+    MotionFamily,
+    MotionLimits,
+    Objective,
+    Target,
+)
+from geodrake.excitation.design import make_problem
+from geodrake.excitation.guess import within_limits
+from geodrake.excitation.nonlinear_solvers import solve
+
+Array = NDArray[np.float64]
+
+_SHARPNESS = 64.0  # of the smooth form of the criterion: the last stage of a design
+
+
+def refined(
+    target: Target,
+    limits: MotionLimits,
+    family: MotionFamily,
+    coefficients: Array,
+    options: DesignOptions,
+) -> tuple[ExcitationTrajectory, float, str]:
+    """The optimum of geometric E-optimality next to a motion (count, nv) that keeps the limits.
+
+    Returns:
+        The motion, the smooth logarithm that was minimized, and what the solver said.
+    """
+    objective = Objective(target, Criterion("e_optimality", _SHARPNESS))
+    problem = make_problem(objective, limits, family, options)
+    start = problem.variables(coefficients)
+    found, status = solve(
+        problem,
+        start,
+        solver=options.solver,
+        iterations=options.iterations,
+        seconds=options.seconds,
+        watch=lambda _value, _variables: None,
+    )
+    end = within_limits(problem, found.reshape(start.shape), start)
+    return problem.trajectory(end), problem.cost(end)[0], status
