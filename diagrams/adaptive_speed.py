@@ -53,6 +53,7 @@ DAMPING, COULOMB = 2.0, 1.0  # N·m·s/rad, N·m
 PIECE = 0.05  # s, of simulated time
 GAMMA = 0.05
 NOISE = 0.02  # N·m, of the efforts that the estimator sees
+EVERY = 2  # samples of the estimator to a projection
 WRONG = 0.1  # size of the congruences that spoil the first estimate
 
 
@@ -170,8 +171,8 @@ def controller_alone(arm: Arm, system: AdaptiveController) -> tuple[Diagram, Con
     return diagram, diagram.CreateDefaultContext()
 
 
-def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
-    """The estimator along the motion, fed with noisy efforts."""
+def estimator(arm: Arm, duration: float, *, every: int = 1) -> tuple[Diagram, Context]:
+    """The estimator along the motion, fed with noisy efforts, projecting every so many samples."""
     time_stamps = np.arange(0.0, duration + 0.2, CONTROL_STEP)
     q, v, a = (
         np.array([arm.motion.EvalDerivative(t, order).ravel() for t in time_stamps])
@@ -192,6 +193,7 @@ def estimator(arm: Arm, duration: float) -> tuple[Diagram, Context]:
             SampleUpdate(arm.manifold, np.full(7, 2.0 * NOISE)),
             time_step=CONTROL_STEP,
             parameters=arm.start,
+            update_every=every,
         )
     )
     for name, source in sources.items():
@@ -224,6 +226,7 @@ def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]
         "filtered step": lambda: controller_alone(arm, arm.filtered(arm.law)),
         "filtered step without adaptation": lambda: controller_alone(arm, arm.filtered(None)),
         "estimator": lambda: estimator(arm, duration),
+        "estimator, projecting every second": lambda: estimator(arm, duration, every=EVERY),
     }
     times: dict[str, list[float]] = {name: [] for name in work}
     for _ in track(range(repeats), description="measuring"):
@@ -246,7 +249,10 @@ def summary(times: dict[str, list[float]]) -> dict[str, Any]:
             "adaptive step / step": step / fixed,
             "filtered adaptive step / step": cost["filtered step"]
             / cost["filtered step without adaptation"],
-            "estimator, samples a second": 1.0 / (CONTROL_STEP * cost["estimator"]),
+        }
+        estimators = [key for key in cost if key.startswith("estimator")]
+        table[name] |= {
+            f"{key}, samples a second": 1.0 / (CONTROL_STEP * cost[key]) for key in estimators
         }
     return table
 

@@ -61,12 +61,14 @@ def recorded(duration=4.0, truth=TRUTH, gap=()):
     return JointLog("made", MODEL.joints, 3.0 + time[kept], q[kept], effort[kept], velocity=v[kept])
 
 
-def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, duration=None):
+def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, duration=None, every=1):
     """What an estimator makes of a log: the system, times, and estimates and residuals then."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, MODEL.joints))
     system = builder.AddSystem(
-        BregmanProjectionEstimator(CONTROL, update, time_step=STEP, parameters=start)
+        BregmanProjectionEstimator(
+            CONTROL, update, time_step=STEP, parameters=start, update_every=every
+        )
     )
     state = source.GetOutputPort("state")
     if sensor is not None:
@@ -100,8 +102,9 @@ def unexplained(p, truth=TRUTH):
     return np.sqrt(np.mean(squares))
 
 
-def test_the_estimate_explains_what_is_measured():
-    _, _, p, residual = estimated(recorded(), start=perturbed(0.3))
+@pytest.mark.parametrize("every", [1, 2])
+def test_the_estimate_explains_what_is_measured(every):
+    _, _, p, residual = estimated(recorded(), start=perturbed(0.3), every=every)
     check(p)
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-6
     assert unexplained(p[-1]) < 0.15 * unexplained(p[0])
@@ -191,6 +194,8 @@ def test_estimators_that_do_not_fit_are_refused():
         BregmanProjectionEstimator(CONTROL, SampleUpdate(MANIFOLD, np.ones(3)))
     with pytest.raises(ArgumentError, match="time step"):
         BregmanProjectionEstimator(CONTROL, UPDATE, time_step=0.0)
+    with pytest.raises(ArgumentError, match="every 0"):
+        BregmanProjectionEstimator(CONTROL, UPDATE, update_every=0)
 
 
 # The player of logs

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
 
 from geodrake.inertia import Array
 from geodrake.manifolds import Manifold
@@ -142,13 +143,15 @@ class SlabProjection:
         rows, point = self._map.covectors(Y[bound]), self._map.point(p)
         products = self._map.products(point, rows)
         multipliers, kept = np.zeros(len(bound)), np.arange(len(bound))
+        own, outside = products, error
         while len(kept):
-            found = _solve_scaled(products[np.ix_(kept, kept)], error[kept], _SHARING)
+            found = _solve_scaled(own, outside, _SHARING)
             right = found * side[kept] >= 0
             if right.all():
                 multipliers[kept] = found
                 break
             kept = kept[right]
+            own, outside = products[np.ix_(kept, kept)], error[kept]
         length = np.sqrt(max(float(error @ multipliers) / self._map.lightest, 0.0))
         multipliers *= relaxation / (1.0 + length)
         return self._map.moved_a_little(point, rows, multipliers)
@@ -190,6 +193,10 @@ class SlabProjection:
 def _solve_scaled(products: Array, error: Array, softness: float = 1e-12) -> NDArray[np.float64]:
     """Newton's direction, with rows of unit length so that dependent ones do no harm."""
     lengths = np.sqrt(np.maximum(np.diagonal(products), 1e-300))
-    scaled = products / lengths / lengths[:, None]
+    scaled = products / (lengths * lengths[:, None])
     scaled.flat[:: len(scaled) + 1] += softness
-    return np.asarray(np.linalg.solve(scaled, error / lengths) / lengths)
+    # (LAPACK itself: at so few unknowns the checks of numpy.linalg.solve cost more than solving.)
+    _, solution, failed = dposv(scaled, error / lengths)
+    if failed:
+        solution = np.linalg.solve(scaled, error / lengths)
+    return np.asarray(solution / lengths)

@@ -53,6 +53,7 @@ class BregmanProjectionEstimator(LeafSystem):
         parameters: ArrayLike | None = None,
         memory: float = 2.0,
         stale_time: float = 0.05,
+        update_every: int = 1,
     ) -> None:
         """Constructs the system.
 
@@ -65,6 +66,8 @@ class BregmanProjectionEstimator(LeafSystem):
             memory: For how long samples are seen again, s; zero for never. A change of the robot
                 shows at once, and is settled after this time.
             stale_time: How long the state may stand still, s.
+            update_every: Samples from one projection to the next. The filter takes every sample;
+                samples much closer than its bandwidth say nearly the same.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -74,6 +77,10 @@ class BregmanProjectionEstimator(LeafSystem):
         require_single_joints(control)
         if not 0 < time_step < np.inf:
             raise ArgumentError(f"An estimator needs a time step above zero; got {time_step} s.")
+        if update_every < 1:
+            raise ArgumentError(
+                f"An estimator projects every sample or fewer; got every {update_every}."
+            )
         nv = len(control.joints)
         if np.shape(update.tolerance) not in ((), (nv,)):
             raise ArgumentError(
@@ -89,7 +96,8 @@ class BregmanProjectionEstimator(LeafSystem):
         start = checked_estimate(control, update.manifold, parameters)
         self.control, self._sample_update, self._filter = control, update, filtered
         self._nv, self._time_step = nv, time_step
-        self._spacing = max(1, round(memory / (_SLOTS * time_step)))
+        self._every = update_every
+        self._spacing = max(1, round(memory / (_SLOTS * time_step * update_every)))
         self._watch = Watch(nv, max(stale_time / time_step, 1.0))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
@@ -132,16 +140,22 @@ class BregmanProjectionEstimator(LeafSystem):
             state.set_value(self._memory, memory)
             p, (Y, known) = self.parameters(context), self._filter.rows(memory)
             state.set_value(self._residual, known - Y @ p)
-            earlier = self._earlier(context, state, np.column_stack([Y, known]))
-            following = self._sample_update.updated(p, Y, known, self._time_step, earlier=earlier)
+            count = int(context.get_discrete_state(self._count).value()[0])
+            state.set_value(self._count, [count + 1])
+            if count % self._every:
+                return
+            rows = np.column_stack([Y, known])
+            earlier = self._earlier(context, state, rows, count // self._every)
+            since = self._time_step * self._every
+            following = self._sample_update.updated(p, Y, known, since, earlier=earlier)
             state.set_value(self._estimate, following)
 
-    def _earlier(self, context: Context, state: DiscreteValues, rows: Array) -> Rows | None:
+    def _earlier(
+        self, context: Context, state: DiscreteValues, rows: Array, count: int
+    ) -> Rows | None:
         """The samples in memory, one after the other; now and then the present one goes there."""
         if not self._slots:
             return None
-        count = int(context.get_discrete_state(self._count).value()[0])
-        state.set_value(self._count, [count + 1])
         kept, rest = divmod(count, self._spacing)
         if rest == 0 and np.isfinite(rows).all():
             state.set_value(self._slots[kept % _SLOTS], rows.ravel())
