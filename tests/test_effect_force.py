@@ -285,6 +285,18 @@ class TestSystem:
         system.get_input_port(0).FixValue(context, np.ones(6))
         np.testing.assert_array_equal(system.get_output_port().Eval(context), 0.0)
 
+    def test_friction_that_fades_with_time(self):
+        plant, drift = arm(), effects.FrictionDrift("joint2", 2.0)
+        system = EffectForce(plant, [(drift, [3.0, 0.5])], sign_width=0.05)
+        context = system.CreateDefaultContext()
+        system.get_input_port(0).FixValue(context, [0.1, 0.2, 0.3, 0.4, -0.5, 0.6])
+        for time in (0.0, 1.0, 7.0):
+            context.SetTime(time)
+            force = 3.0 * np.tanh(-0.5 / 0.05) + 0.5 * -0.5
+            np.testing.assert_allclose(
+                system.get_output_port().Eval(context), [0.0, -np.exp(-time / 2.0) * force, 0.0]
+            )
+
     def test_two_instances_in_one_diagram(self):
         builder = DiagramBuilder()
         plants = [builder.AddNamedSystem(name, arm()) for name in ("left", "right")]

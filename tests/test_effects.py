@@ -98,6 +98,7 @@ def instances():
         effects.NonlinearViscousFriction("elbow", 0.5),
         effects.LoadDependentFriction("elbow"),
         effects.CoupledFriction(("elbow", "wrist"), -1),
+        effects.FrictionDrift("elbow", 5.0),
         effects.EffortOffset("elbow"),
         effects.EffortScale("elbow"),
         effects.EffortDelay(0.01),
@@ -196,6 +197,13 @@ class TestEquations:
     def test_load_dependent(self):
         effort = self.elbow(effects.LoadDependentFriction("elbow"), [0.1])
         np.testing.assert_allclose(effort, 0.1 * np.abs(self.load) * np.sign(self.v))
+
+    def test_drift_of_friction(self):
+        effort = self.elbow(effects.FrictionDrift("elbow", 0.05), [2.0, 3.0])
+        fade = np.exp(-self.motion.time / 0.05)
+        np.testing.assert_allclose(effort, fade * (2.0 * np.sign(self.v) + 3.0 * self.v))
+        settled = dataclasses.replace(self.motion, time=None)
+        np.testing.assert_array_equal(effects.FrictionDrift("elbow", 5.0).regressor(settled), 0.0)
 
     def test_spring_and_rest_position(self):
         k, q_0, center = 2.0, 0.7, 0.3
@@ -375,7 +383,7 @@ class TestNames:
     def test_catalogue_is_in_the_order_of_the_design(self):
         names = [effect.name for effect in effects.catalogue()]
         assert names == [name for name in NAMES_OF_DESIGN if name in names]
-        assert len(names) == 18
+        assert len(names) == 19
 
     def test_lookup(self):
         assert effects.effect_class("payload") is effects.Payload

@@ -171,6 +171,32 @@ class TestAerodynamicDrag:
         np.testing.assert_allclose(center, point, atol=0.01)
 
 
+class TestFrictionDrift:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("joint", "name", "size"), [(1, "shoulder_pitch", 5.0), (3, "wrist_roll", 0.25)]
+    )
+    def test_found(self, joint, name, size, seed):
+        """Friction that falls as 1 / (1 + t / 8 s) from one and a half times its last value."""
+
+        def hidden(seen):
+            v = seen.v[:, joint]
+            warm = 1.0 + 0.5 / (1.0 + seen.time / 8.0)
+            return {joint: size * warm * (v / np.sqrt(v**2 + 1e-4) + v)}
+
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        found = ("coulomb_friction", "viscous_friction", "friction_drift")
+        steps, _ = assert_found(model_file("arm6"), recording, dict.fromkeys(found, (name,)))
+        values = steps["friction_drift"][name]
+        settled = steps["coulomb_friction"][name]["coulomb"]
+        assert settled + values["coulomb_change"] == pytest.approx(1.5 * size, rel=0.08)
+        assert 4.0 < values["time_constant"] < 16.0
+
+    def test_not_where_friction_stays(self):
+        found = explain(model_file("arm6"), [effort_log("arm6", 5, rubbing, off=0.2).log])
+        assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}
+
+
 def rubbing(seen):
     size = np.array([3.0, 3.0, 3.0, 0.15, 0.15, 0.15])
     return size * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)

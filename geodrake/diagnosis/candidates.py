@@ -24,6 +24,7 @@ COMPLEXITY: Mapping[str, int] = {
     "stribeck_friction": 2,
     "nonlinear_viscous_friction": 2,
     "torque_ripple": 2,
+    "friction_drift": 2,
     "gravity_tilt": 1,
     "effort_scale": 1,
     "aerodynamic_drag": 2,
@@ -112,15 +113,17 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
 def is_refinement(effect: Effect) -> bool:
     """Whether an effect refines dry and viscous friction, and alone is a compromise of the two.
 
-    Stribeck friction is one, and |v|^α with α < 1; drag that grows faster than the speed is not.
+    Stribeck friction is one, drift of friction, and |v|^α with α < 1; drag that grows faster than
+    the speed is not.
     """
     if effect.name == "nonlinear_viscous_friction":
         return float(effect.shape["exponent"]) < 1.0
-    return effect.name == "stribeck_friction"
+    return effect.name in ("stribeck_friction", "friction_drift")
 
 
 def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
     """Whether the frictions that an effect refines are among those taken, by name and place."""
     if not is_refinement(effect) or ("asymmetric_friction", effect.where) in taken:
         return True
-    return all((name, effect.where) in taken for name in DRY_AND_VISCOUS)
+    present = [(name, effect.where) in taken for name in DRY_AND_VISCOUS]
+    return any(present) if effect.name == "friction_drift" else all(present)

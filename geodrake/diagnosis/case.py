@@ -138,6 +138,7 @@ def reduced(
         case.folds,
         effects=effects,
         delays=case.dataset.delays if delays is None else delays,
+        floor=case.dataset.noise_floor if delays is None else None,
     )
 
 

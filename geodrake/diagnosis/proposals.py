@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case
-from geodrake.diagnosis.evidence import effective_samples
-from geodrake.diagnosis.hypothesis import Hypothesis, residual_blocks
+from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import highest_peak
-from geodrake.effects import TorqueRipple
+from geodrake.diagnosis.residuals import JointResidual, joint_residuals
+from geodrake.effects import FrictionDrift, TorqueRipple
 from geodrake.effects.base import Effect
 
 Array = NDArray[np.float64]
@@ -22,6 +22,7 @@ DOMINANT = 0.3
 """Share of a joint's squared error from which on a suggestion comes before all other candidates."""
 
 _ALARM = 1e-3  # of one joint's spectrum; what is offered must still convince on held-out data
+_TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)  # of drift, as shares of the longest log
 _FEW = 5.0  # waves in the range of motion
 _FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in units of those told apart
 _MANY_WAVES = (-0.15, 0.0, 0.15)
@@ -41,39 +42,6 @@ class Proposal:
     effects: tuple[Effect, ...]
     share: float
     alarm: float
-
-
-@dataclass(frozen=True, eq=False)
-class JointResidual:
-    """Held-out residuals of a joint, the kept rows of all folds one after another.
-
-    Attributes:
-        joint: Name of the joint.
-        q: (K,) position, rad or m.
-        v: (K,) velocity, rad/s or m/s.
-        residual: (K,) measured less predicted effort, filtered.
-        effective: How many independent samples these are worth.
-    """
-
-    joint: str
-    q: Array
-    v: Array
-    residual: Array
-    effective: float
-
-
-def joint_residuals(hypothesis: Hypothesis) -> list[JointResidual]:
-    """Residuals of all joints."""
-    dataset = hypothesis.dataset
-    blocks = residual_blocks(
-        dataset, hypothesis.unknowns.columns, hypothesis.held_out.x, delay=hypothesis.delay
-    )
-    found = []
-    for name, data, residual in zip(dataset.joints, dataset.data, blocks, strict=True):
-        q, v, _ = np.concatenate([rows.motion for fold in data.rows for rows in fold]).T
-        effective = effective_samples(residual)
-        found.append(JointResidual(name, q, v, np.concatenate(residual), effective))
-    return found
 
 
 def suggested(
@@ -117,9 +85,10 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
 
 def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
     """What the residual suggests at every place, whatever the evidence for it."""
-    for joint in joint_residuals(hypothesis):
-        if joint.joint in case.model.single_joints:
+    for joint in joint_residuals(case, hypothesis):
+        if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
             yield from _ripples(case, joint)
+            yield from _drifts(case, joint)
 
 
 def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
@@ -139,3 +108,15 @@ def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
         ripples = tuple(TorqueRipple(joint.joint, order + x * step) for x in offsets)
         alarm = min(1.0, peak.tried * float(chi2.sf(peak.height, 2)))
         yield Proposal(ripples, peak.share, alarm)
+
+
+def _drifts(case: Case, joint: JointResidual) -> Iterator[Proposal]:
+    longest = float(joint.time.max())
+    shapes = tuple(FrictionDrift(joint.joint, share * longest) for share in _TIME_CONSTANTS)
+    friction = [joint.sign_v, joint.v]
+    tried = []
+    for shape in shapes:
+        left = np.exp(-joint.time / shape.time_constant)
+        tried.append(joint.improvement(friction, [left * column for column in friction]))
+    share, gain = max(tried, key=lambda found: found[1])
+    yield Proposal(shapes, share, min(1.0, len(shapes) * float(chi2.sf(gain, 2))))

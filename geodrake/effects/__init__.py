@@ -44,6 +44,7 @@ from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
 from geodrake.effects.effort_scale import EffortScale
+from geodrake.effects.friction_drift import FrictionDrift
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.joint_spring import JointSpring
@@ -68,6 +69,7 @@ __all__ = [
     "EffortDelay",
     "EffortOffset",
     "EffortScale",
+    "FrictionDrift",
     "GravityCompensator",
     "GravityTilt",
     "JointEffect",

@@ -57,6 +57,7 @@ class Effect(abc.ABC):
         needs_known_inertia: Whether the effect can be told only by inertias known from elsewhere.
         expandable: Whether the columns are slopes of something not linear in the parameters.
         sees_bodies: Whether the effect depends on where bodies are and how they move.
+        sees_time: Whether the effect depends on the time since a log began.
     """
 
     name: ClassVar[str]
@@ -69,6 +70,7 @@ class Effect(abc.ABC):
     needs_known_inertia: ClassVar[bool] = False
     expandable: ClassVar[bool] = False
     sees_bodies: ClassVar[bool] = False
+    sees_time: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
@@ -204,8 +206,10 @@ class JointEffect(Effect):
         del joint
         return None
 
-    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
+    def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
         """Gradient of Σ weights ∘ regressor with respect to the motion; see `Effect.gradient`."""
+        if type(self).rows is not JointEffect.rows:
+            return None
         slopes = self.slopes(motion.joint(self.joint))
         return joint_gradient(motion, self.joint, self.columns, slopes, weights)
 

@@ -22,6 +22,7 @@ from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.effects.effort_offset import EffortOffset
 from geodrake.effects.effort_scale import EffortScale
+from geodrake.effects.friction_drift import FrictionDrift
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.joint_spring import JointSpring
@@ -53,6 +54,7 @@ def catalogue() -> tuple[type[Effect], ...]:
         NonlinearViscousFriction,
         LoadDependentFriction,
         CoupledFriction,
+        FrictionDrift,
         EffortOffset,
         EffortScale,
         EffortDelay,

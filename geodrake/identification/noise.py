@@ -45,21 +45,23 @@ def noise_floor(
     power, weight = np.zeros(len(trajectories[0].joints)), 0
     for trajectory in trajectories:
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
+        began = float(trajectory.segments[0][:1].time[0])
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
             density = _quiet_density(start.effort, rate, bandwidth)
             if model is not None:
-                residual = _residual(start, model, sign_width)
+                residual = _residual(start, model, sign_width, began)
                 density = np.minimum(density, _quiet_density(residual, rate, bandwidth))
             power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)
     return np.sqrt(power / weight)
 
 
-def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike) -> Array:
+def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began: float) -> Array:
     """(K, n) measured − predicted effort at the full rate."""
-    motion = Motion(model.positions(segment.position), segment.velocity, segment.acceleration)
+    q, since = model.positions(segment.position), segment.time - began
+    motion = Motion(q, segment.velocity, segment.acceleration, since)
     needed = model.effort(motion, sign_width=sign_width)
     return segment.effort - EffortDelay(model.delay).delayed(needed, segment.period)
 

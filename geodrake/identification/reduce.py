@@ -67,6 +67,7 @@ def reduce_logs(
     *,
     effects: Sequence[Effect],
     delays: Sequence[float] = (0.0,),
+    floor: Array | None = None,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
@@ -76,6 +77,7 @@ def reduce_logs(
         folds: Validation folds of the trajectories.
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s; the first must be 0.
+        floor: (nv,) noise floor, if it is known already.
 
     Raises:
         LogError: The effort of a joint never changes.
@@ -113,7 +115,7 @@ def reduce_logs(
             for columns, joint in zip(layout.columns, boxes, strict=True)
         ),
         _effort_deviation(model.joints, boxes),
-        noise_floor(trajectories, model, sign_width=layout.sign_width),
+        noise_floor(trajectories, model, sign_width=layout.sign_width) if floor is None else floor,
         trajectories[0].filter.bandwidth,
         np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
     )
@@ -212,6 +214,7 @@ def _chunks(
     """First output and filtered rows of every joint, for slices of a stretch."""
     low_pass, model = trajectory.filter, layout.model
     width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
+    began = float(trajectory.segments[0][:1].time[0])
     margin = SPLINE_REACH + round(max(map(abs, advance)) / stretch.period)
     first = 0
     for samples, outputs in low_pass.chunks(len(stretch), min(CHUNK, LARGEST_REGRESSOR // width)):
@@ -222,7 +225,9 @@ def _chunks(
         instants = low_pass.output_indices(len(here))
         states = np.stack([here.position, here.velocity, here.acceleration], 1)[instants]
         still = low_pass.apply(np.abs(here.velocity) < layout.still_speed) > MOSTLY_STILL
-        motion = Motion(model.positions(here.position), here.velocity, here.acceleration)
+        motion = Motion(
+            model.positions(here.position), here.velocity, here.acceleration, here.time - began
+        )
         rows = [
             JointRows(
                 here.time[instants],

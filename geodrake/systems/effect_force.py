@@ -85,6 +85,8 @@ class EffectForce(LeafSystem):
         prerequisites = {self._state_port.ticket()}
         if self._effects.coupled:
             prerequisites.add(self._effort_port.ticket())
+        if self._effects.timed:
+            prerequisites.add(self.time_ticket())
         self.DeclareVectorOutputPort(
             "generalized_force", BasicVector(nv), self._calc_force, prerequisites
         )
@@ -120,5 +122,5 @@ class EffectForce(LeafSystem):
             u = self._effort_port.Eval(context)
         applied = u / self._effects.gain
         q, v = state[: self._nq], state[self._nq :]
-        effort = self._law.effort(self._effects, q, v, applied)
+        effort = self._law.effort(self._effects, q, v, applied, time=context.get_time())
         output.SetFromVector(applied - u - effort)

@@ -34,9 +34,14 @@ class SortedEffects:
     direct: _Terms
     accelerated: _Terms
     loaded: _Terms
-    placed: _Terms  # direct ones that depend on where bodies are
+    apart: _Terms  # direct ones that depend on bodies or on time
     at_once: DirectEffects  # the other direct ones again
     gain: Array  # (nv,) measured effort over the one that acts
+
+    @property
+    def timed(self) -> bool:
+        """Whether the time must be known."""
+        return any(effect.sees_time for effect, _ in self.apart)
 
     @property
     def implicit(self) -> bool:
@@ -80,7 +85,7 @@ class ForceLaw:
 
     def sort(self, effects: Sequence[tuple[Effect, ArrayLike]]) -> SortedEffects:
         """Checks effects, and finds out by trial what they depend on."""
-        direct, accelerated, loaded_terms, placed = _Terms(), _Terms(), _Terms(), _Terms()
+        direct, accelerated, loaded_terms, apart = _Terms(), _Terms(), _Terms(), _Terms()
         rng, nv = np.random.default_rng(0), len(self._joints)
         gain = np.ones(nv)
         q = np.tile(self._plant.GetPositions(self._context), (8, 1))
@@ -107,20 +112,33 @@ class ForceLaw:
                 loaded_terms.append((effect, mu))
             elif not np.array_equal(base, effect.regressor(moved), equal_nan=True):
                 accelerated.append((effect, mu))
-            elif effect.sees_bodies:
-                placed.append((effect, mu))
+            elif effect.sees_bodies or effect.sees_time:
+                apart.append((effect, mu))
             else:
                 direct.append((effect, mu))
         at_once = DirectEffects.of(direct, self._joints, self._positions, self._sign_width)
-        return SortedEffects(direct, accelerated, loaded_terms, placed, at_once, gain)
+        return SortedEffects(direct, accelerated, loaded_terms, apart, at_once, gain)
 
-    def effort(self, effects: SortedEffects, q: Array, v: Array, u: Array) -> Array:
-        """Effort that the effects need (nv,) at a state and under the efforts u of controllers."""
+    def effort(
+        self, effects: SortedEffects, q: Array, v: Array, u: Array, *, time: float = 0.0
+    ) -> Array:
+        """Effort that the effects need (nv,).
+
+        Args:
+            effects: The effects.
+            q: (nq,) positions.
+            v: (nv,) velocities.
+            u: (nv,) efforts of controllers that act on the plant.
+            time: Time since the beginning, s.
+        """
         zero = np.zeros((1, len(v)))
         still = (q[None], v[None], zero, zero)
         direct = effects.at_once.effort(q, v, lambda body: self._motion(*still).body_columns(body))
-        if effects.placed:
-            direct = direct + _sum(effects.placed, self._motion(*still))[0]
+        if effects.apart:
+            direct = (
+                direct
+                + _sum(effects.apart, replace(self._motion(*still), time=np.array([time])))[0]
+            )
         if not effects.implicit:
             return direct
 
