@@ -108,7 +108,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
         "unphysical": float(wam.unphysical(record.parameters).mean()),
         "rise": None if controller.law is None else record.rise,
         "lost": record.lost,
-        "seconds": (time.process_time() - begin) / record.time[-1],
+        "seconds": (time.process_time() - begin) / max(record.time[-1], 1e-3),
     }
 
 

@@ -25,7 +25,7 @@ CHOSEN = {
     "payload": {EUCLIDEAN: 3.0, PULLBACK: 300.0, NATURAL: 3.0},
     "controller_acceleration": {EUCLIDEAN: 1e-3, NATURAL: 30.0},
     "controller_filtered": {EUCLIDEAN: 1e-3, NATURAL: 30.0},
-    "sandbags": {EUCLIDEAN: 1e-2, PULLBACK: 10.0, NATURAL: 10.0},
+    "sandbags": {EUCLIDEAN: 10.0, PULLBACK: 300.0, NATURAL: 100.0},
 }
 """γ⁻¹ that `--choose-gains` of the scripts found."""
 
