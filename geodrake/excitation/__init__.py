@@ -5,6 +5,10 @@
     result = design_excitation(target, limits, trajectory=FourierMotion(10.0, 5))
     write_trajectory(result.trajectory, "motion.csv", model)
 
+    rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
+    separation = make_separation(model, *rivals, noise=0.1)   # who is to be told from whom
+    result = design_separation(separation, limits)
+
 A motion is judged by the eigenvalues of its information matrix, normalized so that neither frames
 nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
 """
@@ -12,7 +16,7 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
 from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.criteria import CRITERIA, Criterion
-from geodrake.excitation.design import design_excitation
+from geodrake.excitation.design import design_excitation, design_objective
 from geodrake.excitation.design_results import (
     DesignOptions,
     DesignProgress,
@@ -38,7 +42,10 @@ from geodrake.excitation.regressor_gradient import (
     regressor_jacobian,
 )
 from geodrake.excitation.reverse_recursion import MotionGradient
+from geodrake.excitation.rivals import Rival, make_rival
+from geodrake.excitation.separation import Pair, Separation
 from geodrake.excitation.target import Target, make_target
+from geodrake.excitation.tell_apart import design_separation, make_separation
 from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.excitation.trajectory_files import ros_joint_trajectory, write_trajectory
 
@@ -59,17 +66,24 @@ __all__ = [
     "MotionGradient",
     "MotionLimits",
     "Objective",
+    "Pair",
     "ReducedExcitation",
     "ReducedIdentification",
+    "Rival",
     "SeedOutcome",
+    "Separation",
     "Solid",
     "SplineMotion",
     "Target",
     "base_wrench_regressor_gradient",
     "design_excitation",
+    "design_objective",
     "design_reduced_excitation",
+    "design_separation",
     "identifiable_parameters",
     "inverse_dynamics_regressor_gradient",
+    "make_rival",
+    "make_separation",
     "make_target",
     "measurement_factor",
     "motion_limits",

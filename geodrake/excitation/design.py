@@ -62,9 +62,41 @@ def design_excitation(
         ArgumentError: Limits leave no room, a speed is not limited, the start cannot be held, no
             posture can, or the noise is not positive; the message says which joint and where.
     """
-    options = DesignOptions() if options is None else options
     target = what if isinstance(what, Target) else make_target(what)
     criterion = Criterion(criterion) if isinstance(criterion, str) else criterion
+    return design_objective(
+        Objective(target, criterion, normalization),
+        limits,
+        trajectory=trajectory,
+        options=options,
+        seeds=seeds,
+        progress=progress,
+    )
+
+
+def design_objective(
+    objective: Objective,
+    limits: MotionLimits | None = None,
+    *,
+    trajectory: MotionFamily | None = None,
+    options: DesignOptions | None = None,
+    seeds: int | Sequence[int] = 3,
+    progress: Callable[[DesignProgress], None] | None = None,
+) -> ExcitationResult:
+    """The motion within limits that is best by an objective.
+
+    Args:
+        objective: Function of the motion, such as a normalized criterion of a target.
+        limits: As for `design_excitation`, and so are the others.
+        trajectory: The family of motions.
+        options: How the design is made.
+        seeds: Number of random starts, or their seeds.
+        progress: Called after every evaluation.
+
+    Raises:
+        ArgumentError: As `design_excitation`.
+    """
+    options = DesignOptions() if options is None else options
     family = FourierMotion() if trajectory is None else trajectory
     chosen = list(range(seeds)) if isinstance(seeds, int) else [*seeds]
     check_solver(options.solver)
@@ -73,22 +105,23 @@ def design_excitation(
             f"A design needs at least one seed, sample and stage; got {chosen}, "
             f"{options.samples} and {options.sharpness}."
         )
-    problem = make_problem(Objective(target, criterion, normalization), limits, family, options)
+    problem = make_problem(objective, limits, family, options)
+    model = objective.target.model
     if problem.start is None:
-        postures = possible_postures(target.model, problem.limits, options.collisions)
+        postures = possible_postures(model, problem.limits, options.collisions)
         postures = postures[:_NEAREST_POSTURES]
     else:
-        check_start(target.model, problem.limits, problem.start, options.collisions)
+        check_start(model, problem.limits, problem.start, options.collisions)
         postures = problem.start[None]
     run = _Run(problem, options, postures, progress)
     ends = run.from_seeds(chosen)
     best, _ = min(ends, key=lambda end: end[1].value)
     final = problem.trajectory(best)
-    eigenvalues = problem.objective.eigenvalues(final.motion(problem.times))
+    eigenvalues = objective.eigenvalues(final.motion(problem.times))
     return ExcitationResult(
         trajectory=final,
-        objective=problem.objective,
-        value=criterion.value(eigenvalues),
+        objective=objective,
+        value=objective.criterion.value(eigenvalues),
         eigenvalues=eigenvalues,
         samples=len(problem.times),
         use=limit_use(problem, best),
