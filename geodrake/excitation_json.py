@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from geodrake.excitation import ExcitationResult
-from geodrake.excitation.verdict import directions_told, improvement, verdict
+from geodrake.excitation.verdict import directions_told, improvement, told_apart, verdict
 from geodrake.identifiability import LogIdentifiability, ToldBlock
 
 
@@ -14,18 +14,30 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
     """A designed motion: its coefficients, what it is worth, what it uses of the limits.
 
     Args:
-        result: The result of `geodrake.excitation.design_excitation`.
+        result: The result of `geodrake.excitation.design_excitation`, or of `design_separation`,
+            whose value is 1/Δ of the pair that is hardest to tell apart.
     """
     objective, family, use = result.objective, result.trajectory.family, result.use
+    pairs = told_apart(result)
     shares = ("position", "velocity", "acceleration", "effort")
     return {
-        "criterion": objective.criterion.name,
+        "criterion": "separation" if pairs else objective.criterion.name,
         "normalization": objective.normalization,
         "value": result.value,
         "improvement_over_random": improvement(result),
         "verdict": verdict(result),
         "eigenvalues": result.eigenvalues,
-        "directions_told": directions_told(result),
+        "directions_told": None if pairs else directions_told(result),
+        "pairs": [
+            {
+                "truth": told.pair.truth,
+                "where": told.pair.where,
+                "rival": told.pair.rival,
+                "deviations": told.deviations,
+                "effort_rms": told.effort,
+            }
+            for told in pairs
+        ],
         "samples": result.samples,
         "noise": dict(zip(objective.target.model.joints, objective.target.noise, strict=True)),
         "motion": {

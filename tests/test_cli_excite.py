@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,15 @@ from typer.testing import CliRunner
 from yaml import safe_load
 
 from geodrake.cli.app import app
-from geodrake.cli.excite import sized_effects
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of
+from geodrake.cli.tell_apart import separation_of
+from geodrake.effects import CoulombFriction
 from geodrake.errors import ArgumentError
 from geodrake.excitation import make_target
+from geodrake.excitation.effect_sizes import sized_effects
 from geodrake.log_files import read_log
+from geodrake.model import FittedEffect
 from geodrake.motion import Motion
 from geodrake.saved_model import load_model
 
@@ -23,6 +27,19 @@ MODELS = Path(__file__).parents[1] / "models"
 PENDULUM = MODELS / "double_pendulum.urdf"
 SOON = ("--seeds", 1, "--iterations", 12)
 FAST = (*SOON, "--samples", 60, "--duration", 4, "--harmonics", 2)
+OWN = """
+from dataclasses import dataclass
+from geodrake.effects.base import JointEffect, Parameter
+
+@dataclass(frozen=True)
+class CubicFriction(JointEffect):
+    \"\"\"c v³.\"\"\"
+    name = "cubic_friction"
+    parameters = (Parameter("coefficient", "N·m·s³/rad³", lower=0.0),)
+
+    def columns(self, joint):
+        return [joint.v**3]
+"""
 BALLS = """<robot name="balls"><link name="base"/>
   <link name="a"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
     <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>
@@ -114,6 +131,80 @@ def test_collision_geometry_counts(tmp_path):
     seen = excite(tmp_path / "with.urdf", *fast)
     assert seen.exit_code == 0, seen.output
     assert "collision" not in seen.output
+
+
+class TestTellApart:
+    PAIR = "coulomb_friction,load_dependent_friction"
+
+    def test_everything_is_written(self, tmp_path):
+        names = {"--save": "m.yaml", "--json": "n.json", "--report": "r.html"}
+        files = [word for option, name in names.items() for word in (option, tmp_path / name)]
+        limits = ("--limits", "velocity=4,acceleration=15")
+        result = excite(PENDULUM, *FAST, *limits, "--tell-apart", f"{self.PAIR}@elbow", *files)
+        assert result.exit_code == 0, result.output
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
+        assert "Hardest to tell is" in result.output
+        numbers = json.loads((tmp_path / "n.json").read_text())
+        assert numbers["criterion"] == "separation"
+        assert {(p["truth"], p["rival"]) for p in numbers["pairs"]} == {
+            ("coulomb_friction", "load_dependent_friction"),
+            ("load_dependent_friction", "coulomb_friction"),
+        }
+        assert {tuple(p["where"]) for p in numbers["pairs"]} == {("elbow",)}
+        least = min(p["deviations"] for p in numbers["pairs"])
+        assert numbers["value"] == pytest.approx(least**-2)
+        assert numbers["improvement_over_random"] > 1.2
+        assert "best imitation" not in result.output  # that is the page's
+        page = (tmp_path / "r.html").read_text()
+        assert "What it tells apart" in page and "<img" in page
+
+    def test_places_of_different_kinds(self):
+        result = excite(PENDULUM, *FAST, "--tell-apart", "joint_spring@elbow,gravity_tilt")
+        assert result.exit_code == 0, result.output
+        assert re.search(r"gravity_tilt +the robot +joint_spring", result.output)
+        assert re.search(r"joint_spring +elbow +gravity_tilt", result.output)
+
+    def test_effects_of_a_saved_model_keep_their_size(self, tmp_path):
+        model = load_model(PENDULUM)
+        friction = FittedEffect(CoulombFriction("elbow"), np.array([0.05]))
+        separation, notes = separation_of(
+            f"{self.PAIR}@elbow",
+            replace(model, effects=(friction,)),
+            limits_of(None, model),
+            noise=0.1,
+        )
+        assert separation.pairs[0].effects.max() == 0.05
+        assert "as large as the model has them" in notes[0]
+
+    def test_an_effect_of_the_users_own(self, tmp_path):
+        own = tmp_path / "own.py"
+        own.write_text(OWN)
+        pair = ("--tell-apart", "cubic_friction,viscous_friction", "--effects", own)
+        result = excite(PENDULUM, *FAST, *pair, "--json", "-")
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["pairs"][0]["deviations"] > 0
+
+    @pytest.mark.parametrize(
+        ("text", "more", "words"),
+        [
+            ("coulomb_friction", (), "takes two effects; got 'coulomb_friction'"),
+            ("a,b,c", (), "takes two effects"),
+            (",viscous_friction", (), "takes two effects"),
+            ("coulomb,viscous_friction", (), "no effect 'coulomb'. Did you mean coulomb_friction"),
+            (f"{PAIR}@knee", (), "no joint 'knee'"),
+            ("payload,viscous_friction@elbow", (), "payload cannot be everywhere"),
+            ("coulomb_friction,coulomb_friction", (), "cannot be told from itself"),
+            ("effort_delay,viscous_friction", (), "no linear parameters"),
+            (PAIR, ("--criterion", "d_optimality"), "Leave --criterion out"),
+            (PAIR, ("--normalization", "none"), "Leave --normalization out"),
+            (PAIR, ("--effects", "effort_offset"), "brings a FILE.py alone; got effort_offset"),
+            (PAIR, ("--limits", "effort=0.001"), "hold still within its limits, but hardly move"),
+        ],
+    )
+    def test_bad_input_leaves_no_trace(self, tmp_path, text, more, words):
+        files = ("--json", tmp_path / "n.json", "--save", tmp_path / "m.csv")
+        assert words in refused(PENDULUM, "--tell-apart", text, *more, *files)
+        assert not list(tmp_path.iterdir())
 
 
 class TestLimits:

@@ -160,6 +160,15 @@ class ExciteOptions(_Motion, _Robot, _Search):
             "Repeatable.",
         ),
     ] = None
+    tell_apart: Annotated[
+        str | None,
+        typer.Option(
+            metavar="EFFECT,EFFECT[@PLACE]",
+            help="Two effects that logs so far cannot tell apart, such as "
+            "coulomb_friction,load_dependent_friction@elbow: the motion on which their predictions "
+            "differ most, once everything else is refitted.",
+        ),
+    ] = None
     save: Annotated[
         Path | None,
         typer.Option(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,6 +18,7 @@ from geodrake.cli.progress import Tell, progress
 from geodrake.cli.session import own_effects
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.tell_apart import check_alone, separation_of
 from geodrake.cli.version import version
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError, ModelError
@@ -25,30 +26,32 @@ from geodrake.excitation import (
     CRITERIA,
     NORMALIZATIONS,
     CollisionWorld,
+    Criterion,
     DesignOptions,
     DesignProgress,
     ExcitationResult,
     FourierMotion,
     FreeSamples,
     MotionFamily,
+    MotionLimits,
+    Objective,
     SplineMotion,
     Target,
-    design_excitation,
+    design_objective,
     make_target,
     write_trajectory,
 )
+from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
 from geodrake.excitation_json import excitation_dict
 from geodrake.identification.dataset import is_payload
 from geodrake.json_output import to_json
-from geodrake.model import FittedEffect, RobotModel
+from geodrake.model import RobotModel
 from geodrake.plant import effort_limits
 from geodrake.saved_model import load_model
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _NOISE_SHARE = 0.01  # of the limits of effort
-_SIZE_SHARE = 0.02  # of the limit of effort
-_SIZE_WORDS = "a tenth of the load, or 2 % of the limit of effort where that is more"
 _TOLD_EVERY = 5  # evaluations
 _SAMPLES = 300
 
@@ -62,6 +65,7 @@ def run_excite(options: ExciteOptions) -> None:
     family = family_of(options)
     _check(options)
     files, names = split_effects(options.effects)
+    check_alone(options, names)
     more = {"save": options.save, "meshcat": options.meshcat}
     targets = Targets(None, options.json, options.report, more, {"save": _SAVE})
     targets.check([options.model, *files])
@@ -71,7 +75,7 @@ def run_excite(options: ExciteOptions) -> None:
         extra = own_effects(files)
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
-        result = _designed(options, model, named_effects(names, model, extra), family, tell)
+        result = _designed(options, model, _Effects(names, extra), family, tell)
         tell("Writing")
         numbers = to_json({"version": version(), "command": "excite", **excitation_dict(result)})
 
@@ -149,17 +153,25 @@ def _check(options: ExciteOptions) -> None:
         raise ArgumentError(f"--seed is not negative; got {options.seed}.")
 
 
+@dataclass(frozen=True)
+class _Effects:
+    """Effects that are asked for by name, and those of the user's own."""
+
+    names: Sequence[str]
+    extra: tuple[type[Effect], ...]
+
+
 def _designed(
     options: ExciteOptions,
     model: RobotModel,
-    effects: tuple[Effect, ...],
+    effects: _Effects,
     family: MotionFamily,
     tell: Tell,
 ) -> ExcitationResult:
     """The design that options ask for."""
     limits = limits_of(options.limits, model)
     collisions, notes = _collisions(options, model)
-    target, more = _target(options, model, effects)
+    objective, more = _objective(options, model, limits, effects)
     start = None if options.start is None else joint_values(options.start, model, "--start")
     design = DesignOptions(
         samples=options.samples or _SAMPLES,
@@ -170,17 +182,29 @@ def _designed(
         seconds=options.seconds,
     )
     tell("Designing")
-    result = design_excitation(
-        target,
+    result = design_objective(
+        objective,
         limits,
-        criterion=options.criterion,
-        normalization=options.normalization,
         trajectory=family,
         options=design,
         seeds=range(options.seed, options.seed + options.seeds),
         progress=_telling(tell),
     )
     return replace(result, notes=(*result.notes, *notes, *more))
+
+
+def _objective(
+    options: ExciteOptions, model: RobotModel, limits: MotionLimits, effects: _Effects
+) -> tuple[Objective, tuple[str, ...]]:
+    """What the motion is to tell, and what to say of that."""
+    if options.tell_apart is not None:
+        noise, notes = noise_of(options.noise, model)
+        separation, more = separation_of(
+            options.tell_apart, model, limits, noise=noise, extra=effects.extra
+        )
+        return separation, (*notes, *more)
+    target, notes = _target(options, model, named_effects(effects.names, model, effects.extra))
+    return Objective(target, Criterion(options.criterion), options.normalization), notes
 
 
 def _target(
@@ -192,25 +216,8 @@ def _target(
     if effects:
         target = make_target(model, noise=noise, effects=effects)
         known += sized_effects(target)
-        notes = (*notes, f"effects of unknown size are thought to take {_SIZE_WORDS}")
+        notes = (*notes, f"effects of unknown size are thought to take {SIZE_WORDS}")
     return make_target(model, noise=noise, effects=known), notes
-
-
-def sized_effects(target: Target) -> list[FittedEffect]:
-    """The effects of a target, those without values as large as such effects usually are."""
-    limits = effort_limits(target.model.plant)
-    X = target.measure(target.random_motion).regressor[:, :, len(target.columns) :]
-    acting = np.sqrt(np.mean(np.square(X), axis=0))  # (nv, k)
-    with np.errstate(divide="ignore"):
-        least = (_SIZE_SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None] / acting).min(0)
-    sizes = np.maximum(target.effect_sizes, np.where(np.isfinite(least), least, 0.0))
-    found, at = [*target.payloads], 0
-    for fitted in target.further:
-        count = len(fitted.parameters)
-        values = np.where(fitted.parameters, fitted.parameters, sizes[at : at + count])
-        found.append(FittedEffect(fitted.effect, values))
-        at += count
-    return found
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -7,15 +7,17 @@ from rich.console import Console
 
 from geodrake.cli.tables import head, number_columns, say, show_list, table_of
 from geodrake.cli.wording import number, percent
-from geodrake.excitation import ExcitationResult, FourierMotion, SplineMotion
-from geodrake.excitation.verdict import verdict
+from geodrake.excitation import ExcitationResult, FourierMotion, Separation, SplineMotion
+from geodrake.excitation.verdict import told_apart, verdict
 
 _NONE = "-"
+_MOST_PAIRS = 12
 
 
 def show_excitation(console: Console, result: ExcitationResult, name: str) -> None:
     """What the motion is, what it uses of the limits, how it was found, what it is worth."""
     console.print(f"{name}: {motion_words(result)}", soft_wrap=True)
+    _show_pairs(console, result)
     _show_use(console, result)
     _show_starts(console, result)
     say(console, "Verdict", verdict(result))
@@ -64,8 +66,27 @@ def _show_use(console: Console, result: ExcitationResult) -> None:
         )
 
 
+def _show_pairs(console: Console, result: ExcitationResult) -> None:
+    """Who is told from whom, the hardest first."""
+    pairs = told_apart(result)
+    if not pairs:
+        return
+    head(console, "What it tells apart, everything else refitted")
+    table = table_of(console, "effect", "where", "from")
+    number_columns(table, "deviations", "RMS, N·m or N")
+    for told in pairs[:_MOST_PAIRS]:
+        where = ", ".join(told.pair.where) or "the robot"
+        numbers = f"{told.deviations:.3g}", number(told.effort)
+        table.add_row(told.pair.truth, where, told.pair.rival, *numbers)
+    console.print(table)
+    if len(pairs) > _MOST_PAIRS:
+        console.print(f"and {len(pairs) - _MOST_PAIRS} that differ more", soft_wrap=True)
+
+
 def _show_starts(console: Console, result: ExcitationResult) -> None:
-    head(console, f"Starts; {result.objective.criterion.name}, less is better")
+    separation = isinstance(result.objective, Separation)
+    name = "1/deviations² of the hardest pair" if separation else result.objective.criterion.name
+    head(console, f"Starts; {name}, less is better")
     table = table_of(console, "seed")
     number_columns(table, "random", "designed", "evaluations", "seconds")
     table.add_column("solver")

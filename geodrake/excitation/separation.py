@@ -86,11 +86,23 @@ class Separation(Objective):
     def efforts(self, motion: Motion) -> Array:
         """(K,) RMS of what no rival explains, at the joint where that is most, N·m or N."""
         measurement = self.target.measure(motion)
-        values = []
+        known, values = np.abs(self._known(measurement))[..., None], []
         for solutions in self._solve(measurement)[1]:
-            left = measurement.regressor @ solutions.T * np.abs(self._known(measurement))[..., None]
+            left = measurement.regressor @ solutions.T * known
             values.append(float(np.sqrt(np.mean(np.square(left).sum(2), axis=0)).max()))
         return np.array(values)
+
+    def imitation(self, motion: Motion, pair: int) -> tuple[Array, Array]:
+        """(N, nv) effort of the truth of a pair, and the most that its rival makes of it.
+
+        Of several robots, that one's which the rival explains worst.
+        """
+        measurement = self.target.measure(motion)
+        solutions = self._solve(measurement)[1][pair]
+        left = measurement.regressor @ solutions.T
+        worst = int(np.argmax(np.square(left / self.target.noise[:, None]).sum((0, 1))))
+        truth = measurement.regressor @ self.pairs[pair].effects[worst]
+        return truth, truth - left[:, :, worst]
 
     def eigenvalues(self, motion: Motion) -> Array:
         """(K,) the separations, ascending."""

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from geodrake.excitation import ExcitationResult
+from geodrake.excitation import ExcitationResult, Separation
 from geodrake.excitation.verdict import THRESHOLD, directions_told, improvement, verdict
 from geodrake.inertia import Array
 from geodrake.visualization import style
@@ -22,6 +22,7 @@ from geodrake.visualization.page import (
     render,
     without_empty,
 )
+from geodrake.visualization.tell_apart import pairs_section, tiles_of_pairs
 from geodrake.visualization.units import Units
 
 _FINE = 600  # instants that are drawn
@@ -49,28 +50,41 @@ def render_excitation(result: ExcitationResult, *, title: str, model_name: str) 
         title: Title of the page.
         model_name: What the model is called.
     """
-    criterion = result.objective.criterion.name.replace("_", " ")
-    count = len(result.eigenvalues)
-    tiles = [
-        Tile(criterion, number(result.value), f"{result.objective.normalization} normalization"),
-        Tile("better than random", f"{number(improvement(result))} ×", "than the best start"),
-    ]
-    if result.objective.normalization == "geometric":
-        told = f"{directions_told(result)} of {count}"
-        tiles.append(Tile("directions told", told, f"to {percent(float(np.sqrt(THRESHOLD)))}"))
+    apart = isinstance(result.objective, Separation)
+    factor = np.sqrt(improvement(result)) if apart else improvement(result)
     page = Page(
         title,
         f"a motion for {model_name}",
         "compared",
         "designed",
-        f"A motion {number(improvement(result))} times better than the best random one.",
+        f"A motion {number(float(factor))} times better than the best random one.",
         (verdict(result),),
-        tuple(tiles),
-        without_empty((_motion(result), _information(result), _starts(result), _notes(result))),
+        tiles_of_pairs(result) if apart else _tiles(result),
+        without_empty(
+            (
+                pairs_section(result) if apart else _information(result),
+                _motion(result),
+                _starts(result),
+                _notes(result),
+            )
+        ),
         "Made by geodrake: limits hold between samples too; information is that of the samples "
         "with the noise that was asked for.",
     )
     return render(page)
+
+
+def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
+    objective, count = result.objective, len(result.eigenvalues)
+    criterion = objective.criterion.name.replace("_", " ")
+    tiles = (
+        Tile(criterion, number(result.value), f"{objective.normalization} normalization"),
+        Tile("better than random", f"{number(improvement(result))} ×", "than the best start"),
+    )
+    if objective.normalization != "geometric":
+        return tiles
+    told = f"{directions_told(result)} of {count}"
+    return (*tiles, Tile("directions told", told, f"to {percent(float(np.sqrt(THRESHOLD)))}"))
 
 
 def _motion(result: ExcitationResult) -> Section:
@@ -124,7 +138,11 @@ def _starts(result: ExcitationResult) -> Section:
         for outcome in result.outcomes
     )
     head = ("seed", "random motion", "designed", "evaluations", "seconds")
-    return Section("Starts", (), (Table(head, rows),))
+    apart = isinstance(result.objective, Separation)
+    text = (
+        ("One over the squared deviations of the hardest pair; less is better.",) if apart else ()
+    )
+    return Section("Starts", text, (Table(head, rows),))
 
 
 def _notes(result: ExcitationResult) -> Section:
