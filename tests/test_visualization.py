@@ -283,6 +283,7 @@ def test_a_diagnosis_tells_ties_and_silence():
     text = check_self_contained(render_diagnosis(diagnosis(joints), **NAMES))
     assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
     assert "cannot tell it from asymmetric friction." in text
+    assert "geodrake excite MODEL --tell-apart coulomb_friction,asymmetric_friction." in text
     silent = diagnosis(joints, candidates=False)
     text = check_self_contained(render_diagnosis(silent, **NAMES))
     assert "no known effect explains" in text

@@ -18,10 +18,12 @@ from geodrake.cli.wording import (
     number,
     percent,
 )
+from geodrake.diagnosis.ambiguity import telling_commands
 from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, JointError
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 _PLACES_WIDTH = 36
+_TELLING = "Motions that would tell apart what the log cannot"
 _SAVED = {
     "save": "model",
     "json": "numbers",
@@ -84,6 +86,7 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> 
     else:
         head(console, f"No effect found; {levels}")
     say(console, "Verdict", diagnosis_verdict(diagnosis, wording))
+    show_list(console, _TELLING, telling_commands(diagnosis))
     show_list(console, "Notes", diagnosis.notes)
 
 
@@ -91,6 +94,7 @@ def show_explanation(console: Console, explanation: Explanation, wording: Wordin
     """The steps with the error falling, the verdict, and errors per joint."""
     _show_steps(console, explanation, wording)
     say(console, "Verdict", explanation_verdict(explanation, wording))
+    show_list(console, _TELLING, telling_commands(explanation))
     _show_change(console, explanation, wording)
 
 

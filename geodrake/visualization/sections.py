@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from geodrake.diagnosis.ambiguity import telling_commands
 from geodrake.diagnosis.results import (
     Candidate,
     Comparison,
@@ -48,7 +49,8 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
         "Effects in the order of what they take away. After each, everything that may move was "
         "refitted. The false alarm is the chance that an effect that is not there gains as much."
     )
-    return Section("What is missing", (text,), (Table(head, tuple(rows), words=4),))
+    table = Table(head, tuple(rows), words=4)
+    return Section("What is missing", (text, *telling(explanation)), (table,))
 
 
 def parameters_section(explanation: Explanation, units: Units) -> Section:
@@ -127,7 +129,16 @@ def candidates_section(diagnosis: Diagnosis, units: Units) -> Section:
         "twice the log-likelihood ratio on held-out data, less the price of the parameters; the "
         "chosen candidate is the simplest of those that the logs cannot tell from the best."
     )
-    return Section("Candidates", (text,), (Table(head, tuple(rows), words=4),))
+    table = Table(head, tuple(rows), words=4)
+    return Section("Candidates", (text, *telling(diagnosis)), (table,))
+
+
+def telling(found: Diagnosis | Explanation) -> tuple[str, ...]:
+    """A sentence with the commands that design motions which would settle what is ambiguous."""
+    commands = telling_commands(found)
+    if not commands:
+        return ()
+    return (f"Motions that would tell apart what the logs cannot: {'; '.join(commands)}.",)
 
 
 def failing_section(comparison: Comparison) -> Section:
