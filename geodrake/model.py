@@ -150,12 +150,18 @@ class RobotModel:
             RobotBodies(self.tree, motion.q, self.total_phi),
             motion.time,
         )
+        if motion.before is not None:
+            before = np.full((len(motion.before), len(self.joints)), np.nan)
+            before[:, at_velocity] = motion.before[:, at_position]
+            seen = replace(seen, before=before)
         return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
         """Effort that a motion needs, (N, nv), N·m or N; delays are not applied."""
         size = max(1, LARGEST_REGRESSOR // (len(self.joints) * self.phi.size))
         effort = np.empty(motion.v.shape)
+        if motion.time is not None and motion.before is None:
+            motion = replace(motion, before=motion.q[:0])
         for start in range(0, len(motion), size):
             part = slice(start, start + size)
             seen = self.motion(motion[part], sign_width=sign_width)

@@ -16,6 +16,9 @@ from geodrake.filtering import ZeroPhaseFilter
 
 Array = NDArray[np.float64]
 
+MEMORY = 20_000
+"""Samples before the first one that effects with a memory look back at."""
+
 _ROWS = 100_000  # of a log that are copied at once
 
 
@@ -114,12 +117,15 @@ class Motion:
         v: (N, nv) generalized velocities.
         vd: (N, nv) generalized accelerations.
         time: (N,) instants, s, if they matter.
+        before: (M, nq) positions right before the first sample, none at the start of a log; None
+            where samples do not follow each other in time.
     """
 
     q: Array
     v: Array
     vd: Array
     time: Array | None = None
+    before: Array | None = None
 
     def __post_init__(self) -> None:
         times = () if self.time is None else np.shape(self.time)
@@ -135,7 +141,10 @@ class Motion:
 
     def __getitem__(self, samples: slice) -> Motion:
         time = None if self.time is None else self.time[samples]
-        return Motion(self.q[samples], self.v[samples], self.vd[samples], time)
+        before = self.before
+        if before is not None:
+            before = np.concatenate([before, self.q[: samples.indices(len(self))[0]]])[-MEMORY:]
+        return Motion(self.q[samples], self.v[samples], self.vd[samples], time, before)
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,6 +99,7 @@ def instances():
         effects.LoadDependentFriction("elbow"),
         effects.CoupledFriction(("elbow", "wrist"), -1),
         effects.FrictionDrift("elbow", 5.0),
+        effects.Hysteresis("elbow", 0.3),
         effects.EffortOffset("elbow"),
         effects.EffortScale("elbow"),
         effects.EffortDelay(0.01),
@@ -383,7 +384,7 @@ class TestNames:
     def test_catalogue_is_in_the_order_of_the_design(self):
         names = [effect.name for effect in effects.catalogue()]
         assert names == [name for name in NAMES_OF_DESIGN if name in names]
-        assert len(names) == 19
+        assert len(names) == 20
 
     def test_lookup(self):
         assert effects.effect_class("payload") is effects.Payload

@@ -25,6 +25,7 @@ COMPLEXITY: Mapping[str, int] = {
     "nonlinear_viscous_friction": 2,
     "torque_ripple": 2,
     "friction_drift": 2,
+    "hysteresis": 2,
     "gravity_tilt": 1,
     "effort_scale": 1,
     "aerodynamic_drag": 2,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,15 @@ from scipy.stats import chi2
 from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import highest_peak
-from geodrake.diagnosis.residuals import JointResidual, joint_residuals
-from geodrake.effects import FrictionDrift, TorqueRipple
+from geodrake.diagnosis.residuals import (
+    JointResidual,
+    filtered_columns,
+    full_motion,
+    joint_residuals,
+)
+from geodrake.effects import FrictionDrift, Hysteresis, TorqueRipple
 from geodrake.effects.base import Effect
+from geodrake.motion import Segment
 
 Array = NDArray[np.float64]
 
@@ -23,6 +29,7 @@ DOMINANT = 0.3
 
 _ALARM = 1e-3  # of one joint's spectrum; what is offered must still convince on held-out data
 _TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)  # of drift, as shares of the longest log
+_BREAKAWAY_ANGLES = (0.003, 0.01, 0.03, 0.1, 0.3)  # as shares of the range of motion
 _FEW = 5.0  # waves in the range of motion
 _FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in units of those told apart
 _MANY_WAVES = (-0.15, 0.0, 0.15)
@@ -85,10 +92,12 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
 
 def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
     """What the residual suggests at every place, whatever the evidence for it."""
+    motion = full_motion(case)
     for joint in joint_residuals(case, hypothesis):
         if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
             yield from _ripples(case, joint)
-            yield from _drifts(case, joint)
+            yield from _drifts(joint)
+            yield from _bristles(case, joint, motion)
 
 
 def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
@@ -110,7 +119,7 @@ def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
         yield Proposal(ripples, peak.share, alarm)
 
 
-def _drifts(case: Case, joint: JointResidual) -> Iterator[Proposal]:
+def _drifts(joint: JointResidual) -> Iterator[Proposal]:
     longest = float(joint.time.max())
     shapes = tuple(FrictionDrift(joint.joint, share * longest) for share in _TIME_CONSTANTS)
     friction = [joint.sign_v, joint.v]
@@ -120,3 +129,23 @@ def _drifts(case: Case, joint: JointResidual) -> Iterator[Proposal]:
         tried.append(joint.improvement(friction, [left * column for column in friction]))
     share, gain = max(tried, key=lambda found: found[1])
     yield Proposal(shapes, share, min(1.0, len(shapes) * float(chi2.sf(gain, 2))))
+
+
+def _bristles(
+    case: Case, joint: JointResidual, motion: Sequence[tuple[int, Segment]]
+) -> Iterator[Proposal]:
+    at, reach = case.model.joints.index(joint.joint), float(np.ptp(joint.q))
+    shapes = tuple(Hysteresis(joint.joint, share * reach) for share in _BREAKAWAY_ANGLES)
+
+    def columns(segment: Segment) -> Array:
+        q, v = segment.position[:, at], segment.velocity[:, at]
+        return np.stack([joint.direction(v), v, *(shape.bend(q) for shape in shapes)], 1)
+
+    found = filtered_columns(case, motion, joint, columns)
+    seen = np.asarray(np.isfinite(found).all(axis=1))
+    if not seen.any():
+        return
+    here, (sign_v, v, *bends) = joint.part(seen), found[seen].T
+    tried = [here.improvement([sign_v, v, np.ones_like(v)], [bend]) for bend in bends]
+    share, gain = max(tried, key=lambda one: one[1])
+    yield Proposal(shapes, share, min(1.0, len(shapes) * float(chi2.sf(gain, 1))))

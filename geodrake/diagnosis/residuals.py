@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.evidence import effective_samples
 from geodrake.diagnosis.hypothesis import Hypothesis, residual_blocks
+from geodrake.motion import Segment
 
 Array = NDArray[np.float64]
 
+_SAMPLES = 100_000  # of a segment that are looked at
 _SLOW = 0.01  # share of its peak speed below which a joint's direction of motion is doubtful
 
 
@@ -42,7 +44,17 @@ class JointResidual:
     @property
     def sign_v(self) -> Array:
         """(K,) direction of motion, smoothed at the slowest."""
-        return np.tanh(self.v / max(_SLOW * float(np.abs(self.v).max()), np.finfo(float).tiny))
+        return self.direction(self.v)
+
+    def direction(self, v: Array) -> Array:
+        """Direction of motion at velocities v of the joint, smoothed at the slowest."""
+        return np.tanh(v / max(_SLOW * float(np.abs(self.v).max()), np.finfo(float).tiny))
+
+    def part(self, rows: NDArray[np.bool_]) -> JointResidual:
+        """Some of its rows."""
+        kept = {name: getattr(self, name)[rows] for name in ("time", "log", "q", "v", "residual")}
+        share = float(np.mean(rows))
+        return replace(self, **kept, effective=max(1.0, share * self.effective))
 
     def improvement(self, base: Sequence[Array], columns: Sequence[Array]) -> tuple[float, float]:
         """What columns explain of the residual beyond others, in sample.
@@ -87,6 +99,50 @@ def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
                 effective_samples(residual),
             )
         )
+    return found
+
+
+def full_motion(case: Case) -> list[tuple[int, Segment]]:
+    """The segments of all logs, in memory, each with the index of its log."""
+    return [
+        (log, segment[:_SAMPLES])
+        for log, trajectory in enumerate(case.trajectories)
+        for segment in trajectory.segments
+    ]
+
+
+def filtered_columns(
+    case: Case,
+    motion: Sequence[tuple[int, Segment]],
+    joint: JointResidual,
+    columns: Callable[[Segment], Array],
+) -> Array:
+    """Columns of the motion at its full rate, filtered as the residual is.
+
+    Args:
+        case: The case.
+        motion: `full_motion` of the case.
+        joint: A residual.
+        columns: Gives columns (N, k) for a segment.
+
+    Returns:
+        (K, k) columns at the residual's rows, NaN where the motion was not looked at.
+    """
+    began = [float(trajectory.segments[0][:1].time[0]) for trajectory in case.trajectories]
+    parts: list[tuple[NDArray[np.bool_], Array]] = []
+    for log, segment in motion:
+        low_pass = case.trajectories[log].filter
+        values = low_pass.apply(columns(segment))
+        if len(values):
+            time = segment.time[low_pass.output_indices(len(segment))] - began[log]
+            slack = 0.5 * segment.period
+            rows = joint.log == log
+            rows &= (joint.time >= time[0] - slack) & (joint.time <= time[-1] + slack)
+            at = np.rint((joint.time[rows] - time[0]) / low_pass.output_period).astype(int)
+            parts.append((rows, values[np.clip(at, 0, len(values) - 1)]))
+    found = np.full((len(joint.time), parts[0][1].shape[1] if parts else 0), np.nan)
+    for rows, values in parts:
+        found[rows] = values
     return found
 
 

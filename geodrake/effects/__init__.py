@@ -47,6 +47,7 @@ from geodrake.effects.effort_scale import EffortScale
 from geodrake.effects.friction_drift import FrictionDrift
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
+from geodrake.effects.hysteresis import Hysteresis
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.lookup import catalogue, effect_class, load_effect_file, make_effect
@@ -72,6 +73,7 @@ __all__ = [
     "FrictionDrift",
     "GravityCompensator",
     "GravityTilt",
+    "Hysteresis",
     "JointEffect",
     "JointMotion",
     "JointPairEffect",

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient, joint_gradient
-from geodrake.effects.parameter import Parameter
+from geodrake.effects.parameter import Parameter, require_positive
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
@@ -58,6 +58,7 @@ class Effect(abc.ABC):
         expandable: Whether the columns are slopes of something not linear in the parameters.
         sees_bodies: Whether the effect depends on where bodies are and how they move.
         sees_time: Whether the effect depends on the time since a log began.
+        state_count: How many hidden states it has, decided by the motion so far.
     """
 
     name: ClassVar[str]
@@ -71,6 +72,7 @@ class Effect(abc.ABC):
     expandable: ClassVar[bool] = False
     sees_bodies: ClassVar[bool] = False
     sees_time: ClassVar[bool] = False
+    state_count: ClassVar[int] = 0
 
     @property
     @abc.abstractmethod
@@ -109,6 +111,15 @@ class Effect(abc.ABC):
         """
         del motion, weights
         return None
+
+    def state_rates(self, motion: RobotMotion, state: Array) -> Array:
+        """Rates (N, s) of the hidden states (N, s), for simulation."""
+        raise NotImplementedError
+
+    def settled_at(self, q: Array) -> int:
+        """First of its joint's positions (N,) at which a hidden state has forgotten its start."""
+        del q
+        return 0
 
     @property
     def manifold(self) -> Manifold:
@@ -280,15 +291,3 @@ class BodyEffect(Effect):
     def candidates(cls, body: str) -> Iterable[Effect]:
         """Instances a diagnosis should try at a body."""
         return super().candidates(body)
-
-
-def require_positive(effect: Effect, *names: str) -> None:
-    """Refuses shape parameters of an effect that are not positive and finite.
-
-    Raises:
-        ArgumentError: One of the named fields is not.
-    """
-    for name in names:
-        value = getattr(effect, name)
-        if not 0.0 < value < np.inf:
-            raise ArgumentError(f"{effect.name} needs a positive {name}; it got {value}.")

@@ -25,6 +25,7 @@ from geodrake.effects.effort_scale import EffortScale
 from geodrake.effects.friction_drift import FrictionDrift
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
+from geodrake.effects.hysteresis import Hysteresis
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
@@ -55,6 +56,7 @@ def catalogue() -> tuple[type[Effect], ...]:
         LoadDependentFriction,
         CoupledFriction,
         FrictionDrift,
+        Hysteresis,
         EffortOffset,
         EffortScale,
         EffortDelay,

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from geodrake.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -22,3 +25,15 @@ class Parameter:
     lower: float = -np.inf
     upper: float = np.inf
     spread: float = np.inf
+
+
+def require_positive(effect: Any, *names: str) -> None:
+    """Refuses shape parameters of an effect that are not positive and finite.
+
+    Raises:
+        ArgumentError: One of the named fields is not.
+    """
+    for name in names:
+        value = getattr(effect, name)
+        if not 0.0 < value < np.inf:
+            raise ArgumentError(f"{effect.name} needs a positive {name}; it got {value}.")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,9 @@ class RobotMotion:
         bodies: Poses and Jacobians of the bodies; None where nobody computes them.
         time: (N,) instants since the log began, s; None where samples are no series.
         log: Number that tells a log from others; 0 for none.
+        before: (M, nv) positions right before the first sample, none at the start of a log; None
+            where samples do not follow each other in time.
+        states: Effect -> (N, s) its hidden state, where it is known, as in a simulation.
         effort: Gives the effort (N, nv) that the model needs with all its effects, scales left
             aside; None where nobody computes it.
     """
@@ -63,6 +67,8 @@ class RobotMotion:
     time: Array | None = None
     log: int = 0
     effort: Callable[[], Array] | None = None
+    before: Array | None = None
+    states: Mapping[Any, Array] = field(default_factory=dict)
 
     def joint(self, name: str) -> JointMotion:
         """The motion of one joint.

@@ -21,10 +21,11 @@ from geodrake.identification.dataset import (
     column_starts,
     is_payload,
 )
+from geodrake.identification.memory import first_known
 from geodrake.identification.noise import noise_floor
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import LARGEST_REGRESSOR, RobotModel
-from geodrake.motion import Motion, Stretch, Trajectory
+from geodrake.motion import MEMORY, Motion, Stretch, Trajectory
 from geodrake.reduction import triangular_factor
 from geodrake.regressor import inverse_dynamics_regressor
 from geodrake.smoothing import CHUNK, SPLINE_REACH
@@ -164,6 +165,12 @@ class _Layout:
             tuple(np.concatenate(c) for c in columns),
         )
 
+    def past(self, stretch: Stretch, sample: int) -> Array:
+        """(M, nv) positions before a sample of a stretch, as far as an effect needs them."""
+        if sample == 0 or not any(effect.state_count for effect in self.effects):
+            return np.zeros((0, len(self.model.joints)))
+        return stretch[max(0, sample - MEMORY) : sample].position
+
     def evaluate(self, motion: Motion) -> list[Array]:
         """(N, p_j) unfiltered columns of every joint."""
         regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
@@ -216,7 +223,7 @@ def _chunks(
     width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
     began = float(trajectory.segments[0][:1].time[0])
     margin = SPLINE_REACH + round(max(map(abs, advance)) / stretch.period)
-    first = 0
+    known, first = first_known(layout.effects, model.joints, stretch), 0
     for samples, outputs in low_pass.chunks(len(stretch), min(CHUNK, LARGEST_REGRESSOR // width)):
         low = max(0, samples.start - margin)
         near = stretch[low : samples.stop + margin]
@@ -226,7 +233,11 @@ def _chunks(
         states = np.stack([here.position, here.velocity, here.acceleration], 1)[instants]
         still = low_pass.apply(np.abs(here.velocity) < layout.still_speed) > MOSTLY_STILL
         motion = Motion(
-            model.positions(here.position), here.velocity, here.acceleration, here.time - began
+            model.positions(here.position),
+            here.velocity,
+            here.acceleration,
+            here.time - began,
+            model.positions(layout.past(stretch, samples.start)),
         )
         rows = [
             JointRows(
@@ -234,7 +245,7 @@ def _chunks(
                 states[:, :, j],
                 low_pass.apply(columns),
                 low_pass.apply(effort[:, j]),
-                ~still[:, j],
+                ~still[:, j] & (samples.start + instants >= known[j]),
             )
             for j, columns in enumerate(layout.evaluate(motion))
         ]

@@ -7,9 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    ContinuousState,
+    DiagramBuilder,
+    LeafSystem,
+)
 
 from geodrake.effects import Effect
+from geodrake.inertia import Array
 from geodrake.systems.force_law import ForceLaw
 
 
@@ -41,6 +48,8 @@ class EffectForce(LeafSystem):
     (nv): the effort that controllers apply at the joints, zero if the port is not connected. Forces
     that reach the plant otherwise, as by contact, are not known here. Where no effect depends on v̇
     or load, the port is not read and no dynamics are computed.
+
+    Effects with hidden states (`Hysteresis`) have them among the continuous state, zero at first.
 
     The plant's parameters are those of its default context, but for `phi`.
 
@@ -87,6 +96,9 @@ class EffectForce(LeafSystem):
             prerequisites.add(self._effort_port.ticket())
         if self._effects.timed:
             prerequisites.add(self.time_ticket())
+        if hidden := sum(effect.state_count for effect in self._effects.states):
+            self.DeclareContinuousState(hidden)
+            prerequisites.add(self.xc_ticket())
         self.DeclareVectorOutputPort(
             "generalized_force", BasicVector(nv), self._calc_force, prerequisites
         )
@@ -115,6 +127,13 @@ class EffectForce(LeafSystem):
         )
         return system
 
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        """Rates of the hidden states."""
+        if derivatives.size():
+            state, hidden = self._state_port.Eval(context), _hidden(context)
+            q, v = state[: self._nq], state[self._nq :]
+            derivatives.SetFromVector(self._law.state_rates(self._effects, q, v, hidden))
+
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         state = self._state_port.Eval(context)
         u = np.zeros(output.size())
@@ -122,5 +141,12 @@ class EffectForce(LeafSystem):
             u = self._effort_port.Eval(context)
         applied = u / self._effects.gain
         q, v = state[: self._nq], state[self._nq :]
-        effort = self._law.effort(self._effects, q, v, applied, time=context.get_time())
+        effort = self._law.effort(
+            self._effects, q, v, applied, time=context.get_time(), states=_hidden(context)
+        )
         output.SetFromVector(applied - u - effort)
+
+
+def _hidden(context: Context) -> Array:
+    """Hidden states of the effects."""
+    return np.asarray(context.get_continuous_state_vector().CopyToVector())

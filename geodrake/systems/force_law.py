@@ -34,9 +34,19 @@ class SortedEffects:
     direct: _Terms
     accelerated: _Terms
     loaded: _Terms
-    apart: _Terms  # direct ones that depend on bodies or on time
+    apart: _Terms  # direct ones that depend on bodies, on time, or on states of their own
     at_once: DirectEffects  # the other direct ones again
     gain: Array  # (nv,) measured effort over the one that acts
+
+    @cached_property
+    def states(self) -> dict[Effect, slice]:
+        """Where the hidden states of effects stand among all of them."""
+        found, free = {}, 0
+        for effect, _ in self.apart:
+            if effect.state_count:
+                found[effect] = slice(free, free + effect.state_count)
+                free += effect.state_count
+        return found
 
     @property
     def timed(self) -> bool:
@@ -112,7 +122,7 @@ class ForceLaw:
                 loaded_terms.append((effect, mu))
             elif not np.array_equal(base, effect.regressor(moved), equal_nan=True):
                 accelerated.append((effect, mu))
-            elif effect.sees_bodies or effect.sees_time:
+            elif effect.sees_bodies or effect.sees_time or effect.state_count:
                 apart.append((effect, mu))
             else:
                 direct.append((effect, mu))
@@ -120,7 +130,14 @@ class ForceLaw:
         return SortedEffects(direct, accelerated, loaded_terms, apart, at_once, gain)
 
     def effort(
-        self, effects: SortedEffects, q: Array, v: Array, u: Array, *, time: float = 0.0
+        self,
+        effects: SortedEffects,
+        q: Array,
+        v: Array,
+        u: Array,
+        *,
+        time: float = 0.0,
+        states: Array | None = None,
     ) -> Array:
         """Effort that the effects need (nv,).
 
@@ -130,15 +147,17 @@ class ForceLaw:
             v: (nv,) velocities.
             u: (nv,) efforts of controllers that act on the plant.
             time: Time since the beginning, s.
+            states: Hidden states of the effects, if they have any.
         """
         zero = np.zeros((1, len(v)))
         still = (q[None], v[None], zero, zero)
         direct = effects.at_once.effort(q, v, lambda body: self._motion(*still).body_columns(body))
         if effects.apart:
-            direct = (
-                direct
-                + _sum(effects.apart, replace(self._motion(*still), time=np.array([time])))[0]
+            hidden = (
+                {} if states is None else {e: states[None, s] for e, s in effects.states.items()}
             )
+            seen = replace(self._motion(*still), time=np.array([time]), states=hidden)
+            direct = direct + _sum(effects.apart, seen)[0]
         if not effects.implicit:
             return direct
 
@@ -166,6 +185,14 @@ class ForceLaw:
             f"{_LOAD_ITERATIONS} iterations.",
             advice="Give it a load factor well below 1; above, a gear locks itself.",
         )
+
+    def state_rates(self, effects: SortedEffects, q: Array, v: Array, states: Array) -> Array:
+        """Rates of the hidden states of effects, at a state of the plant."""
+        zero = np.zeros((1, len(v)))
+        seen, rates = self._motion(q[None], v[None], zero, zero), np.zeros_like(states)
+        for effect, place in effects.states.items():
+            rates[place] = effect.state_rates(seen, states[None, place])[0]
+        return rates
 
     def _dynamics(self, q: Array, v: Array) -> tuple[Array, Array, Array]:
         """M, then C v − τ of all force elements, then C v − τ_g alone, of the plant."""

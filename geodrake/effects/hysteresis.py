@@ -1,0 +1,102 @@
+"""Dry friction that builds up over a small angle: bristles that bend before they slip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import (
+    Array,
+    JointEffect,
+    JointMotion,
+    Parameter,
+    RobotMotion,
+    require_positive,
+)
+
+_USUAL = 0.02
+_FORGOTTEN = 5.0  # breakaway angles
+
+
+@dataclass(frozen=True)
+class Hysteresis(JointEffect):
+    """Dahl's friction: dry friction with a memory of where the joint turned round.
+
+    effort = F z, with F ≥ 0 in N·m and the bristles' bend z in [−1, 1]:
+
+        ż = (v − |v| z) / θ,
+
+    which after a reversal goes from −sgn v to sgn v as 1 − 2 e^{−Δq/θ}. At rest the joint is held
+    like by a spring of stiffness F/θ. LuGre's friction is this one, beside `viscous_friction` for
+    its damping and `stribeck_friction` for its dependence on speed.
+
+    A log says nothing of z before it begins: it is taken as 0 there, which is forgotten after a
+    few θ. Where samples are no series in time, the joint has slipped far: z = sgn v.
+
+    Attributes:
+        breakaway_angle: θ, rad or m.
+    """
+
+    breakaway_angle: float
+
+    name = "hysteresis"
+    parameters = (Parameter("coulomb", "N·m", lower=0.0),)
+    signature = "dry friction that after a reversal comes back over an angle, not at once"
+    confused_with = ("coulomb_friction", "stribeck_friction", "joint_spring", "backlash")
+    from_residual = True
+    state_count = 1
+
+    def __post_init__(self) -> None:
+        require_positive(self, "breakaway_angle")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """[sgn v], of a joint that has slipped far."""
+        return [joint.sign_v]
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """[z]."""
+        at = motion.index(self.joint)
+        if self in motion.states:
+            return {self.joint: motion.states[self]}
+        if motion.before is None:
+            return super().rows(motion)
+        past = motion.before[:, at]
+        return {self.joint: self.bend(np.concatenate([past, motion.q[:, at]]))[len(past) :, None]}
+
+    def state_rates(self, motion: RobotMotion, state: Array) -> Array:
+        """ż, (N, 1)."""
+        v = motion.v[:, motion.index(self.joint), None]
+        return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
+
+    def settled_at(self, q: Array) -> int:
+        """First position at which a bend that began anywhere is known to 1 %."""
+        travelled = np.cumsum(np.abs(np.diff(q, prepend=q[:1])))
+        return int(np.searchsorted(travelled, _FORGOTTEN * self.breakaway_angle))
+
+    def bend(self, q: Array) -> Array:
+        """The bristles' bend z along positions, from 0 at the first: exact between reversals.
+
+        Args:
+            q: (N,) positions one after another, rad or m.
+
+        Returns:
+            (N,) z.
+        """
+        step = np.diff(q, prepend=q[:1])
+        kept = np.exp(-np.abs(step) / self.breakaway_angle)
+        z = np.sign(step) * (1.0 - kept)
+        # z_k = kept_k z_{k−1} + z_k, for all k at once: maps are composed pairwise, log₂ N times.
+        reach = 1
+        while reach < len(z):
+            z[reach:] = kept[reach:] * z[:-reach] + z[reach:]
+            kept[reach:] = kept[reach:] * kept[:-reach]
+            reach *= 2
+        return z
+
+    @classmethod
+    def candidates(cls, joint: str, peak_speed: float) -> tuple[Hysteresis, ...]:
+        """A degree or so; a diagnosis tries what suits the joint's range of motion."""
+        del peak_speed
+        return (cls(joint, _USUAL),)
