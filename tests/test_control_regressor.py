@@ -13,11 +13,14 @@ from test_regressor_oracles import PINOCCHIO_ORDER, plant_of
 
 from geodrake.control_regressor import ControlModel, OnlineTree, RigidSample
 from geodrake.effects import (
+    AerodynamicDrag,
     CoulombFriction,
     CoupledFriction,
     CoupledRotorInertia,
     EffortDelay,
     EffortOffset,
+    EffortScale,
+    GravityTilt,
     JointEffect,
     JointSpring,
     LoadDependentFriction,
@@ -27,6 +30,7 @@ from geodrake.effects import (
     StribeckFriction,
     ViscousFriction,
 )
+from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.kinematics import KinematicTree
 from geodrake.model import FittedEffect, load_description
@@ -221,6 +225,9 @@ def all_effects(arm):
         CoupledFriction((joints[4], joints[5])),
         CoupledRotorInertia((joints[5], joints[6])),
         Payload(arm.bodies[-1]),
+        GravityTilt(),
+        AerodynamicDrag(arm.bodies[-2], z=0.1),
+        EffortScale(joints[4]),
         RunningMean(joints[0]),
         RunningMean(joints[1]),
     )
@@ -243,8 +250,7 @@ def test_effects_beside_inertia_are_those_of_the_model(arm):
     )
     control = ControlModel.of(model, sign_width=0.3)
     q, qd, _, a, r = motion_of(arm)
-    phi = model.total_phi
-    sample = control.at(q, qd, qd, a, load_phi=phi)
+    sample = control.at(q, qd, qd, a)
     motion = Motion(q[None], qd[None], a[None])
     close(sample.effort(control.prior), model.effort(motion, sign_width=0.3)[0])
     close(sample.covector(r), sample.regressor.T @ r)
@@ -262,7 +268,8 @@ def test_effects_see_the_reference_velocity_or_the_measured_one(arm):
 
 
 def test_mass_matrix_is_the_slope_of_the_effort_in_the_acceleration(arm):
-    effects = [e for e in all_effects(arm) if e.name != "load_dependent_friction"]
+    left_out = ("load_dependent_friction", "effort_scale")
+    effects = [e for e in all_effects(arm) if e.name not in left_out]
     control = ControlModel.of(fitted(arm, *effects))
     q, qd, v, a, _ = motion_of(arm)
     rest = control.at(q, qd, v, 0 * a).effort(control.prior)
@@ -316,3 +323,9 @@ def test_what_is_not_finite_comes_out_as_such(arm):
     q, qd, v, a, _ = motion_of(arm)
     qd[2] = np.nan
     assert np.isnan(control.at(q, qd, v, a).effort(control.prior)).any()
+
+
+@pytest.mark.parametrize("width", [-1.0, np.nan, np.inf, [0.1, 0.1]])
+def test_widths_of_signs_that_are_none_are_refused(arm, width):
+    with pytest.raises(ArgumentError, match="sign widths"):
+        ControlModel.of(arm, sign_width=width)

@@ -12,8 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.control_regressor.effect_columns import EffectColumns, OnlineMotion
 from geodrake.control_regressor.online_tree import OnlineTree
 from geodrake.control_regressor.rigid_bodies import RigidSample
-from geodrake.effects import Effect
+from geodrake.effects import Effect, EffortScale
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.kinematics import KinematicTree
 from geodrake.model import RobotModel
 
 
@@ -43,6 +46,9 @@ class ControlModel:
     _single: NDArray[np.bool_]
     _all_single: bool
     _payloads: tuple[tuple[int, slice], ...]
+    _scales: tuple[tuple[int, int], ...]
+    _kinematics: KinematicTree
+    _total_phi: Array
 
     @classmethod
     def of(
@@ -61,6 +67,9 @@ class ControlModel:
             measured_friction: Whether effects see q̇ instead of the reference velocity v. The
                 source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
                 grow with speed; q̇ is for friction that does not, such as Stribeck friction.
+
+        Raises:
+            ArgumentError: A sign width is negative or not finite, or they are not (nv,).
         """
         joints, bodies = model.joints, model.bodies
         positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
@@ -70,13 +79,16 @@ class ControlModel:
                 positions[velocity] = mobilizer.positions.start if single[velocity] else 0
         rng = np.random.default_rng(0)
         some = rng.normal(size=(len(bodies), len(joints), PARAMETERS_PER_BODY))
-        width = np.broadcast_to(np.asarray(sign_width, float), (len(joints),))
+        width = _checked_width(sign_width, len(joints))
+        total_phi = model.total_phi
+        q = rng.normal(size=(1, model.tree.num_positions))
         columns = EffectColumns.of(
             joints,
             [fitted.effect for fitted in model.effects],
             sign_width=width,
             single=single,
             body_columns=lambda body: some[None, bodies.index(body)],
+            bodies=RobotBodies(model.tree, q, total_phi),
         )
         values = [model.phi.ravel(), *(fitted.parameters for fitted in model.effects)]
         return cls(
@@ -91,6 +103,9 @@ class ControlModel:
             _single=single,
             _all_single=bool(single.all()),
             _payloads=_payloads(model),
+            _scales=_scales(model),
+            _kinematics=model.tree,
+            _total_phi=total_phi,
         )
 
     @property
@@ -126,11 +141,31 @@ class ControlModel:
             v: (nv,) reference velocities ([Lee2019] Eq. (5.2.11)).
             a: (nv,) reference accelerations ([Lee2019] Eq. (5.2.12)).
             load_phi: (nb, 10) inertial parameters behind the load of load-dependent friction; those
-                of the robot model if None, so that the columns do not depend on the estimate.
+                of the robot model with its payloads if None, so that the columns do not depend on
+                the estimate. For the same reason a scale of efforts is one of the model's efforts.
 
         Values are not checked: whatever is not finite comes out as such.
         """
         return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
+
+
+def _checked_width(sign_width: ArrayLike, nv: int) -> Array:
+    width = np.asarray(sign_width, float)
+    if width.shape not in ((), (nv,)) or not ((width >= 0) & np.isfinite(width)).all():
+        raise ArgumentError(
+            f"Expected sign widths of zero or more, one or {nv}; got {width.tolist()}."
+        )
+    return np.broadcast_to(width, (nv,))
+
+
+def _scales(model: RobotModel) -> tuple[tuple[int, int], ...]:
+    """Velocity and place in the parameter vector of every scale of efforts."""
+    found, start = [], model.phi.size
+    for fitted in model.effects:
+        if isinstance(fitted.effect, EffortScale):
+            found.append((model.joints.index(fitted.effect.joint), start))
+        start += len(fitted.effect.parameters)
+    return tuple(found)
 
 
 def _payloads(model: RobotModel) -> tuple[tuple[int, slice], ...]:
@@ -162,7 +197,9 @@ class ControlSample:
     def regressor(self) -> Array:
         """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
         rigid = self.rigid.regressor
-        return np.hstack([rigid, self._effect_columns]) if self.model.effects else rigid
+        if not self.model.effects:
+            return rigid
+        return self._scaled(np.hstack([rigid, self._effect_columns]))
 
     def effort(self, parameters: Array) -> Array:
         """Y p (nv,), N·m or N, for parameters p (p,)."""
@@ -175,7 +212,8 @@ class ControlSample:
     def mass_matrix(self, parameters: Array) -> Array:
         """M (nv, nv) of parameters (p,): with payloads, rotor inertias and the like.
 
-        Body effects of your own that have inertia are the exception: they are left out.
+        Left out are body effects of your own that have inertia, and what is in proportion to other
+        efforts: load-dependent friction and scales.
         """
         phi = self.model.phi(parameters)
         if self.model._payloads:
@@ -197,21 +235,33 @@ class ControlSample:
         gives a filtered regressor of inverse dynamics without accelerations: for the low-pass
         filter λ / (s + λ), it is λ (Y_p − [Y_p]) − [Y_c] with [·] filtered.
 
-        Where effects have an inertia, it must be constant, as that of a rotor is.
+        Where effects have an inertia, it must be constant, as that of a rotor is. Load-dependent
+        friction has the load of this sample, without accelerations if it was made without.
         """
         momentum, drift = self.rigid.momentum_regressors
         if not self.model.effects:
             return momentum, drift
         columns, qd = self.model._columns, self._motion[1]
         still = self._seen(np.zeros_like(qd), qd)
-        if not (columns.uses_acceleration or columns.sees_bodies):
-            rest = columns.columns(still, self._body_columns(-drift))
-            return np.hstack([momentum, np.zeros_like(rest)]), np.hstack([drift, -rest])
-        turning = replace(still, vd=qd)
-        base = columns.columns(still, _no_columns(momentum))
-        moving = columns.columns(turning, self._body_columns(momentum))
         rest = columns.columns(still, self._body_columns(-drift))
-        return np.hstack([momentum, moving - base]), np.hstack([drift, -rest])
+        moved = np.zeros_like(rest)
+        if columns.uses_acceleration or columns.sees_bodies:
+            turning = replace(still, vd=qd)
+            moved = columns.columns(turning, self._body_columns(momentum))
+            moved -= columns.columns(still, _no_columns(momentum))
+        both = np.hstack([momentum, moved]), np.hstack([drift, -rest])
+        return self._scaled(both[0]), self._scaled(both[1])
+
+    def _scaled(self, regressor: Array) -> Array:
+        """A regressor (nv, p), whose columns of scales are now the efforts of the robot model."""
+        if self.model._scales:
+            others = self.model.prior.copy()
+            others[[column for _, column in self.model._scales]] = 0.0
+            efforts = regressor @ others
+            for velocity, column in self.model._scales:
+                regressor[:, column] = 0.0
+                regressor[velocity, column] = efforts[velocity]
+        return regressor
 
     @cached_property
     def _effect_columns(self) -> Array:
@@ -225,12 +275,15 @@ class ControlSample:
         columns = model._columns
         load = np.zeros_like(v)
         if columns.uses_load:
-            phi = model.phi(model.prior) if self._load_phi is None else self._load_phi
+            phi = model._total_phi if self._load_phi is None else self._load_phi
             load = self.rigid.effort(phi)
         q_joint = q[model._positions]
         if not model._all_single:
             q_joint = np.where(model._single, q_joint, np.nan)
-        return OnlineMotion(q_joint, v, a, load, columns.direction(v))
+        bodies = None
+        if columns.sees_bodies:
+            bodies = RobotBodies(model._kinematics, q[None], model._total_phi)
+        return OnlineMotion(q_joint, v, a, load, columns.direction(v), bodies)
 
     def _body_columns(self, regressor: Array) -> Callable[[str], Array]:
         """The columns (1, nv, 10) of a body, by name."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import Effect, EffortDelay, JointEffect, JointMotion, RobotMotion
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.inertia import Array
 
 Indices = NDArray[np.intp]
@@ -22,7 +23,7 @@ Indices = NDArray[np.intp]
 
 @dataclass(frozen=True, eq=False)
 class OnlineMotion:
-    """Motion of all joints at one sample, each field (nv,).
+    """Motion of all joints at one sample, each field (nv,) but the last.
 
     Attributes:
         q: Positions, NaN for joints of several degrees of freedom.
@@ -30,6 +31,7 @@ class OnlineMotion:
         vd: Accelerations.
         load: Efforts that the rigid bodies need.
         sign_v: Smoothed signs of the velocities.
+        bodies: Poses and Jacobians of the bodies; None where nobody computes them.
     """
 
     q: Array
@@ -37,6 +39,7 @@ class OnlineMotion:
     vd: Array
     load: Array
     sign_v: Array
+    bodies: RobotBodies | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +87,7 @@ class EffectColumns:
         sign_width: Array,
         single: NDArray[np.bool_],
         body_columns: Callable[[str], Array],
+        bodies: RobotBodies | None = None,
     ) -> EffectColumns:
         """Sorts effects, by trial at a random motion.
 
@@ -93,6 +97,7 @@ class EffectColumns:
             sign_width: (nv,) speed below which the direction of motion is not known.
             single: (nv,) whether a velocity belongs to a joint of one degree of freedom.
             body_columns: Some regressor (1, nv, 10) for each body.
+            bodies: The bodies in some configuration, if effects may ask for them.
         """
         ends = np.cumsum([0, *(len(effect.parameters) for effect in effects)]).tolist()
         slices = [slice(a, b) for a, b in pairwise(ends)]
@@ -105,7 +110,7 @@ class EffectColumns:
         base = cls(joints, ends[-1], sign_width, False, False, (), tuple(parts), smooth)
         rng = np.random.default_rng(0)
         q, v, vd, load = rng.normal(size=(4, len(joints)))
-        trial = OnlineMotion(np.where(single, q, np.nan), v, vd, load, base.direction(v))
+        trial = OnlineMotion(np.where(single, q, np.nan), v, vd, load, base.direction(v), bodies)
         exact = base.columns(trial, body_columns)
         together, alone = _sorted(joints, parts)
         found = replace(base, _together=(), _alone=tuple(alone))
@@ -158,6 +163,7 @@ class EffectColumns:
                 motion.load[None],
                 self.sign_width,
                 body_columns,
+                motion.bodies,
             )
             for effect, part in self._alone:
                 Y[:, part] = effect.regressor(seen)[0]
