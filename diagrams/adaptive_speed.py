@@ -285,10 +285,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
-    duration = 0.2 if options.quick else 2.0
-    repeats = options.repeats or (1 if options.quick else 7)
-    times = measure(Arm.load(options.seed), duration=duration, repeats=repeats)
-    table = summary(times)
+    duration, repeats = (0.2, 1) if options.quick else (2.0, 7)
+    repeats = options.repeats or repeats
+    table = summary(measure(Arm.load(options.seed), duration=duration, repeats=repeats))
     print(json.dumps(table, indent=2))
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
