@@ -231,7 +231,7 @@ def test_constraints_enter_by_woodbury_only():
     assert abs(a @ CONSTRAINED.inverse_metric_times(near, b)) < 1e-15
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
 def test_inertia_divergence_knows_no_frame_and_no_units(seed, metre, kilogram):
     rng = np.random.default_rng(seed)

@@ -4,7 +4,7 @@ import weakref
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, reject, settings
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
@@ -84,6 +84,20 @@ def random_plant(rng, kinds, *, chain=False):
     return plant
 
 
+def random_tree(rng, kinds):
+    """As `random_plant`, for hypothesis: without trees that Drake cannot have.
+
+    Of a free body that is the child of a reversed joint, Drake may take the parent for the base,
+    and then refuses joints of several degrees of freedom that it would have to turn round.
+    """
+    try:
+        return random_plant(rng, kinds)
+    except RuntimeError as error:
+        if "would have to be reversed" in str(error):
+            reject()
+        raise
+
+
 def random_motion(plant, rng, count):
     sizes = plant.num_positions(), plant.num_velocities(), plant.num_velocities()
     return tuple(rng.uniform(-2.0, 2.0, (count, size)) for size in sizes)
@@ -123,11 +137,11 @@ def test_every_joint_type_alone_and_inside_a_chain(kind):
         assert_equals_drake(random_plant(rng, ["revolute", kind, "revolute"], chain=True), rng)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
 def test_random_trees(kinds, seed):
     rng = np.random.default_rng(seed)
-    assert_equals_drake(random_plant(rng, kinds), rng)
+    assert_equals_drake(random_tree(rng, kinds), rng)
 
 
 def test_samples_do_not_mix_across_pieces(arm):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import MultibodyForces_
-from test_regressor import JOINTS, random_motion, random_plant
+from test_regressor import JOINTS, random_motion, random_plant, random_tree
 
 from geodrake.errors import ArgumentError
 from geodrake.excitation.regressor_gradient import (
@@ -72,7 +72,7 @@ def test_every_joint_type_alone_and_inside_a_chain(kind):
 @given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=7), st.integers(0, 2**32 - 1))
 def test_random_trees(kinds, seed):
     rng = np.random.default_rng(seed)
-    assert_equals_differences(random_plant(rng, kinds), rng)
+    assert_equals_differences(random_tree(rng, kinds), rng)
 
 
 def test_drake_autodiff_of_efforts():
