@@ -1,0 +1,181 @@
+"""Logs of robots with hidden effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from zlib import crc32
+
+import numpy as np
+
+from geodrake.motion import JointLog
+from hidden.draws import COLOURED, OFF, OFF_BY, Draw
+from hidden.engines import Engine, congruent, make_engine
+from hidden.motions import make_motion
+from hidden.outside import OTHER, OWN, Outside
+from hidden.robots import robot_file
+from hidden.table import OUTSIDE, TRUTHS
+from hidden.truths import BODY, JOINT, PAIR, ROBOT, Array, Hidden, Seen, Site, Truth, smooth_sign
+
+_ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
+_COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
+_CLOSE = 0.03
+_ACTED_UPON = 0.5
+_RUBBING = 0.08
+
+
+@dataclass(frozen=True, eq=False)
+class Secret:
+    """What a log hides.
+
+    Attributes:
+        name: The effect.
+        where: Joints or body that are to be named; none for one of the whole robot.
+        joints: Joints that it acts upon most.
+        share: Its RMS at the joint acted upon most, as a share of the deviation of the effort.
+        values: Parameters that geodrake should find.
+        follows: For an effect of no catalogue, joints and signals that it goes with.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    joints: tuple[str, ...]
+    share: float
+    values: Mapping[str, float]
+    follows: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A log with its secrets.
+
+    Attributes:
+        log: The log.
+        secrets: What it hides.
+        bare: The log of the same motion and noise if the robot were that of the model file.
+        known: A log of the same robot before, without the effects; None where the model file is
+            all that is known.
+    """
+
+    log: JointLog
+    secrets: tuple[Secret, ...]
+    bare: JointLog
+    known: JointLog | None = None
+
+
+def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
+    """The log of a draw.
+
+    Args:
+        draw: The draw; its shares may be other ones for the same log otherwise.
+        bodies: Names that geodrake has for the bodies, in the order of the joints.
+    """
+    key = f"{draw.case} {draw.hidden} {draw.robot}"
+    seeds = np.random.SeedSequence([crc32(key.encode()), draw.number]).spawn(4)
+    on_robot, on_motion, on_site, on_noise = map(np.random.default_rng, seeds)
+    engine = make_engine(draw.engine, robot_file(draw.robot))
+    file = engine.bodies()
+    if draw.prior == OFF:
+        engine.set_bodies(congruent(engine.bodies(), OFF_BY, on_robot))
+    seen = _seen(draw, engine, on_motion)
+    kinds = [TRUTHS[name] if name in TRUTHS else OUTSIDE[name] for name in draw.hidden]
+    known = None
+    if any(isinstance(kind, Truth) and kind.needs_known_inertia for kind in kinds):
+        before = _seen(draw, engine, on_motion)
+        sizes = _RUBBING * before.load.std(0)
+        known = _measured(draw, before, before.load + _rubbing(before, sizes), on_noise)
+        seen = replace(seen, load=seen.load + _rubbing(seen, sizes))
+    sites = _sites(kinds, len(bodies), on_site)
+    total, secrets = seen.load.copy(), []
+    for kind, site, share in zip(kinds, sites, draw.shares, strict=True):
+        effort, secret = _hide(kind, site, share, seen, bodies)
+        total += effort
+        secrets.append(secret)
+    log = _measured(draw, seen, total, on_noise)
+    engine.set_bodies(file)
+    bare = replace(log, effort=log.effort - total + engine.efforts(seen.q, seen.v, seen.a))
+    return Recording(log, tuple(secrets), bare, known)
+
+
+def _seen(draw: Draw, engine: Engine, rng: np.random.Generator) -> Seen:
+    time = np.arange(0.0, draw.duration, 1.0 / draw.rate)
+    q, v, a = make_motion(draw.motion, engine, time, rng)
+    return Seen(time, q, v, a, engine.efforts(q, v, a), engine)
+
+
+def _rubbing(seen: Seen, sizes: Array) -> Array:
+    """Dry and viscous friction at all joints."""
+    return np.asarray(sizes * (smooth_sign(seen.v) + 0.7 * seen.v))
+
+
+def _measured(draw: Draw, seen: Seen, effort: Array, rng: np.random.Generator) -> JointLog:
+    """What sensors make of it."""
+    noise = rng.normal(size=effort.shape)
+    if draw.colour == COLOURED:
+        constant = np.exp(rng.uniform(*np.log(_COLOURS)))
+        memory = np.exp(-1.0 / (draw.rate * constant))
+        noise *= np.sqrt(1.0 - memory**2)
+        noise[0] /= np.sqrt(1.0 - memory**2)
+        for k in range(1, len(noise)):
+            noise[k] += memory * noise[k - 1]
+    return JointLog(
+        f"{draw.robot} {draw.number}",
+        seen.engine.joints,
+        seen.time,
+        seen.q + _ENCODER * rng.normal(size=effort.shape),
+        effort + draw.noise * effort.std(0) * noise,
+        seen.v + _TACHO * rng.normal(size=effort.shape),
+    )
+
+
+def _sites(kinds: list[Truth | Outside], n: int, rng: np.random.Generator) -> list[Site]:
+    """Where effects act; two on joints share one in half of the logs."""
+    found: list[Site] = []
+    for kind in kinds:
+        own = rng.spawn(1)[0]
+        joint = int(rng.integers(n))
+        if found and rng.random() < 0.5:
+            joint = found[0].joint
+        other = int(rng.choice([j for j in range(n) if j != joint]))
+        if isinstance(kind, Truth) and kind.places == PAIR:
+            joint = min(joint, n - 2)
+            other = joint + 1
+        elif isinstance(kind, Truth) and kind.places == BODY and kind.name != "wrong_inertia":
+            joint = n - 1 if kind.name == "payload" else int(rng.integers(n // 2, n))
+        elif isinstance(kind, Outside) and kind.in_link:
+            joint = int(rng.integers(n // 2, n))
+        found.append(Site(joint, other, own))
+    return found
+
+
+def _hide(
+    kind: Truth | Outside, site: Site, share: float, seen: Seen, bodies: tuple[str, ...]
+) -> tuple[Array, Secret]:
+    """Effort of an effect of a share, and what is to be found of it."""
+    hidden: Hidden = kind.make(site)
+    unit, largest = (kind.unit, kind.largest) if isinstance(kind, Truth) else (1.0, np.inf)
+    std = seen.load.std(0)
+    size = min(unit, largest)
+    for _ in range(10):
+        effort = hidden.effort(seen, size)
+        shares = np.sqrt(np.mean(effort**2, 0)) / std
+        if abs(shares.max() / share - 1.0) < _CLOSE or size == largest < size * share / max(
+            shares.max(), 1e-12
+        ):
+            break
+        size = min(size * share / shares.max(), largest)
+    joints = seen.engine.joints
+    acted = tuple(joints[j] for j in np.flatnonzero(shares >= _ACTED_UPON * shares.max()))
+    places = kind.places if isinstance(kind, Truth) else JOINT
+    where = {
+        JOINT: (joints[site.joint],),
+        PAIR: (joints[site.joint], joints[site.other]),
+        BODY: (bodies[site.joint],),
+        ROBOT: (),
+    }[places]
+    values = {name: float(size * value) for name, value in hidden.values.items()}
+    follows: tuple[tuple[str, str], ...] = ()
+    if isinstance(kind, Outside):
+        names = {OWN: joints[site.joint], OTHER: joints[site.other]}
+        follows = tuple((names.get(whose, whose), what) for whose, what in kind.follows)
+    return effort, Secret(kind.name, where, acted, float(shares.max()), values, follows)

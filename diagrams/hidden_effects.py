@@ -1,0 +1,108 @@
+"""Benchmark of hidden effects: what `geodrake explain` says of logs whose truth is known.
+
+Pinocchio or MuJoCo make logs of five arms with effects in other formulas than geodrake's: one
+effect of its catalogue, two, none, or one that it has no name for. Robots, motions (fast, slow,
+from point to point), noise (0.5, 1, 2 % of effort), bodies (those of the model file, or 20 % off
+in the geometric metric) and sizes (3 to 25 % of effort) are drawn at random. geodrake gets the log
+and the model file. Further studies: `--coverage N` of the intervals of found parameters under
+coloured noise, `--smallest N` of the smallest effect that is found, by bisection.
+
+    python diagrams/hidden_effects.py --json hidden_effects.json --figures figures
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from adaptive.options import make_parser, run_draws, show, write_json
+from hidden.bars import Line, bars, confusions, coverage_line, smallest_lines
+from hidden.draws import (
+    COVERAGE,
+    SMALLEST,
+    Draw,
+    all_draws,
+    coverage_draws,
+    smallest_draws,
+    timing_draws,
+)
+from hidden.scoring import coverage_of, score_draw, smallest_of
+from rich.console import Console
+
+QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
+QUICK_OUTSIDE = ("oscillation in time",)
+
+
+def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
+    """A row of the table; the seed is in what was drawn."""
+    del seed
+    return {COVERAGE: coverage_of, SMALLEST: smallest_of}.get(draw.case, score_draw)(draw)
+
+
+def wanted_draws(draws: int, coverage: int, smallest: int, seed: int, *, quick: bool) -> list[Draw]:
+    """What the options ask for."""
+    if not quick:
+        return [
+            *all_draws(draws, seed),
+            *(timing_draws(seed) if draws else ()),
+            *coverage_draws(coverage, seed),
+            *smallest_draws(smallest, seed),
+        ]
+    short = {"robot": "double_pendulum", "duration": 12.0, "rate": 100.0}
+    found = all_draws(1, seed, effects=QUICK_EFFECTS, outside=QUICK_OUTSIDE, others=(1, 2), **short)
+    found += coverage_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)
+    return [*found, *smallest_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)]
+
+
+def report(console: Console, lines: Sequence[Line], smallest: Sequence[dict[str, Any]]) -> None:
+    """Prints the tables."""
+    columns = {"figure": "", "asked": "", "reached": "", "interval": "", "logs": "d", "": ""}
+    show(console, "Hidden effects", columns, [_shown(line) for line in lines])
+    if smallest:
+        columns = {"effect": "", "smallest": ".1%", "median": ".1%", "logs": "d"}
+        show(console, "Smallest effect found in 9 of 10 logs", columns, smallest)
+
+
+def _shown(line: Line) -> dict[str, Any]:
+    form = "{:.1%}".format if _is_share(line) else "{:.2f}".format
+    found = line.value is not None
+    return {
+        "figure": line.figure,
+        "asked": None if line.bar is None else f"{'≤' if line.most else '≥'} {form(line.bar)}",
+        "reached": form(line.value) if found else None,
+        "interval": f"{form(line.low)} – {form(line.high)}" if found else None,
+        "logs": line.logs,
+        "": {True: "reached", False: "missed", None: ""}[line.reached],
+    }
+
+
+def _is_share(line: Line) -> bool:
+    return not ("median" in line.figure or "seconds" in line.figure)
+
+
+def main() -> None:
+    """Run the study from the command line."""
+    parser = make_parser(__doc__)
+    parser.add_argument("--draws", type=int, default=6, help="logs an effect; 0 for none")
+    parser.add_argument("--coverage", type=int, default=0, metavar="N", help="logs an effect")
+    parser.add_argument("--smallest", type=int, default=0, metavar="N", help="logs an effect")
+    options = parser.parse_args()
+    wanted = wanted_draws(
+        options.draws, options.coverage, options.smallest, options.seed, quick=options.quick
+    )
+    rows = run_draws(parser, options, run_draw, wanted)
+    lines = [*bars(rows), coverage_line(rows)]
+    smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
+    report(Console(width=120), lines, smallest)
+    confused = confusions(rows)
+    table = {"lines": [{**asdict(line), "reached": line.reached} for line in lines]}
+    write_json(options.json, {**table, "confusions": confused, "smallest": smallest, "rows": rows})
+    if options.figures:
+        from hidden.figures import write_figures
+
+        write_figures(options.figures, lines, confused, smallest)
+
+
+if __name__ == "__main__":
+    main()
