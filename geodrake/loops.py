@@ -199,12 +199,15 @@ def _check(plant: MultibodyPlant, controller: AdaptiveController, motion: Trajec
         raise ArgumentError(
             f"The plant moves {', '.join(joints)}; the controller knows "
             f"{', '.join(controller.control.joints)}.",
-            advice="Make both from the same file, and weld the base where geodrake does.",
+            advice="Make both from the same file, and weld the plant's base (WeldFrames) before "
+            "Finalize; or take the plant that load_model(file).plant is.",
         )
-    if plant.num_actuators() != len(joints):
+    to_velocities = plant.MakeActuationMatrix()
+    if plant.num_actuators() != len(joints) or not to_velocities.any(1).all():
+        without = [joint for joint, row in zip(joints, to_velocities, strict=True) if not row.any()]
         raise ArgumentError(
-            f"An adaptive loop needs one actuator at every joint; {len(joints)} joints have "
-            f"{plant.num_actuators()}.",
+            f"An adaptive loop needs one actuator at every joint; {plant.num_actuators()} are at "
+            f"{len(joints)} joints, none at {', '.join(without) or '-'}.",
             advice="Use AddJointActuator before Finalize.",
         )
     if motion.rows() != plant.num_positions() or motion.cols() != 1:

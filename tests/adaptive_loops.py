@@ -147,6 +147,25 @@ class FaultySensor(LeafSystem):
         output.SetFromVector(value)
 
 
+class SlowSensor(LeafSystem):
+    """A sensor that holds what it measured until its next sample, and first has nothing.
+
+    Args:
+        size: Length of what it measures.
+        period: From sample to sample, s.
+    """
+
+    def __init__(self, size, period):
+        LeafSystem.__init__(self)
+        self._input = self.DeclareVectorInputPort("true", BasicVector(size))
+        held = self.DeclareDiscreteState(np.full(size, np.nan))
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._measure)
+        self.DeclareStateOutputPort("measured", held)
+
+    def _measure(self, context, state):
+        state.set_value(self._input.Eval(context))
+
+
 def nothing(t, value, last):
     return np.full(len(value), np.nan)
 

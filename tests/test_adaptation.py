@@ -278,6 +278,13 @@ def test_laws_refuse_what_they_cannot_use():
         pullback_adaptation(BODIES, -np.ones(BODIES.dimension))
     with pytest.raises(ArgumentError, match="positive definite"):
         ConstantMetric(np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2))
+    with pytest.raises(ArgumentError, match="both"):
+        euclidean_adaptation(0)
+    law = natural_adaptation(BODIES)
+    with pytest.raises(ArgumentError, match="limits are on 40"):
+        ProjectedLaw(law, mass_limits(40, 1, 0.0, 1.0))
+    with pytest.raises(ArgumentError, match="margin"):
+        ProjectedLaw(law, mass_limits(BODIES.dimension, 1, 0.0, 1.0), margin=np.nan)
 
 
 # Projections
@@ -528,6 +535,11 @@ def test_limits_say_what_they_mean():
     np.testing.assert_allclose(mass, [-0.5, -phi[0]])
     with pytest.raises(ArgumentError, match="ten of 22"):
         mass_limits(22, 2, 0.0, 1.0)
+    for index in (22, -1):
+        with pytest.raises(ArgumentError, match="22 parameters"):
+            parameter_limits(22, [index], 0.0, 1.0)
+    with pytest.raises(ArgumentError, match="lower and upper"):
+        parameter_limits(22, [1], [0.0, 1.0], 1.0)
     with pytest.raises(ArgumentError, match="corner"):
         center_of_mass_box(22, 0, [1.0, 0.0, 0.0], [0.0, 1.0, 1.0])
 

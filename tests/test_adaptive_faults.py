@@ -1,9 +1,12 @@
 """Faults that adaptive loops survive: bounded error, physical estimates, no NaN on the output."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from adaptive_loops import (
     CONTROL,
+    MODEL,
     TRUTH,
     FaultySensor,
     closed_loop,
@@ -25,8 +28,17 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from geodrake.adaptation import ProjectedLaw, intersection, parameter_limits
+from geodrake.adaptation import (
+    ProjectedLaw,
+    intersection,
+    natural_adaptation,
+    parameter_limits,
+    parameter_manifold,
+)
+from geodrake.control_regressor import ControlModel
+from geodrake.effects import JointEffect, Parameter
 from geodrake.inertia import is_physical, to_spatial_inertia
+from geodrake.model import FittedEffect
 from geodrake.systems import (
     AdaptiveComputedTorqueController,
     FixedGains,
@@ -233,6 +245,44 @@ def test_a_start_with_ten_times_wrong_masses(kind, factor):
     assert error[-20:].max() < 0.5
     if kind != "accelerated":
         assert error[-20:].max() < max(0.05, 0.8 * error.max())
+
+
+@dataclass(frozen=True)
+class Exponential(JointEffect):
+    """An effect that sees more than its own sample, and overflows."""
+
+    name = "exponential"
+    parameters = (Parameter("size", "N·m", lower=0.0),)
+
+    def columns(self, joint):
+        return [np.cumsum(np.exp(joint.v))]
+
+
+@pytest.mark.parametrize("time_step", [0.0, 1e-3])
+def test_effects_that_overflow(time_step):
+    """The last actuation is held, or none is applied."""
+    fitted = (FittedEffect(Exponential(MODEL.joints[0]), np.array([0.1])),)
+    model = replace(MODEL, effects=fitted)
+    control, law = ControlModel.of(model), natural_adaptation(parameter_manifold(model))
+    for system in (
+        PassivityBasedAdaptiveController(control, law, time_step=time_step, truth=control.prior),
+        AdaptiveComputedTorqueController(
+            control, law, time_step=time_step, bandwidth=10.0 if time_step else None
+        ),
+    ):
+        context = system.CreateDefaultContext()
+        system.GetInputPort("estimated_state").FixValue(context, [0.0, 0.0, 1e4, 0.0])
+        system.GetInputPort("desired_state").FixValue(context, [0.0, 0.0, 1e4, 0.0])
+        system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+        if time_step > 0:
+            context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+        else:
+            rate = system.EvalTimeDerivatives(context).CopyToVector()
+            np.testing.assert_array_equal(rate, 0.0)
+        np.testing.assert_array_equal(system.GetOutputPort("actuation").Eval(context), 0.0)
+        np.testing.assert_array_equal(system.parameters(context), control.prior)
+        if system.HasOutputPort("lyapunov"):
+            assert np.isfinite(system.GetOutputPort("lyapunov").Eval(context)).all()
 
 
 ANY = st.one_of(

@@ -18,15 +18,17 @@ from adaptive_loops import (
 )
 from pydrake.geometry import Meshcat, MeshcatVisualizer, SceneGraph
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
+from pydrake.trajectories import PiecewisePolynomial
 
 from geodrake.adaptation import (
     ProjectedLaw,
     euclidean_adaptation,
     mass_limits,
     natural_adaptation,
+    parameter_manifold,
     pullback_adaptation,
 )
 from geodrake.control_regressor import ControlModel
@@ -309,6 +311,17 @@ def test_what_does_not_fit_is_refused():
         passive(gains=FixedGains([1.0, 2.0, 3.0], 1.0))
     with pytest.raises(ArgumentError, match="Effort limits"):
         passive(safeguards=Safeguards(effort_limits=[1.0, -1.0]))
+    with pytest.raises(ArgumentError, match="one rate for all"):
+        passive(gains=VaryingGains([1.0, 9.0]))
+    with pytest.raises(ArgumentError, match="VaryingGains or FixedGains"):
+        passive(gains=8.0)
+    with pytest.raises(ArgumentError, match="dead zone"):
+        passive(safeguards=Safeguards(dead_zone=[1.0, 1.0, 1.0]))
+    with pytest.raises(ArgumentError, match="stale time"):
+        Safeguards(stale_time=np.nan)
+    for rate in ([1.0, 2.0, 3.0], np.inf, -1.0):
+        with pytest.raises(ArgumentError, match="positive rates"):
+            computed(rate=rate)
     with pytest.raises(ArgumentError, match="needs a time step"):
         computed(time_step=0.0, bandwidth=10.0)
     with pytest.raises(ArgumentError, match="moves 5 parameters"):
@@ -319,3 +332,37 @@ def test_floating_robots_are_refused():
     floating = load_description(MODELS / "double_pendulum.urdf", floating=True)
     with pytest.raises(ArgumentError, match="one degree of freedom"):
         PassivityBasedAdaptiveController(ControlModel.of(floating), None)
+
+
+@pytest.mark.parametrize(
+    ("actuated", "welded", "message"),
+    [
+        (["shoulder"], True, "none at elbow"),
+        (["shoulder", "shoulder"], True, "none at elbow"),
+        (["shoulder", "elbow"], False, "WeldFrames"),
+    ],
+)
+def test_plants_that_do_not_fit_are_refused(actuated, welded, message):
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(0.0))
+    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
+    if welded:
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    for number, joint in enumerate(actuated):
+        plant.AddJointActuator(f"motor_{number}", plant.GetJointByName(joint))
+    plant.Finalize()
+    with pytest.raises(ArgumentError, match=message):
+        add_adaptive_loop(builder, plant, passive(), motion())
+
+
+def test_the_plant_of_the_model_is_one_for_a_loop():
+    model = load_description(MODELS / "arm6.urdf")
+    law = natural_adaptation(parameter_manifold(model), gamma=0.05)
+    controller = PassivityBasedAdaptiveController(ControlModel.of(model), law)
+    builder = DiagramBuilder()
+    t = np.linspace(0.0, 2.0, 21)
+    path = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, np.tile(np.sin(t), (6, 1)))
+    plant = builder.AddSystem(model.plant)
+    loop = add_adaptive_loop(builder, plant, controller, path, log_period=0.01)
+    _, logs = loop.simulated(builder.Build(), 0.2)
+    assert tracking_error(logs).max() < 1e-2

@@ -13,6 +13,7 @@ from adaptive_loops import (
     MODELS,
     TRUTH,
     FaultySensor,
+    SlowSensor,
     frozen,
     motion,
     natural,
@@ -188,14 +189,23 @@ def test_contexts_of_estimators_are_independent():
 def test_estimators_that_do_not_fit_are_refused():
     with pytest.raises(ArgumentError, match="filter is one for"):
         BregmanProjectionEstimator(CONTROL, UPDATE, filtered=FilteredRegressor(CONTROL, 0.01))
+    other = FilteredRegressor(ControlModel.of(MODEL), STEP)
+    with pytest.raises(ArgumentError, match="another ControlModel"):
+        BregmanProjectionEstimator(CONTROL, UPDATE, filtered=other, time_step=STEP)
+    with pytest.raises(ArgumentError, match="another ControlModel"):
+        ModelResidual(CONTROL, filtered=other)
+    for memory in (np.nan, np.inf, -1.0):
+        with pytest.raises(ArgumentError, match="remembers"):
+            BregmanProjectionEstimator(CONTROL, UPDATE, memory=memory)
     with pytest.raises(ArgumentError, match="inside of the law's manifold"):
         BregmanProjectionEstimator(CONTROL, UPDATE, parameters=-TRUTH)
     with pytest.raises(ArgumentError, match="tolerance"):
         BregmanProjectionEstimator(CONTROL, SampleUpdate(MANIFOLD, np.ones(3)))
     with pytest.raises(ArgumentError, match="time step"):
         BregmanProjectionEstimator(CONTROL, UPDATE, time_step=0.0)
-    with pytest.raises(ArgumentError, match="every 0"):
-        BregmanProjectionEstimator(CONTROL, UPDATE, update_every=0)
+    for every in (0, 1.5):
+        with pytest.raises(ArgumentError, match=f"every {every}"):
+            BregmanProjectionEstimator(CONTROL, UPDATE, update_every=every)
 
 
 # The player of logs
@@ -234,12 +244,32 @@ def test_logs_without_velocities_and_with_gaps():
     assert np.isfinite(played(LogSource(bare, largest_gap=1.0), 0.3)["state"]).all()
 
 
+def test_samples_without_a_time_stamp_are_left_out():
+    log = recorded(1.0)
+    time = log.time.copy()
+    time[[0, 20, -1]] = np.nan
+    source = LogSource(replace(log, time=time))
+    assert source.duration == pytest.approx(1.0 - 2 * STEP)
+    between = 0.5 * (log.position[19] + log.position[21])
+    np.testing.assert_allclose(played(source, 19 * STEP)["position"], between)
+
+
 def test_logs_that_cannot_be_played():
     with pytest.raises(LogError):
         LogSource(recorded(0.1), ["wrist"])
     short = recorded(0.1)
+    with pytest.raises(ArgumentError, match="gap"):
+        LogSource(short, largest_gap=np.nan)
     with pytest.raises(ArgumentError, match="needs two"):
         LogSource(replace(short, **{name: getattr(short, name)[:1] for name in QUANTITIES}))
+
+
+def test_measurements_that_only_repeat_are_left_out():
+    """A sensor of half the rate: no two samples in a row are new, so nothing is learned from it."""
+    sensor = SlowSensor(4, 2 * STEP)
+    _, _, p, residual = estimated(recorded(0.5), start=perturbed(0.3), sensor=sensor)
+    np.testing.assert_array_equal(p, np.broadcast_to(p[0], p.shape))
+    np.testing.assert_array_equal(residual, 0.0)
 
 
 # The comparison

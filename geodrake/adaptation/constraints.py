@@ -88,6 +88,9 @@ def body_limits(
         rows: (k, 10) or (10,) coefficients.
         lower: (k,) or one least value.
         upper: (k,) or one greatest value.
+
+    Raises:
+        ArgumentError: There is no such body, or shapes do not fit.
     """
     rows = np.atleast_2d(np.asarray(rows, float))
     first = PARAMETERS_PER_BODY * body
@@ -97,8 +100,7 @@ def body_limits(
         )
     matrix = np.zeros((len(rows), size))
     matrix[:, first : first + PARAMETERS_PER_BODY] = rows
-    limits = (np.broadcast_to(np.asarray(x, float), len(rows)).copy() for x in (lower, upper))
-    return Polyhedron(matrix, *limits)
+    return Polyhedron(matrix, _of_rows(lower, len(rows)), _of_rows(upper, len(rows)))
 
 
 def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
@@ -141,10 +143,14 @@ def parameter_limits(
         indices: (k,) which parameters.
         lower: (k,) or one least value.
         upper: (k,) or one greatest value.
+
+    Raises:
+        ArgumentError: There is no such parameter, or shapes do not fit.
     """
+    if not all(0 <= index < size for index in indices):
+        raise ArgumentError(f"There are {size} parameters; got indices {list(indices)}.")
     matrix = np.eye(size)[list(indices)]
-    limits = (np.broadcast_to(np.asarray(x, float), len(matrix)).copy() for x in (lower, upper))
-    return Polyhedron(matrix, *limits)
+    return Polyhedron(matrix, _of_rows(lower, len(matrix)), _of_rows(upper, len(matrix)))
 
 
 def intersection(*polyhedra: Polyhedron) -> Polyhedron:
@@ -154,3 +160,9 @@ def intersection(*polyhedra: Polyhedron) -> Polyhedron:
         np.concatenate([each.lower for each in polyhedra]),
         np.concatenate([each.upper for each in polyhedra]),
     )
+
+
+def _of_rows(limits: ArrayLike, count: int) -> Array:
+    """Limits (k,) from one for all rows, or one for each; Polyhedron tells of a wrong shape."""
+    limits = np.asarray(limits, float)
+    return np.full(count, limits) if limits.ndim == 0 else limits

@@ -30,7 +30,7 @@ class ConstantMetric(Manifold):
     def __post_init__(self) -> None:
         matrix, inverse = np.asarray(self.matrix, float), np.asarray(self.inverse, float)
         n = len(matrix)
-        if not matrix.shape == inverse.shape == (n, n):
+        if not (n and matrix.shape == inverse.shape == (n, n)):
             raise ArgumentError(
                 f"A metric and its inverse are both (n, n); got {matrix.shape}, {inverse.shape}."
             )

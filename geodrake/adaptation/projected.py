@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from geodrake.adaptation.constraints import ConvexSet, LinearSet
 from geodrake.adaptation.half_space import half_space_projection
 from geodrake.adaptation.law import AdaptationLaw, UpdateLaw
-from geodrake.errors import ConvergenceError, GeodrakeError
+from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Manifold, Product
 from geodrake.projections import Polyhedron, bregman_projection
@@ -35,11 +35,24 @@ class ProjectedLaw(UpdateLaw):
         law: The law inside of C.
         constraints: C; a `Polyhedron`, or any `ConvexSet`.
         margin: Distance in the manifold's metric below which a limit binds.
+
+    Raises:
+        ArgumentError: A polyhedron has another number of parameters, or the margin is negative.
     """
 
     law: AdaptationLaw
     constraints: ConvexSet | Polyhedron
     margin: float = 1e-6
+
+    def __post_init__(self) -> None:
+        convex, n = self._set, self.law.manifold.dimension
+        if isinstance(convex, LinearSet) and convex.polyhedron.matrix.shape[1] != n:
+            raise ArgumentError(
+                f"The law moves {n} parameters; the limits are on "
+                f"{convex.polyhedron.matrix.shape[1]}."
+            )
+        if not 0 <= self.margin < np.inf:
+            raise ArgumentError(f"A margin is zero or more; got {self.margin}.")
 
     @cached_property
     def _set(self) -> ConvexSet:

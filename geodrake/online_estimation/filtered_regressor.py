@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from geodrake.control_regressor import ControlModel, ControlSample
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 
 
@@ -42,7 +42,8 @@ class FilteredRegressor:
     held_effort: bool = False
 
     def __post_init__(self) -> None:
-        if not (0 < self.period < np.inf and 0 < self.bandwidth < np.inf and self.order >= 1):
+        positive = 0 < self.period < np.inf and 0 < self.bandwidth < np.inf
+        if not (positive and self.order >= 1 and self.order == int(self.order)):
             raise ArgumentError(
                 "A filtered regressor needs a positive period and bandwidth and at least one "
                 f"filter; got {self.period} s, {self.bandwidth} 1/s and {self.order}."
@@ -90,7 +91,10 @@ class FilteredRegressor:
             return self.skipped(memory)
         if sample is None:
             sample = self.control.at(q, qd, qd, np.zeros_like(qd))
-        now, following = self._ends(sample, effort)
+        try:
+            now, following = self._ends(sample, effort)
+        except GeodrakeError:  # of an effect that has no finite columns
+            return self.skipped(memory)
         if not np.isfinite(now).all():
             return self.skipped(memory)
         after = memory.copy()

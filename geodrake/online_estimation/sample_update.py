@@ -36,7 +36,11 @@ class SampleUpdate:
             noise less.
         forgetting: Rate, 1/s, at which an estimate goes back to the prior along the way of least
             divergence, where no sample holds it; zero for never.
-        prior: (n,) where it goes back to.
+        prior: (n,) where it goes back to, inside of the manifold.
+
+    Raises:
+        ArgumentError: A number is out of range, a factor of the manifold has no closed way of least
+            divergence (see `MirrorMap`), or prior or constraints do not fit the manifold.
     """
 
     manifold: BatchedProduct
@@ -57,6 +61,15 @@ class SampleUpdate:
             )
         if self.forgetting > 0 and self.prior is None:
             raise ArgumentError("Forgetting needs a prior to go back to.")
+        if self.prior is not None:
+            prior, n = np.asarray(self.prior, float), self.manifold.dimension
+            if prior.shape != (n,) or not self.manifold.contains(prior):
+                raise ArgumentError(
+                    f"A prior has the manifold's {n} parameters and is inside of it; got "
+                    f"{prior.tolist()}."
+                )
+        # What does not fit is told now, not while a robot moves.
+        _ = self._map, self._limited
 
     @cached_property
     def _slabs(self) -> SlabProjection:

@@ -20,6 +20,7 @@ from geodrake.inertia import Array
 from geodrake.online_estimation import FilteredRegressor
 from geodrake.systems.adaptive_controller import AdaptiveController
 from geodrake.systems.control_result import ControlResult
+from geodrake.systems.requirements import checked_gains
 from geodrake.systems.safeguards import Safeguards, Seen
 
 
@@ -49,8 +50,9 @@ class AdaptiveComputedTorqueController(AdaptiveController):
       and `lyapunov` is ½ eᵀ P e + γ D(p‖p̂).
     - With a `bandwidth`, by the filtered regressor, which needs no acceleration: b is the gradient
       of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f), of the controller's own efforts. `lyapunov`
-      is γ D(p‖p̂), which never rises, whatever tracking does. This needs a time step, and the whole
-      effort that moves the robot to be this controller's.
+      is γ D(p‖p̂), which never rises, whatever tracking does. This needs a time step, a measured
+      state that is new at every one, and the whole effort that moves the robot to be this
+      controller's. Efforts at their limits and the dead zone do not stop it.
 
     M̂ is invertible while the estimate is physical, which the natural law sees to.
 
@@ -89,7 +91,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
                 not fit.
         """
         nv = len(control.joints)
-        poles = np.broadcast_to(np.asarray(rate, float), (nv,))
+        poles = checked_gains(rate, nv, "rates")
         self._K_p, self._K_v = poles**2, 2.0 * poles
         self._P = error_weight(self._K_p, self._K_v, np.eye(2 * nv))
         self._filter: FilteredRegressor | None = None
@@ -174,4 +176,4 @@ class AdaptiveComputedTorqueController(AdaptiveController):
 
     def _resting(self, seen: Seen) -> bool:
         r = seen.qd - seen.v_d + 0.5 * self._K_v * (seen.q - seen.q_d)
-        return bool((np.abs(r) < self._safe.dead_zone).all())
+        return bool((np.abs(r) < self._dead_zone).all())

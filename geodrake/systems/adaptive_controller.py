@@ -41,16 +41,19 @@ class AdaptiveController(LeafSystem):
     inputs, and held. Without one, the estimate is a continuous state and actuation follows the
     inputs at once.
 
-    Actuation is always finite, and the estimate stays in its manifold (where the law has one):
+    Actuation is always finite, and the estimate stays in its manifold (where the law has one; in
+    continuous time as far as the integrator is exact):
 
-    - A measured state that is not finite, or that stands still while it says that the robot moves
-      (with a time step only), is replaced by the desired one: feedforward of the model. Adaptation
-      waits.
+    - A measured state that is not finite, or that stands still for the safeguards' `stale_time`
+      while it says that the robot moves (with a time step only), is replaced by the desired one:
+      feedforward of the model. Adaptation waits, at any state that only repeats the last one.
     - A desired motion that is not finite is replaced by rest at the last desired position (without
       a time step: at the measured one). Adaptation waits.
     - Without any of both, and where numbers overflow, the last actuation is held (without a time
       step: none is applied).
     - Efforts beyond their limits are cut off, and adaptation waits.
+
+    `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
 
     Large errors that no parameters can explain, as of a motion that the motors cannot make, still
     move the estimate whenever no limit is reached. A `ProjectedLaw` keeps it where it makes sense.
@@ -81,7 +84,7 @@ class AdaptiveController(LeafSystem):
                 not fit.
         """
         LeafSystem.__init__(self)
-        self.control, self.law, self._safe = control, law, safeguards
+        self.control, self.law = control, law
         self._nv = nv = len(control.joints)
         self._size = len(control.prior)
         self._time_step = checked_time_step(time_step)
@@ -90,7 +93,8 @@ class AdaptiveController(LeafSystem):
         start = checked_estimate(control, self._manifold, parameters)
         self._truth = None if truth is None else checked_estimate(control, self._manifold, truth)
         self._limits = safeguards.limits(nv)
-        self._rests = bool(np.any(np.asarray(safeguards.dead_zone) > 0))
+        self._dead_zone = safeguards.dead_zones(nv)
+        self._rests = bool((self._dead_zone > 0).any())
         patience = np.inf if time_step == 0 else safeguards.stale_time / time_step
         self._watch = Watch(nv, max(patience, 1.0))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
@@ -187,7 +191,7 @@ class AdaptiveController(LeafSystem):
         try:
             result = self._result_at(p, seen)
             effort = applied = result.effort
-        except np.linalg.LinAlgError:
+        except (GeodrakeError, np.linalg.LinAlgError):
             return None
         if not np.isfinite(effort).all():
             return None
@@ -267,7 +271,7 @@ class AdaptiveController(LeafSystem):
         try:
             b = result.covector(context)
             rate = np.zeros(len(p)) if b is None else self.law.rate(p, b)
-        except np.linalg.LinAlgError:
+        except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
 

@@ -10,7 +10,11 @@ from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.online_estimation import FilteredRegressor, Rows, SampleUpdate
-from geodrake.systems.requirements import checked_estimate, require_single_joints
+from geodrake.systems.requirements import (
+    checked_estimate,
+    require_same_robot,
+    require_single_joints,
+)
 from geodrake.systems.safeguards import Watch
 
 _SLOTS = 24  # samples in memory
@@ -33,14 +37,14 @@ class BregmanProjectionEstimator(LeafSystem):
     (`FilteredRegressor`). The estimate is projected, in the divergence of its manifold, onto the
     slab |Y_f p − effort_f| ≤ ε of each sample and onto a constraint set (`SampleUpdate`), together
     with that of one of the samples of the last seconds, so that they are not forgotten. If the
-    truth is in slabs and set, no sample takes the estimate farther from it, and it always stays
-    physical.
+    truth is in slabs and set, no sample takes the estimate farther from it (unless the update
+    forgets), and it always stays physical.
 
     `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection.
 
-    A sample that is not finite, or a state that stands still for `stale_time` while it says that
-    the robot moves, is left out of the filter, and the estimate stays; so does one whose projection
-    is not found.
+    A sample that is not finite, or whose state repeats the last one while it says that the robot
+    moves, is left out of the filter, and the estimate stays; so does one whose projection is not
+    found. So measurements must be new at every time step.
     """
 
     def __init__(
@@ -52,7 +56,6 @@ class BregmanProjectionEstimator(LeafSystem):
         time_step: float = 1e-3,
         parameters: ArrayLike | None = None,
         memory: float = 2.0,
-        stale_time: float = 0.05,
         update_every: int = 1,
     ) -> None:
         """Constructs the system.
@@ -65,7 +68,6 @@ class BregmanProjectionEstimator(LeafSystem):
             parameters: (p,) first estimate; that of the model if None.
             memory: For how long samples are seen again, s; zero for never. A change of the robot
                 shows at once, and is settled after this time.
-            stale_time: How long the state may stand still, s.
             update_every: Samples from one projection to the next. The filter takes every sample;
                 samples much closer than its bandwidth say nearly the same.
 
@@ -77,10 +79,12 @@ class BregmanProjectionEstimator(LeafSystem):
         require_single_joints(control)
         if not 0 < time_step < np.inf:
             raise ArgumentError(f"An estimator needs a time step above zero; got {time_step} s.")
-        if update_every < 1:
+        if update_every < 1 or update_every != int(update_every):
             raise ArgumentError(
                 f"An estimator projects every sample or fewer; got every {update_every}."
             )
+        if not 0 <= memory < np.inf:
+            raise ArgumentError(f"An estimator remembers for zero or more seconds; got {memory}.")
         nv = len(control.joints)
         if np.shape(update.tolerance) not in ((), (nv,)):
             raise ArgumentError(
@@ -88,17 +92,17 @@ class BregmanProjectionEstimator(LeafSystem):
                 f"{np.shape(update.tolerance)}."
             )
         filtered = filtered or FilteredRegressor(control, time_step)
-        if filtered.period != time_step or filtered.control is not control:
+        if filtered.period != time_step:
             raise ArgumentError(
-                f"The filter is one for {filtered.period} s; the time step is {time_step} s.",
-                advice="Make the filter with the same ControlModel and time step.",
+                f"The filter is one for {filtered.period} s; the time step is {time_step} s."
             )
+        require_same_robot(control, filtered)
         start = checked_estimate(control, update.manifold, parameters)
         self.control, self._sample_update, self._filter = control, update, filtered
         self._nv, self._time_step = nv, time_step
         self._every = update_every
         self._spacing = max(1, round(memory / (_SLOTS * time_step * update_every)))
-        self._watch = Watch(nv, max(stale_time / time_step, 1.0))
+        self._watch = Watch(nv)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
         self._estimate, self._memory, self._seen, self._residual = (

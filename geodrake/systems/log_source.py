@@ -30,7 +30,7 @@ class LogSource(LeafSystem):
     `state` is position and then velocity, as controllers and estimators take it. Time zero is the
     log's first time stamp. After the last one the robot rests: position and effort of the last
     sample, velocity zero. Where the log holds NaN, and in gaps, outputs are NaN: geodrake's systems
-    know what to do with that.
+    know what to do with that. Samples without a time stamp are left out.
     """
 
     def __init__(
@@ -49,25 +49,32 @@ class LogSource(LeafSystem):
 
         Raises:
             LogError: The log lacks one of the joints.
-            ArgumentError: The log has less than two samples.
+            ArgumentError: The log has less than two samples, or the gap is not positive.
         """
         LeafSystem.__init__(self)
-        if len(log) < 2:
-            raise ArgumentError(f"Log {log.name!r} has {len(log)} samples; playing it needs two.")
+        stamped = np.isfinite(log.time)
+        if stamped.sum() < 2:
+            raise ArgumentError(
+                f"Log {log.name!r} has {stamped.sum()} samples; playing it needs two."
+            )
         self.log = log = log if joints is None else log.select(joints)
-        self._time = log.time - log.time[0]
+        time, position, effort = log.time[stamped], log.position[stamped], log.effort[stamped]
+        self._time = time - time[0]
         self._stamps = self._time.tolist()
         usual = _USUAL_GAPS * float(np.median(np.diff(self._time)))
         self._largest_gap = usual if largest_gap is None else largest_gap
-        velocity = log.velocity
-        if velocity is None:
-            velocity = np.gradient(log.position, self._time, axis=0)
+        if not self._largest_gap > 0:
+            raise ArgumentError(f"The largest gap is positive; got {largest_gap} s.")
+        if log.velocity is None:
+            velocity = np.gradient(position, self._time, axis=0)
+        else:
+            velocity = log.velocity[stamped]
         n = len(log.joints)
         for name, values in (
-            ("state", np.hstack([log.position, velocity])),
-            ("position", log.position),
+            ("state", np.hstack([position, velocity])),
+            ("position", position),
             ("velocity", velocity),
-            ("effort", log.effort),
+            ("effort", effort),
         ):
             last = values[-1].copy()
             if name in ("state", "velocity"):

@@ -6,9 +6,10 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from geodrake.control_regressor import ControlModel
+from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
 from geodrake.online_estimation import FilteredRegressor
-from geodrake.systems.requirements import require_single_joints
+from geodrake.systems.requirements import require_same_robot, require_single_joints
 
 
 class ModelResidual(LeafSystem):
@@ -44,10 +45,13 @@ class ModelResidual(LeafSystem):
             filtered: The filter, whose period is that of the system.
 
         Raises:
-            ArgumentError: The robot has joints of several degrees of freedom.
+            ArgumentError: The robot has joints of several degrees of freedom, or the filter is one
+                for another robot.
         """
         LeafSystem.__init__(self)
         require_single_joints(control)
+        if filtered is not None:
+            require_same_robot(control, filtered)
         self.control, self._filter = control, filtered
         self._nv = nv = len(control.joints)
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
@@ -82,8 +86,11 @@ class ModelResidual(LeafSystem):
         """Measured − predicted effort (nv,); None where it is not known."""
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         q, qd, qdd = x[: self._nv], x[self._nv :], self._acceleration_port.Eval(context)
-        with np.errstate(all="ignore"):
-            error = effort - self.control.at(q, qd, qd, qdd).effort(self._parameters(context))
+        try:
+            with np.errstate(all="ignore"):
+                error = effort - self.control.at(q, qd, qd, qdd).effort(self._parameters(context))
+        except GeodrakeError:  # of an effect that has no finite columns
+            return None
         return error if np.isfinite(error).all() else None
 
     def _calc_residual(self, context: Context, output: BasicVector) -> None:

@@ -13,12 +13,16 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.systems.adaptive_controller import AdaptiveController
 from geodrake.systems.control_result import ControlResult
+from geodrake.systems.requirements import checked_gains
 from geodrake.systems.safeguards import Safeguards, Seen
 
 
 @dataclass(frozen=True, eq=False)
 class FixedGains:
     """Constant diagonal gains K and Λ.
+
+    Sampled at a time step h, damping is stable for K h well below 2 M only, with M the inertia that
+    a joint moves.
 
     Attributes:
         damping: K, N·m·s/rad or N·s/m; one for all joints or (nv,).
@@ -34,7 +38,7 @@ class VaryingGains:
     """K = λ M̂(q) and Λ = λ 𝟙, [Lee2019] Remark 5.1: stiffer where there is more inertia.
 
     Attributes:
-        rate: λ, 1/s.
+        rate: λ, 1/s; one for all joints, as K must be symmetric.
     """
 
     rate: float = 10.0
@@ -61,8 +65,9 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         actuation = Y(q, q̇, v, a − λ r) p̂          [Lee2019] Remark 5.1, b = Y(…, a − λ r)ᵀ r
 
     and the law moves p̂ by b. `lyapunov` is ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises
-    except by what a time step adds; it leaves out the first term while an input is missing. Without
-    the true p there is no such port.
+    except by what a time step adds, if friction grows with speed or effects see the measured
+    velocity, and no effect is in proportion to the load. It leaves out the first term while an
+    input is missing. Without the true p there is no such port.
 
     `actuation` (nv) is N·m or N in the order of velocities, `parameters` (p) that of ControlModel,
     states are q and then q̇. What happens when inputs are missing is told in `AdaptiveController`.
@@ -95,10 +100,17 @@ class PassivityBasedAdaptiveController(AdaptiveController):
                 not fit.
         """
         nv = len(control.joints)
+        if not isinstance(gains, VaryingGains | FixedGains):
+            raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
         self._varying = isinstance(gains, VaryingGains)
-        self._rate = _positive(gains.rate, nv, "rates")
+        if self._varying and np.ndim(gains.rate) > 0:
+            raise ArgumentError(
+                f"Varying gains have one rate for all joints; got {gains.rate}.",
+                advice="Use FixedGains for rates that differ.",
+            )
+        self._rate = checked_gains(gains.rate, nv, "rates")
         damping = 1.0 if isinstance(gains, VaryingGains) else gains.damping
-        self._damping = _positive(damping, nv, "damping gains")
+        self._damping = checked_gains(damping, nv, "damping gains")
         super().__init__(
             control,
             law,
@@ -129,11 +141,4 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         return tracking_energy(sample.mass_matrix(truth), r)
 
     def _resting(self, seen: Seen) -> bool:
-        return bool((np.abs(self._error(seen)[2]) < self._safe.dead_zone).all())
-
-
-def _positive(values: ArrayLike, nv: int, name: str) -> Array:
-    found = np.asarray(values, float)
-    if found.shape not in ((), (nv,)) or not ((found > 0) & np.isfinite(found)).all():
-        raise ArgumentError(f"Expected positive {name}, one or {nv}; got {found.tolist()}.")
-    return np.broadcast_to(found, (nv,))
+        return bool((np.abs(self._error(seen)[2]) < self._dead_zone).all())

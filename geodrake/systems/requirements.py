@@ -10,6 +10,7 @@ from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.manifolds import Manifold
+from geodrake.online_estimation import FilteredRegressor
 
 
 def checked_time_step(time_step: float) -> float:
@@ -23,6 +24,23 @@ def checked_time_step(time_step: float) -> float:
     return time_step
 
 
+def checked_gains(values: ArrayLike, nv: int, name: str) -> Array:
+    """Gains (nv,) from one for all joints, or one for each.
+
+    Args:
+        values: The gains.
+        nv: Number of joints.
+        name: What they are, for the message.
+
+    Raises:
+        ArgumentError: They are not positive and finite, or neither one nor nv.
+    """
+    found = np.asarray(values, float)
+    if found.shape not in ((), (nv,)) or not ((found > 0) & np.isfinite(found)).all():
+        raise ArgumentError(f"Expected positive {name}, one or {nv}; got {found.tolist()}.")
+    return np.broadcast_to(found, (nv,))
+
+
 def require_single_joints(control: ControlModel) -> None:
     """Checks that positions are as many as velocities, joint by joint.
 
@@ -34,6 +52,19 @@ def require_single_joints(control: ControlModel) -> None:
             "Controllers and estimators need joints of one degree of freedom each; this robot has "
             "others.",
             advice="Weld the base, or use geodrake.control_regressor from Python.",
+        )
+
+
+def require_same_robot(control: ControlModel, filtered: FilteredRegressor) -> None:
+    """Checks that a filter is one for the robot.
+
+    Raises:
+        ArgumentError: It was made with another `ControlModel`.
+    """
+    if filtered.control is not control:
+        raise ArgumentError(
+            "The filter was made with another ControlModel.",
+            advice="Make FilteredRegressor and system with the same one.",
         )
 
 

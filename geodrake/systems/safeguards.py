@@ -26,12 +26,19 @@ class Safeguards:
         stale_time: A measurement that has not changed for this long, in any digit, although it says
             that the robot moves, counts as missing, s; inf for never.
         dead_zone: (nv,) or one tracking error |r|, rad/s or m/s, that is not adapted to: what noise
-            makes of the velocity. Adaptation waits while all joints are inside.
+            makes of the velocity. Adaptation by this error waits while all joints are inside.
+
+    Raises:
+        ArgumentError: The stale time is not positive.
     """
 
     effort_limits: ArrayLike | None = None
     stale_time: float = 0.05
     dead_zone: ArrayLike = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.stale_time > 0:
+            raise ArgumentError(f"A stale time is positive; got {self.stale_time} s.")
 
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, *, stale_time: float = 0.05) -> Safeguards:
@@ -52,6 +59,13 @@ class Safeguards:
                 f"Effort limits must be positive, one or {nv}; got {limits.tolist()}."
             )
         return np.broadcast_to(limits, (nv,))
+
+    def dead_zones(self, nv: int) -> Array:
+        """The dead zone (nv,), checked."""
+        zone = np.asarray(self.dead_zone, float)
+        if zone.shape not in ((), (nv,)) or not (zone >= 0).all():
+            raise ArgumentError(f"A dead zone is zero or more, one or {nv}; got {zone.tolist()}.")
+        return np.broadcast_to(zone, (nv,))
 
 
 @dataclass(frozen=True, eq=False)
