@@ -23,8 +23,8 @@ CHOSEN = {
     "wam": {EUCLIDEAN: 1e-3, PULLBACK: 30.0, NATURAL: 30.0},
     "wam_100_hz": {EUCLIDEAN: 3e-5, PULLBACK: 3.0, NATURAL: 3.0},
     "payload": {EUCLIDEAN: 3.0, PULLBACK: 300.0, NATURAL: 3.0},
-    "controller_acceleration": {EUCLIDEAN: 1e-3, NATURAL: 30.0},
-    "controller_filtered": {EUCLIDEAN: 1e-3, NATURAL: 30.0},
+    "controller_acceleration": {EUCLIDEAN: 3e-5, NATURAL: 10.0},
+    "controller_filtered": {EUCLIDEAN: 1e-5, NATURAL: 3e3},  # Euclidean: all were lost
     "sandbags": {EUCLIDEAN: 10.0, PULLBACK: 300.0, NATURAL: 100.0},
 }
 """γ⁻¹ that `--choose-gains` of the scripts found."""

@@ -34,6 +34,7 @@ def sandbag_figure(rows: Sequence[dict[str, Any]], period: float) -> Figure:
         series = next(row["series"] for row in found if row["case"] == cases[0])
         time = period * np.arange(len(series))
         right.plot(time, np.maximum(series, 1e-2), color=COLORS[law], linewidth=1.1)
+    style.log_scale(left, "y")
     left.set_xticks(range(len(cases)), cases)
     title = "Tracking error of the turns: RMS, degrees"
     style.polish(left, grid="y").set_title(title, loc="left", **style.plain(fontweight="bold"))
@@ -41,7 +42,7 @@ def sandbag_figure(rows: Sequence[dict[str, Any]], period: float) -> Figure:
     style.polish(right).set_title(title, loc="left", **style.plain(fontweight="bold"))
     right.set_xlabel("time, s", **style.plain(style.SMALL, style.QUIET))
     style.log_scale(right, "y")
-    right.set_ylim(bottom=0.1)
+    right.set_ylim(bottom=0.02)
     style.legend_above(figure, legend(laws))
     lost = sum(row["lost"] for row in rows)
     style.note_below(figure, speed_note(rows) + (f" {lost} loops were lost." if lost else ""))
