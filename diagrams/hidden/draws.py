@@ -25,6 +25,7 @@ WRONG_INERTIA = "wrong_inertia"
 COVERED = ("viscous_friction", "coulomb_friction", "effort_offset", "rotor_inertia", "payload")
 _MOTION_ODDS = (0.45, 0.25, 0.3)
 _EXACT_ODDS = 0.7
+_FIRST_COLOURED = 100_000
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class Draw:
         noise: Deviation of the effort's noise, as a share of that of the effort.
         colour: "white" or "coloured" noise.
         prior: Whether the model file's bodies are "exact", or "off" by 20 %.
-        shares: RMS of every hidden effect, as a share of the deviation of the effort.
+        shares: RMS of every hidden effect, as a share of the deviation of the effort; at its joint,
+            or at the median of the joints that an effect of a body or of the robot acts upon.
         number: Of the draw within its case.
         duration: Length of the log, s.
         rate: Samples a second.
@@ -117,8 +119,8 @@ def all_draws(
     for colour in (WHITE, COLOURED):
         sure = {"colour": colour, "prior": EXACT, "shares": ()}
         # The number says which log: that of the other colour is another one.
-        numbers = range(empty) if colour == WHITE else range(empty, 2 * empty)
-        found += [draw(NONE, (), k, seed, **{**fixed, **sure}) for k in numbers]
+        first = 0 if colour == WHITE else _FIRST_COLOURED
+        found += [draw(NONE, (), first + k, seed, **{**fixed, **sure}) for k in range(empty)]
     return found
 
 

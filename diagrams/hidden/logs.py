@@ -32,7 +32,7 @@ class Secret:
         name: The effect.
         where: Joints or body that are to be named; none for one of the whole robot.
         joints: Joints that it acts upon most.
-        share: Its RMS at the joint acted upon most, as a share of the deviation of the effort.
+        share: Its RMS as a share of the deviation of the effort, as in `Draw.shares`.
         values: Parameters that geodrake should find.
         follows: For an effect of no catalogue, joints and signals that it goes with.
     """
@@ -154,16 +154,18 @@ def _hide(
     """Effort of an effect of a share, and what is to be found of it."""
     hidden: Hidden = kind.make(site)
     unit, largest = (kind.unit, kind.largest) if isinstance(kind, Truth) else (1.0, np.inf)
-    std = seen.load.std(0)
+    everywhere = kind.places in (BODY, ROBOT) if isinstance(kind, Truth) else kind.in_link
     size = min(unit, largest)
     for _ in range(10):
         effort = hidden.effort(seen, size)
-        shares = np.sqrt(np.mean(effort**2, 0)) / std
-        if abs(shares.max() / share - 1.0) < _CLOSE or size == largest < size * share / max(
-            shares.max(), 1e-12
-        ):
+        shares = np.sqrt(np.mean(effort**2, 0)) / seen.load.std(0)
+        reached = float(
+            np.median(shares[shares > 1e-3 * shares.max()]) if everywhere else shares.max()
+        )
+        wanted = min(size * share / reached, largest)
+        if abs(wanted / size - 1.0) < _CLOSE:
             break
-        size = min(size * share / shares.max(), largest)
+        size = wanted
     joints = seen.engine.joints
     acted = tuple(joints[j] for j in np.flatnonzero(shares >= _ACTED_UPON * shares.max()))
     places = kind.places if isinstance(kind, Truth) else JOINT
@@ -178,4 +180,4 @@ def _hide(
     if isinstance(kind, Outside):
         names = {OWN: joints[site.joint], OTHER: joints[site.other]}
         follows = tuple((names.get(whose, whose), what) for whose, what in kind.follows)
-    return effort, Secret(kind.name, where, acted, float(shares.max()), values, follows)
+    return effort, Secret(kind.name, where, acted, reached, values, follows)
