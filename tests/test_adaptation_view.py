@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from adaptive_loops import CONTROL, MODEL, closed_loop, natural, perturbed, simulator
+from adaptive_loops import CONTROL, MODEL, TRUTH, closed_loop, natural, perturbed, simulator
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.errors import OutputError
+from geodrake.errors import ArgumentError, OutputError
 from geodrake.systems import PassivityBasedAdaptiveController
 from geodrake.visualization import AdaptationView, save_recording
 from geodrake.visualization.ellipsoids import placed
@@ -76,6 +76,27 @@ def test_ellipsoids_are_where_the_estimate_puts_them(meshcat):
         X_WE = transform(meshcat, f"view/estimate/{body}")
         np.testing.assert_allclose(X_WE[:3, 3], bodies.center[k], atol=1e-12)
         np.testing.assert_allclose(X_WE[:3, :3], bodies.rotation[k], atol=1e-12)
+
+
+@pytest.mark.parametrize("port", ["state", "desired_state"])
+def test_a_robot_that_cannot_be_seen_stays_where_it_was(meshcat, port):
+    view = AdaptationView(MODEL.plant, meshcat, len(TRUTH), path="unseen")
+    context = view.CreateDefaultContext()
+    view.GetInputPort("parameters").FixValue(context, TRUTH)
+    shown = []
+    for q in (0.4, np.nan):
+        for name in ("state", "desired_state"):
+            value = [q if name == port else 0.1, 0.0, 0.0, 0.0]
+            view.GetInputPort(name).FixValue(context, value)
+        view.ForcedPublish(context)
+        paths = ("robot/0", "desired/0", f"estimate/{MODEL.bodies[1]}")
+        shown.append([transform(meshcat, f"unseen/{path}") for path in paths])
+    np.testing.assert_array_equal(*shown)
+
+
+def test_estimates_of_too_few_bodies_are_refused(meshcat):
+    with pytest.raises(ArgumentError, match="ten parameters"):
+        AdaptationView(MODEL.plant, meshcat, 19)
 
 
 @pytest.mark.parametrize("bad", [np.nan, -1.0])

@@ -34,11 +34,12 @@ class BregmanProjectionEstimator(LeafSystem):
         - residual
 
     Every sample adds to filtered rows Y_f p = effort_f, which need no acceleration
-    (`FilteredRegressor`). The estimate is projected, in the divergence of its manifold, onto the
-    slab |Y_f p − effort_f| ≤ ε of each sample and onto a constraint set (`SampleUpdate`), together
-    with that of one of the samples of the last seconds, so that they are not forgotten. If the
-    truth is in slabs and set, no sample takes the estimate farther from it (unless the update
-    forgets), and it always stays physical.
+    (`FilteredRegressor`). The estimate goes toward its projection, in the divergence of its
+    manifold, onto the slab |Y_f p − effort_f| ≤ ε of each sample, together with that of one of the
+    samples of the last seconds, so that they are not forgotten: one step of Newton's method a
+    sample. Then it is projected onto a constraint set (`SampleUpdate`). If the truth is in slabs
+    and set, no sample takes the estimate farther from it (unless the update forgets), and it always
+    stays physical.
 
     `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection.
 

@@ -19,7 +19,8 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.bodies import lumped_bodies
-from geodrake.inertia import Array, is_physical
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.loops import AdaptiveLoop
 from geodrake.saved_model import write_whole
 from geodrake.visualization import style
@@ -45,7 +46,8 @@ class AdaptationView(LeafSystem):
 
     Every body is drawn as the uniform ellipsoid that has its estimated inertia; it turns red, and
     keeps its last shape, where the estimate is not physical. The robot is drawn as lines, the
-    desired pose as paler ones. While MeshCat records, all of it is recorded.
+    desired pose as paler ones; what is not finite stays where it was last. While MeshCat records,
+    all of it is recorded.
 
     Args:
         plant: The finalized plant that moves.
@@ -53,6 +55,9 @@ class AdaptationView(LeafSystem):
         parameters: Length of the port `parameters`, inertial parameters first.
         path: Folder of the scene to draw in; what was in it is deleted.
         period: Time between two pictures, s.
+
+    Raises:
+        ArgumentError: The parameters are fewer than ten a body.
     """
 
     def __init__(
@@ -68,6 +73,11 @@ class AdaptationView(LeafSystem):
         self._plant, self._meshcat, self._path = plant, meshcat, path
         self._scratch = plant.CreateDefaultContext()
         self._bodies = [body.name.replace("/", "_") for body in lumped_bodies(plant)]
+        if parameters < PARAMETERS_PER_BODY * len(self._bodies):
+            raise ArgumentError(
+                f"{len(self._bodies)} bodies have ten parameters each; the estimate has "
+                f"{parameters}."
+            )
         states = plant.num_positions() + plant.num_velocities()
         self._state = self.DeclareVectorInputPort("state", BasicVector(states))
         self._desired = self.DeclareVectorInputPort("desired_state", BasicVector(states))
@@ -128,11 +138,15 @@ class AdaptationView(LeafSystem):
 
     def _draw(self, context: Context) -> EventStatus:
         time, n = context.get_time(), self._plant.num_positions()
-        for robot, port in (("desired", self._desired), ("robot", self._state)):
-            self._plant.SetPositions(self._scratch, port.Eval(context)[:n])
-            self._draw_lines(robot, skeleton(self._plant, self._scratch), time)
-        inertial = self._estimate.Eval(context)[: 10 * len(self._bodies)]
-        self._draw_bodies(inertial.reshape(-1, 10), time)
+        desired, q = (port.Eval(context)[:n] for port in (self._desired, self._state))
+        if np.isfinite(desired).all():
+            self._plant.SetPositions(self._scratch, desired)
+            self._draw_lines("desired", skeleton(self._plant, self._scratch), time)
+        if np.isfinite(q).all():
+            self._plant.SetPositions(self._scratch, q)
+            self._draw_lines("robot", skeleton(self._plant, self._scratch), time)
+            phi = self._estimate.Eval(context)[: PARAMETERS_PER_BODY * len(self._bodies)]
+            self._draw_bodies(phi.reshape(-1, PARAMETERS_PER_BODY), time)
         return EventStatus.Succeeded()
 
     def _draw_lines(self, robot: str, lines: Array, time: float) -> None:
