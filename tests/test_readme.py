@@ -3,10 +3,15 @@
 import re
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.trajectories import PiecewisePolynomial
 
+from geodrake import load_model
 from geodrake.effects import Effect, catalogue
 
 README = Path(__file__).parents[1] / "README.md"
@@ -53,3 +58,22 @@ def test_table_names_every_effect():
 def test_links_lead_somewhere():
     for target in re.findall(r"\]\((?!https?:)([^)]+)\)", TEXT):
         assert (README.parent / target).is_file(), target
+
+
+def test_adaptive_loop_of_the_readme_runs(tmp_path, monkeypatch):
+    code = next(block for block in blocks("python") if "add_adaptive_loop" in block)
+    demo = files("geodrake.demo") / "demo.urdf"
+    (tmp_path / "robot.urdf").write_bytes(demo.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    builder = DiagramBuilder()
+    t = np.linspace(0.0, 2.0, 21)
+    q = np.tile(0.3 * np.sin(t), (6, 1))
+    names = {
+        "builder": builder,
+        "plant": builder.AddSystem(load_model("robot.urdf").plant),
+        "motion": PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q),
+    }
+    exec(code, names)
+    loop = names["loop"]
+    _, logs = loop.simulated(names["builder"].Build(), 0.1)
+    assert np.abs(logs["state"] - logs["desired_state"]).max() < 0.01

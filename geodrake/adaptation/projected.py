@@ -29,7 +29,8 @@ class ProjectedLaw(UpdateLaw):
 
     The rate is projected onto the limits that bind, Eq. (5.4.57), and a step that ends outside of C
     is taken back by the Bregman projection, Eq. (5.4.59). Neither makes V greater. With several
-    limits at once, the projection of the rate is the nearest rate that breaks none of them.
+    limits at once, the projection of the rate is the nearest rate that breaks none of them. An
+    estimate that begins outside of C stays outside by its rate alone: begin with `project` of it.
 
     Attributes:
         law: The law inside of C.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
 from pydrake.systems.controllers import InverseDynamics
@@ -27,7 +28,7 @@ def add_tracking_drives(
     Args:
         builder: Where the plant is and the rest goes.
         plant: A finalized discrete plant of one robot, an actuator with controller gains at every
-            joint.
+            joint, in the order of the joints.
         motion: (nq) positions over time, twice differentiable.
         controller_plant: What the controller knows of the robot; keep it as long as the diagram.
 
@@ -35,7 +36,8 @@ def add_tracking_drives(
         The effort of the drives (nv), N·m or N: that of the last step, at its end.
 
     Raises:
-        ArgumentError: A joint has no actuator, or an actuator no gains.
+        ArgumentError: A joint has no actuator, an actuator no gains, or they are in another order;
+            or the plant is continuous, or the motion one of another robot.
     """
     count = plant.num_actuators()
     actuators = [plant.get_joint_actuator(JointActuatorIndex(i)) for i in range(count)]
@@ -45,6 +47,17 @@ def add_tracking_drives(
             f"Tracking needs an actuator with gains at every joint; {count} of "
             f"{plant.num_velocities()} have one, without gains are {without}.",
             advice="Use AddJointActuator and set_controller_gains before Finalize.",
+        )
+    if not np.array_equal(plant.MakeActuationMatrix(), np.eye(count)):
+        raise ArgumentError(
+            "Tracking needs actuators in the order of the joints; here they are of "
+            f"{', '.join(actuator.joint().name() for actuator in actuators)}.",
+            advice="Add the actuators in the order of plant.GetJointIndices().",
+        )
+    if plant.time_step() == 0 or motion.rows() != plant.num_positions() or motion.cols() != 1:
+        raise ArgumentError(
+            f"Tracking needs a discrete plant and a motion of its {plant.num_positions()} "
+            f"positions; got a time step of {plant.time_step()} s and {motion.rows()} positions."
         )
     feedforward = builder.AddSystem(
         InverseDynamics(controller_plant, InverseDynamics.InverseDynamicsMode.kInverseDynamics)
