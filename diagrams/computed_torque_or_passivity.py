@@ -22,7 +22,7 @@ from adaptive.gains import CALIBRATION_SEED, GRID, speeds, summarize_grid
 from adaptive.laws import EUCLIDEAN, NATURAL, NONE, make_law
 from adaptive.loop import rounds, simulate
 from adaptive.noise import NoisyVelocities
-from adaptive.options import make_parser, run_draws, show, write_json
+from adaptive.options import make_parser, positive_number, run_draws, show, write_json
 from adaptive.wam import AMPLITUDE, PERIOD, RATE, first_estimate, load_wam, make_plant
 from rich.console import Console
 
@@ -173,7 +173,11 @@ def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
     parser.add_argument("--choose-gains", action="store_true", help="choose adaptation speeds")
-    parser.add_argument("--draws", type=int, help="number of first estimates (2; 1 with --quick)")
+    parser.add_argument(
+        "--draws",
+        type=positive_number,
+        help="number of first estimates (2; 1 with --quick)",
+    )
     options = parser.parse_args()
     draws = options.draws or (1 if options.quick else 2)
     console = Console(width=160)

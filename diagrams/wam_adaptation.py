@@ -27,7 +27,14 @@ import numpy as np
 from adaptive.gains import CALIBRATION_SEED, GRID, speeds, summarize_grid
 from adaptive.laws import EUCLIDEAN, LAWS, NATURAL, NATURAL_EULER, NONE, PULLBACK, make_law
 from adaptive.loop import rounds, simulate
-from adaptive.options import add_gains, make_parser, run_draws, show, write_json
+from adaptive.options import (
+    add_gains,
+    make_parser,
+    positive_number,
+    run_draws,
+    show,
+    write_json,
+)
 from adaptive.wam import AMPLITUDE, PERIOD, RATE, first_estimate, load_wam, make_plant
 from rich.console import Console
 
@@ -175,7 +182,11 @@ def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
     add_gains(parser)
-    parser.add_argument("--draws", type=int, help="number of first estimates (2; 1 with --quick)")
+    parser.add_argument(
+        "--draws",
+        type=positive_number,
+        help="number of first estimates (2; 1 with --quick)",
+    )
     options = parser.parse_args()
     draws = options.draws or (1 if options.quick else 2)
     console = Console(width=160)

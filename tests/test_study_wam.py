@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT / "diagrams"))
 import wam_adaptation as full  # noqa: E402
 import wam_payload as payload  # noqa: E402
 from adaptive import gains, laws, loads, loop, wam  # noqa: E402
+from adaptive.options import make_parser, run_draws, write_json  # noqa: E402
 
 
 class TestArm:
@@ -54,6 +55,24 @@ class TestArm:
         found = np.array([motion.value(x)[0, 0] for x in t])
         np.testing.assert_allclose(found, wanted, atol=1e-6)
         assert np.abs(motion.EvalDerivative(5.0, 1)).max() < 1e-12
+
+
+class TestOptions:
+    @pytest.mark.parametrize("wrong", [["--seed", "-1"], ["--jobs", "0"], ["--jobs", "two"]])
+    def test_numbers_that_make_no_sense_are_told_of(self, wrong, capsys):
+        with pytest.raises(SystemExit):
+            make_parser("A study.").parse_args(wrong)
+        assert wrong[0] in capsys.readouterr().err
+
+    def test_folders_are_made_before_the_work(self, tmp_path):
+        parser = make_parser("A study.")
+        table = tmp_path / "new" / "table.json"
+        options = parser.parse_args(["--jobs", "1", "--json", str(table)])
+        rows = run_draws(parser, options, lambda draw, *, seed: {"square": draw**2}, [2, 3])
+        assert rows == [{"square": 4}, {"square": 9}]
+        write_json(options.json, {"rows": rows})
+        assert table.is_file()
+        assert len(table.with_suffix(".draws.jsonl").read_text().splitlines()) == 2
 
 
 class TestPartialLaw:

@@ -18,12 +18,29 @@ VERSION = 1
 """Of what a draw is; one more when kept draws of older versions must not be used."""
 
 
+def whole_number(text: str) -> int:
+    """A whole number from zero on, of the command line."""
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"{number} is below zero")
+    return number
+
+
+def positive_number(text: str) -> int:
+    """A whole number from one on, of the command line."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{number} is below one")
+    return number
+
+
 def make_parser(doc: str) -> argparse.ArgumentParser:
     """A parser with the options that all of them have."""
     parser = argparse.ArgumentParser(description=doc.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few and short draws")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    parser.add_argument("--seed", type=whole_number, default=0)
+    jobs = min(2, os.cpu_count() or 1)
+    parser.add_argument("--jobs", type=positive_number, default=jobs, help="processes")
     parser.add_argument("--cache", type=Path, help="file of draws (beside that of --json)")
     parser.add_argument("--json", type=Path, help="write the table here")
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
@@ -53,6 +70,8 @@ def run_draws(
     cache = options.cache
     if cache is None and options.json is not None:
         cache = options.json.with_suffix(".draws.jsonl")
+    if cache is not None:
+        cache.parent.mkdir(parents=True, exist_ok=True)
     key = {"version": VERSION, "study": Path(parser.prog).stem, "seed": options.seed}
     try:
         return results_of(
@@ -66,6 +85,7 @@ def run_draws(
 def write_json(path: Path | None, table: Mapping[str, Any]) -> None:
     """Writes the table of a study, if it is asked for."""
     if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(table, indent=1), encoding="utf-8")
 
 
