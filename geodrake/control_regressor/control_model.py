@@ -20,7 +20,7 @@ from geodrake.kinematics import KinematicTree
 from geodrake.model import RobotModel
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ControlModel:
     """What is constant about a robot, for the regressor of every sample.
 
@@ -61,7 +61,8 @@ class ControlModel:
         """Reads a robot model once.
 
         Args:
-            model: The robot. A delay of efforts is not part of the regressor.
+            model: The robot. Delays of efforts are not part of the regressor; friction that has a
+                memory has slipped far, and friction that drifts has settled.
             sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
                 or (nv,).
             measured_friction: Whether effects see q̇ instead of the reference velocity v. The
