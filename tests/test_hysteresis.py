@@ -23,7 +23,6 @@ from geodrake.diagnosis import explain
 from geodrake.effects import CoulombFriction, Hysteresis
 from geodrake.folds import validation_blocks
 from geodrake.identification.coherent_bandwidth import prepare_for_model
-from geodrake.identification.memory import first_known
 from geodrake.identification.reduce import reduce_logs
 from geodrake.model import FittedEffect
 from geodrake.motion import Motion
@@ -64,6 +63,7 @@ def test_bend_at_rest_and_of_nothing():
     np.testing.assert_array_equal(bristles.bend(np.full(7, 3.0)), 0.0)
     assert bristles.bend(np.zeros(0)).shape == (0,)
     np.testing.assert_allclose(bristles.bend(np.array([0.0, 100.0, 100.0])), [0.0, 1.0, 1.0])
+    np.testing.assert_allclose(bristles.bend(np.full(3, 2.0), -0.4), -0.4)
     held = bristles.bend(np.array([0.0, 1e-4]))[1]
     assert held == pytest.approx(1e-4 / 0.1, rel=1e-3)  # a spring of stiffness F / θ
 
@@ -85,8 +85,8 @@ class TestMemory:
     def test_slices_remember(self):
         motion = series()
         whole = replace(motion, before=motion.q[:0])
-        expected = self.effect.bend(motion.q[:, 1])
-        for low, high in [(0, 300), (300, 301), (301, 1000)]:
+        expected = self.effect.bend(motion.q[:, 1], np.sign(motion.v[0, 1]))
+        for low, high in [(0, 300), (300, 302), (302, 1000)]:
             seen = PENDULUM.motion(whole[low:high])
             found = self.effect.regressor(seen)[:, 1, 0]
             np.testing.assert_allclose(found, expected[low:high], atol=1e-12)
@@ -98,7 +98,8 @@ class TestMemory:
         model = replace(PENDULUM, effects=(FittedEffect(self.effect, np.array([0.5])),))
         motion = series()
         more = model.effort(motion) - PENDULUM.effort(motion)
-        np.testing.assert_allclose(more[:, 1], 0.5 * self.effect.bend(motion.q[:, 1]), atol=1e-12)
+        bend = self.effect.bend(motion.q[:, 1], np.sign(motion.v[0, 1]))
+        np.testing.assert_allclose(more[:, 1], 0.5 * bend, atol=1e-12)
 
     def test_logs_in_chunks(self, monkeypatch):
         """Reduction in many chunks gives what it gives in one."""
@@ -115,16 +116,6 @@ class TestMemory:
         monkeypatch.setattr("geodrake.identification.reduce.CHUNK", 400)
         np.testing.assert_allclose(rows(), whole, atol=1e-9)
         assert np.ptp(whole) > 1.5
-
-    def test_rows_before_the_state_is_known_are_left_out(self):
-        trajectories, _ = prepare_for_model(PENDULUM, [effort_log("double_pendulum", 3).log])
-        (stretch,) = trajectories[0].segments
-        first = first_known([self.effect], PENDULUM.joints, stretch)
-        assert first[0] == 0
-        travelled = np.abs(np.diff(stretch[: first[1] + 1].position[:, 1])).sum()
-        assert travelled == pytest.approx(5.0 * 0.2, rel=0.02)
-        never = Hysteresis("elbow", 1e3)
-        np.testing.assert_array_equal(first_known([never], PENDULUM.joints, stretch), 0)
 
 
 def cart(effects):
@@ -184,7 +175,7 @@ class TestSimulation:
 
 def bristles(time, v, angle, fine=20):
     """Dahl's friction over its height, by small steps of (1 − z sgn v) dq / θ."""
-    z, now, step = np.zeros(len(v)), 0.0, (time[1] - time[0]) / fine
+    z, now, step = np.sign(v), np.sign(v[0]), (time[1] - time[0]) / fine
     for k in range(1, len(v)):
         for w in np.linspace(v[k - 1], v[k], fine, endpoint=False):
             now += step * w / angle * (1.0 - now * np.sign(w))

@@ -7,11 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.case import Case, reduced
+from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import suggested
+from geodrake.diagnosis.search import convincing
 from geodrake.diagnosis.trials import gain_of
+from geodrake.effects import CoulombFriction, Hysteresis, ViscousFriction
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.model import RobotModel
@@ -20,19 +24,54 @@ _MOST_EXPANSIONS = 3
 
 
 def with_suggestions(
-    case: Case, trail: Trail, *, known: Sequence[Effect] = (), least_share: float = 0.0
+    case: Case,
+    trail: Trail,
+    criteria: Criteria,
+    *,
+    known: Sequence[Effect] = (),
+    least_share: float = 0.0,
 ) -> tuple[Case, Trail]:
-    """The case with columns for what the residual of a trail's end suggests.
+    """The case with columns for what the residual of a trail's end suggests, and that convinces.
+
+    Suggestions are first tried alone, on the logs reduced to what the trail's end has and them:
+    most fail there, and a search among all candidates is spared.
 
     Args:
         case: The case.
         trail: A search.
+        criteria: When an effect counts as found.
         known: Effects that are tried already.
         least_share: Share of the squared error at its joint that an effect must explain.
     """
     had = case.dataset.effects
     more = suggested(case, trail.end, (*had, *known), least_share=least_share)
+    more = _convincing_ones(case, trail.end, more, criteria) if more else ()
     return with_columns(case, trail, [*had, *more]) if more else (case, trail)
+
+
+def _convincing_ones(
+    case: Case, end: Hypothesis, effects: Sequence[Effect], criteria: Criteria
+) -> tuple[Effect, ...]:
+    """Effects of which a shape convinces at their place, frictions beside other frictions."""
+    present = end.unknowns.effects
+    simple = [
+        base(effect.joint)
+        for effect in effects
+        if isinstance(effect, Hysteresis)
+        for base in (CoulombFriction, ViscousFriction)
+    ]
+    more = [effect for effect in dict.fromkeys(simple) if effect not in present]
+    dataset = reduced(case, [*present, *more, *effects])
+    alone = end.moved(dataset, delay=end.delay)
+    beside = alone.with_effects(more) if more else alone
+    good = {
+        (trial.package.effects[0].name, trial.package.place)
+        for kind in kinds(effects, present)
+        for trial in convincing(
+            beside if kind.names == (Hysteresis.name,) else alone, kind, len(effects), criteria
+        )
+    }
+    return tuple(effect for effect in effects if (effect.name, effect.where) in good)
 
 
 def with_columns(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[Case, Trail]:

@@ -58,7 +58,7 @@ def diagnose(
     hypothesis = tuned(start) if model.information is None else start
     trail = Trail(start, hypothesis, {})
     for least_share in (DOMINANT, 0.0):
-        case, trail = with_suggestions(case, trail, least_share=least_share)
+        case, trail = with_suggestions(case, trail, criteria, least_share=least_share)
         step = next_step(trail.end, effects_of(model), criteria)
         if step is not None:
             break

@@ -59,7 +59,7 @@ def searched(
     Returns:
         The case as it was reduced last, and the trail on its dataset.
     """
-    case, trail = with_suggestions(case, Trail(start, start, {}), least_share=DOMINANT)
+    case, trail = with_suggestions(case, Trail(start, start, {}), criteria, least_share=DOMINANT)
     grid, origin, late = case.dataset.effects, case.model.delay, False
     step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
     profiled, expanded = set(fixed), set(fixed)
@@ -74,7 +74,7 @@ def searched(
         trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
         if not pause(trail.end):
             had = case.dataset.effects
-            case, trail = with_suggestions(case, trail, known=grid)
+            case, trail = with_suggestions(case, trail, criteria, known=grid)
             if case.dataset.effects == had:
                 break
             grid = (*grid, *(e for e in case.dataset.effects if e not in had))

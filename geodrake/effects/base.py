@@ -116,11 +116,6 @@ class Effect(abc.ABC):
         """Rates (N, s) of the hidden states (N, s), for simulation."""
         raise NotImplementedError
 
-    def settled_at(self, q: Array) -> int:
-        """First of its joint's positions (N,) at which a hidden state has forgotten its start."""
-        del q
-        return 0
-
     @property
     def manifold(self) -> Manifold:
         """The barrier-Hessian manifold that the linear parameters live on."""

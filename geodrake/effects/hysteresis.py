@@ -17,7 +17,6 @@ from geodrake.effects.base import (
 )
 
 _USUAL = 0.02
-_FORGOTTEN = 5.0  # breakaway angles
 
 
 @dataclass(frozen=True)
@@ -32,8 +31,9 @@ class Hysteresis(JointEffect):
     like by a spring of stiffness F/θ. LuGre's friction is this one, beside `viscous_friction` for
     its damping and `stribeck_friction` for its dependence on speed.
 
-    A log says nothing of z before it begins: it is taken as 0 there, which is forgotten after a
-    few θ. Where samples are no series in time, the joint has slipped far: z = sgn v.
+    A log says nothing of z before it begins: a joint that moves there is taken to have slipped,
+    z = sgn v, and one at rest to be free, z = 0. Either is forgotten after a few θ. Where samples
+    are no series in time, the joint has slipped far: z = sgn v.
 
     Attributes:
         breakaway_angle: θ, rad or m.
@@ -62,24 +62,24 @@ class Hysteresis(JointEffect):
             return {self.joint: motion.states[self]}
         if motion.before is None:
             return super().rows(motion)
-        past = motion.before[:, at]
-        return {self.joint: self.bend(np.concatenate([past, motion.q[:, at]]))[len(past) :, None]}
+        q = np.concatenate([motion.before[:, at], motion.q[:, at]])
+        start = 0.0
+        if motion.time is not None and len(motion.time) > 1 and len(q) > 1:
+            speed = (q[1] - q[0]) / (motion.time[1] - motion.time[0])
+            start = float(motion.direction(speed, motion.sign_width[at]))
+        return {self.joint: self.bend(q, start)[len(motion.before) :, None]}
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
         """ż, (N, 1)."""
         v = motion.v[:, motion.index(self.joint), None]
         return np.asarray((v - np.abs(v) * state) / self.breakaway_angle)
 
-    def settled_at(self, q: Array) -> int:
-        """First position at which a bend that began anywhere is known to 1 %."""
-        travelled = np.cumsum(np.abs(np.diff(q, prepend=q[:1])))
-        return int(np.searchsorted(travelled, _FORGOTTEN * self.breakaway_angle))
-
-    def bend(self, q: Array) -> Array:
-        """The bristles' bend z along positions, from 0 at the first: exact between reversals.
+    def bend(self, q: Array, start: float = 0.0) -> Array:
+        """The bristles' bend z along positions, exact between reversals.
 
         Args:
             q: (N,) positions one after another, rad or m.
+            start: z at the first of them.
 
         Returns:
             (N,) z.
@@ -87,6 +87,7 @@ class Hysteresis(JointEffect):
         step = np.diff(q, prepend=q[:1])
         kept = np.exp(-np.abs(step) / self.breakaway_angle)
         z = np.sign(step) * (1.0 - kept)
+        z[:1] = start
         # z_k = kept_k z_{k−1} + z_k, for all k at once: maps are composed pairwise, log₂ N times.
         reach = 1
         while reach < len(z):

@@ -21,7 +21,6 @@ from geodrake.identification.dataset import (
     column_starts,
     is_payload,
 )
-from geodrake.identification.memory import first_known
 from geodrake.identification.noise import noise_floor
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import LARGEST_REGRESSOR, RobotModel
@@ -223,7 +222,7 @@ def _chunks(
     width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
     began = float(trajectory.segments[0][:1].time[0])
     margin = SPLINE_REACH + round(max(map(abs, advance)) / stretch.period)
-    known, first = first_known(layout.effects, model.joints, stretch), 0
+    first = 0
     for samples, outputs in low_pass.chunks(len(stretch), min(CHUNK, LARGEST_REGRESSOR // width)):
         low = max(0, samples.start - margin)
         near = stretch[low : samples.stop + margin]
@@ -245,7 +244,7 @@ def _chunks(
                 states[:, :, j],
                 low_pass.apply(columns),
                 low_pass.apply(effort[:, j]),
-                ~still[:, j] & (samples.start + instants >= known[j]),
+                ~still[:, j],
             )
             for j, columns in enumerate(layout.evaluate(motion))
         ]
