@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from xml.etree.ElementTree import tostring
 
 from pydrake.geometry import SceneGraph, Shape
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import Parser
+from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ArgumentError, ModelError
+from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model import RobotModel
 from geodrake.model_files import read_description
 from geodrake.model_files.description import add_packages, drake_errors, drake_messages
@@ -96,11 +98,20 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     """Collision geometry of a file by scoped link name, as Drake reads it."""
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser = Parser(plant)
-    add_packages(parser.package_map(), model.path)
+    _add_packages(parser.package_map(), model.path)
+    inspector, found = scene.model_inspector(), {}
     try:
-        with drake_messages():
-            _parse(parser, model)
+        with drake_messages(), TemporaryDirectory() as folder:
+            _parse(parser, model, Path(folder))
             plant.Finalize()
+            for i in range(plant.num_bodies()):
+                body = plant.get_body(BodyIndex(i))
+                solids = []
+                for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body)):
+                    name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
+                    shape = in_memory(inspector.GetShape(geometry), name)
+                    solids.append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
+                found[body.scoped_name().get_full()] = solids
     except RuntimeError as error:
         reason = str(error).strip().partition("\n")[0]
         raise ModelError(
@@ -109,37 +120,24 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
             "file (use_file=False).",
             path=model.path,
         ) from error
-    inspector, found = scene.model_inspector(), {}
-    for i in range(plant.num_bodies()):
-        body = plant.get_body(BodyIndex(i))
-        found[body.scoped_name().get_full()] = [
-            Solid(
-                f"{k}_{inspector.GetName(geometry).split('::')[-1]}",
-                inspector.GetShape(geometry).Clone(),
-                inspector.GetPoseInFrame(geometry),
-            )
-            for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body))
-        ]
     return found
 
 
-def _parse(parser: Parser, model: RobotModel) -> None:
+def _add_packages(packages: PackageMap, path: Path) -> None:
+    """Makes packages known; without a package.xml, folders above the file by their names."""
+    add_packages(packages, path)
+    for folder in path.resolve().parents:
+        if folder.name and not packages.Contains(folder.name):
+            packages.Add(folder.name, str(folder))
+
+
+def _parse(parser: Parser, model: RobotModel, folder: Path) -> None:
     """Reads the file without what Drake might trip over and geometry does not need."""
     root = None if model.path.suffix.lower() in (".yaml", ".yml") else parse_xml(model.path)
     if root is None or root.tag not in ("robot", "sdf"):
         parser.AddModels(str(model.path))
         return
     drop(root, "visual", "inertial", "mimic", "transmission", "sensor", "plugin", "gazebo")
-    folder = model.path.resolve().parent  # which Drake does not know of a text
-    for mesh in root.iter("mesh"):
-        if "filename" in mesh.attrib:
-            mesh.set("filename", _placed(mesh.get("filename", ""), folder))
-    for uri in root.iter("uri"):
-        uri.text = _placed(uri.text or "", folder)
+    replace_stl(root, parser.package_map(), model.path, folder)
     kind = "urdf" if root.tag == "robot" else "sdf"
     parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
-
-
-def _placed(place: str, folder: Path) -> str:
-    """A file's place, absolute unless it is a URL."""
-    return place if "://" in place else str(folder / place.strip())

@@ -1,0 +1,107 @@
+"""Collision meshes as convex hulls in memory; of STL files too, which Drake does not read.
+
+Drake takes a mesh for its convex hull wherever it measures distances, so nothing is lost.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import Convex, Mesh, Shape
+from pydrake.multibody.parsing import PackageMap
+
+from geodrake.errors import ModelError
+
+Array = NDArray[np.float64]
+
+_HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
+_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
+
+
+def replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) -> None:
+    """Makes all meshes of a description files that Drake reads.
+
+    Args:
+        root: The description, URDF or SDF; changed. Places of its meshes become URLs.
+        packages: Where packages are.
+        model: The file that the description is from.
+        folder: Where to write the surfaces of STL files to, in Wavefront's format.
+
+    Raises:
+        ModelError: An STL file is missing, or is none.
+    """
+    numbers = iter(range(10**9))
+    for mesh in root.iter("mesh"):
+        if "filename" in mesh.attrib:
+            place = mesh.get("filename", "")
+            mesh.set("filename", _readable(place, packages, model, folder / f"{next(numbers)}.obj"))
+    for uri in root.iter("uri"):
+        uri.text = _readable(uri.text or "", packages, model, folder / f"{next(numbers)}.obj")
+
+
+def in_memory(shape: Shape, label: str) -> Shape:
+    """A shape that needs no file: of a mesh, its convex hull."""
+    if not isinstance(shape, Mesh | Convex):
+        return shape.Clone()
+    hull = shape.GetConvexHull()
+    points = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+    return Convex(points=points.T, label=label)
+
+
+def stl_vertices(path: Path) -> Array:
+    """(3 n, 3) vertices of the n triangles of an STL file, binary or text, in the file's unit.
+
+    Raises:
+        ModelError: The file cannot be read, or has no triangles.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _unusable(path, error.strerror or "it cannot be read") from error
+    start = _HEADER + _COUNT
+    count = int.from_bytes(data[_HEADER:start], "little")
+    if count and len(data) == start + _FACET * count:
+        facets = np.frombuffer(data, np.uint8, offset=start).reshape(count, _FACET)
+        vertices = facets[:, 12:48].copy().view("<f4").astype(float).reshape(-1, 3)
+    else:
+        try:
+            vertices = np.array(_VERTEX.findall(data)).astype(float).reshape(-1, 3)
+        except ValueError as error:
+            raise _unusable(path, str(error)) from error
+    if not len(vertices) or len(vertices) % 3 or not np.isfinite(vertices).all():
+        raise _unusable(path, "it has no triangles, or not whole ones")
+    return vertices
+
+
+def _unusable(place: str | Path, reason: str) -> ModelError:
+    return ModelError(
+        f"The mesh {place} cannot be used for collisions: {reason}.",
+        advice="Correct the file, or give the links shapes of their own with `links` and leave out "
+        "those of the model's file (use_file=False).",
+        mesh=str(place),
+    )
+
+
+def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) -> str:
+    """The URL of a mesh, or of what is written in the place of an STL file."""
+    place = place.strip()
+    if "://" not in place:
+        # Drake does not know where a text is from, and takes no bare paths in it.
+        place = f"file://{model.resolve().parent / place}"
+    if not place.lower().endswith(".stl"):
+        return place
+    try:
+        path = packages.ResolveUrl(place)
+    except RuntimeError as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise _unusable(place, reason.rpartition("error: ")[2].rstrip(".")) from error
+    vertices = stl_vertices(Path(path))
+    corners = 1 + np.arange(len(vertices)).reshape(-1, 3)
+    with replacement.open("w", encoding="utf-8") as file:
+        np.savetxt(file, vertices, "v %.9g %.9g %.9g")
+        np.savetxt(file, corners, "f %d %d %d")
+    return f"file://{replacement}"
