@@ -1,6 +1,7 @@
 """What data can tell: the source's formulas, a second solver, statistics, and invariance."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from geodrake.excitation import (
     identifiable_parameters,
     make_target,
     measurement_factor,
+    reduced_design,
     reduced_identification,
 )
 from geodrake.model import FittedEffect
@@ -254,6 +256,30 @@ class TestReducedExcitation:
         assert everything.kept == target.base.rank and len(everything.tried) == 1
         with pytest.raises(ArgumentError, match="even one direction"):
             design_reduced_excitation(target, limits, threshold=1e-12, **settings)
+
+    def test_the_motion_is_the_one_that_tells_so_many(self, monkeypatch):
+        """Motions that were tried in between, and tell fewer, do not take its place."""
+        model = arm(joints="RR")
+        target = make_target(model, noise=0.05)
+        rank = target.base.rank
+        spectra = (
+            np.r_[np.full(rank - 2, 1.0), 100.0, 100.0],  # tells two directions well enough
+            np.r_[np.full(rank - 1, 5.0), 100.0],  # tells one
+        )
+
+        def designed(*_, criterion, options, **__):
+            """The first motion is for all directions; for two, the solver stays at the guess."""
+            number = {rank: 0, 2: options.guess}.get(criterion.kept, 1)
+            return SimpleNamespace(
+                value=criterion.value(spectra[number]),
+                eigenvalues=spectra[number],
+                trajectory=SimpleNamespace(coefficients=number),
+            )
+
+        monkeypatch.setattr(reduced_design, "design_excitation", designed)
+        found = design_reduced_excitation(target, threshold=0.02)
+        assert found.kept == 2 and len(found.tried) > 2
+        assert found.result.value <= 0.02
 
     def test_guess(self):
         model = arm(joints="RR")

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design import design_excitation
@@ -13,13 +16,15 @@ from geodrake.excitation.families import MotionFamily
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.target import Target
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class ReducedExcitation:
     """The best motion for as many parameters as can be told.
 
     Attributes:
-        result: The motion; its criterion has r in `kept`, and its value is below the threshold.
+        result: The motion; its criterion has r in `kept`, and its value is at most the threshold.
         kept: r, for `identifiable_parameters(..., kept=r)` of the motion's log (step b.4).
         tried: (r, optimized value) of every design, in the order of trial.
     """
@@ -62,9 +67,8 @@ def design_reduced_excitation(
     """
     options = DesignOptions() if options is None else options
     tried: list[tuple[int, float]] = []
-    best: ExcitationResult | None = None
 
-    def optimized(count: int) -> ExcitationResult:
+    def optimized(count: int, guess: Array | None) -> ExcitationResult:
         result = design_excitation(
             target,
             limits,
@@ -77,18 +81,19 @@ def design_reduced_excitation(
         tried.append((count, result.value))
         return result
 
-    guess, low, high = options.guess, 0, target.base.rank + 1  # low can be told, high cannot
-    count = target.base.rank
+    low, high = 0, target.base.rank + 1  # low can be told, high cannot
+    best, count, guess = None, target.base.rank, options.guess
+    told = guess  # by which motion `low` is
     while high - low > 1:
-        result = optimized(count)
+        result = optimized(count, guess)
         guess = result.trajectory.coefficients
         if result.value <= threshold:
-            low, best = count, result
+            low, best, told = count, result, guess
         else:
             high = count
             enough = _enough(result, criterion, threshold, most=high - 1)
             if enough > low:
-                low, best = enough, None  # by a motion that was designed for more
+                low, best, told = enough, None, guess  # by a motion that was designed for more
         count = (low + high) // 2
     if not low:
         raise ArgumentError(
@@ -96,7 +101,7 @@ def design_reduced_excitation(
             f"{min(value for _, value in tried):.3g}.",
             advice="Raise the threshold, give the robot more room and time, or measure better.",
         )
-    return ReducedExcitation(optimized(low) if best is None else best, low, tuple(tried))
+    return ReducedExcitation(best or optimized(low, told), low, tuple(tried))
 
 
 def _enough(result: ExcitationResult, criterion: str, threshold: float, *, most: int) -> int:
