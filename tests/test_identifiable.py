@@ -213,6 +213,18 @@ class TestBadInput:
         with pytest.raises(ArgumentError, match="keeps nothing"):
             identifiable_parameters(target, 0.0 * measurement_factor(target, still))
 
+    def test_more_than_the_data_see_is_kept(self):
+        target, motion, *_ = measured_case()
+        alone = np.array([1.0, 0.0, 0.0])  # the first joint moves, and the others rest
+        motion = Motion(alone * motion.q, alone * motion.v, alone * motion.vd)
+        b = target.measure(motion).regressor @ target.prior
+        factor = measurement_factor(target, motion, [b])
+        full = reduced_identification(target, factor, threshold=np.inf)
+        assert full.identifiable.kept < target.base.rank
+        np.testing.assert_allclose(full.parameters, target.prior, atol=1e-6)
+        with pytest.raises(ArgumentError, match=r"the data say something of \d+ alone"):
+            reduced_identification(target, factor, kept=target.base.rank)
+
     def test_shapes(self):
         target, motion, b, _ = measured_case()
         with pytest.raises(ArgumentError, match="measurements of 2 of them"):

@@ -104,9 +104,9 @@ def measurement_factor(
     Args:
         target: What is unknown, and the noise.
         motions: Motions, (N, ·) each.
-        measured: For each motion (N, m) efforts, or base wrenches; what the known parameters
-            explain is taken off by `reduced_identification`'s prior only if they are unknown too,
-            so take off efforts of known bodies first. None for what could be told.
+        measured: For each motion (N, m) efforts (N·m or N), or base wrenches (N·m and N), less
+            those of bodies and effects that the target holds for known. None for what could be
+            told.
 
     Returns:
         (p, p) R with RᵀR = AᵀA of the whitened regressor; (p + 1, p + 1) of [A b] with
@@ -173,7 +173,7 @@ def reduced_identification(
         kept: Number of directions instead of the threshold.
 
     Raises:
-        ArgumentError: The factor does not fit, or nothing is kept.
+        ArgumentError: The factor does not fit, nothing is kept, or more than the data see.
     """
     both, size = np.asarray(factor, float), target.size
     if both.shape != (size + 1, size + 1):
@@ -183,7 +183,12 @@ def reduced_identification(
             advice="Pass what was measured to `measurement_factor`.",
         )
     found, U, singular = _decompose(target, both[:, :size], threshold, kept)
-    r = found.kept
+    r, seen = found.kept, _seen(singular)
+    if r > seen:
+        raise ArgumentError(
+            f"{r} directions cannot be found: the data say something of {seen} alone.",
+            advice="Keep fewer, lower the threshold, or move more joints.",
+        )
     rest = both[:, size] - both[:, :size] @ target.prior
     step = found.directions[:, :r] @ ((U[:, :r].T @ rest) / singular[:r])
     parameters = target.prior + step
@@ -211,7 +216,7 @@ def _decompose(
         variances = singular**-2.0
     count = int(np.count_nonzero(variances <= threshold)) if kept is None else kept
     if np.isinf(threshold) and kept is None:
-        count = int(np.count_nonzero(singular > np.finfo(float).eps * singular[0] * len(K)))
+        count = _seen(singular)
     if not 1 <= count <= len(variances) or not singular[0] > 0:
         raise ArgumentError(
             f"A threshold of {threshold:g} keeps nothing: the most certain direction has a "
@@ -224,3 +229,9 @@ def _decompose(
     limit = threshold if kept is None else float(variances[count - 1])
     found = IdentifiableParameters(variances, K @ Wt.T, count, limit, target)
     return found, U, singular
+
+
+def _seen(singular: Array) -> int:
+    """How many singular values, descending, are more than rounding."""
+    least = np.finfo(float).eps * singular.max(initial=0.0) * len(singular)
+    return int(np.count_nonzero(singular > least))
