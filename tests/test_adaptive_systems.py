@@ -7,6 +7,7 @@ from adaptive_loops import (
     MANIFOLD,
     MODELS,
     TRUTH,
+    SlowSensor,
     closed_loop,
     motion,
     natural,
@@ -109,6 +110,14 @@ def test_filtered_computed_torque_never_takes_the_estimate_away_from_the_truth()
     assert V[-1] < 0.9 * V[0]
     error = tracking_error(logs)
     assert error[-100:].max() < 0.1 * error.max()
+
+
+def test_filtered_computed_torque_with_a_sensor_of_a_third_of_the_rate():
+    controller = computed(natural(1e-2), rate=10.0, bandwidth=20.0)
+    _, logs = run(controller, 1.5, sensor=SlowSensor(4, 3e-3))
+    V = logs["lyapunov"].ravel()
+    assert np.diff(V).max() <= 1e-3 * V[0]
+    assert V[-1] < 0.97 * V[0]
 
 
 @pytest.mark.parametrize("make", [passive, computed])

@@ -110,6 +110,24 @@ def test_what_is_missing_is_left_out_of_both_sides():
         np.testing.assert_allclose(Y @ TRUTH, u, atol=5e-5)
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_intervals_go_on_while_the_state_only_repeats(held):
+    q, v, effort = samples(900)
+    filtered = FilteredRegressor(CONTROL, STEP, held_effort=held)
+    every, slow = filtered.start(), filtered.start()
+    for i in range(len(q)):
+        # An effort that was held since the last instant is, for smooth ones, that of half way.
+        u = 0.5 * (effort[i] + effort[i - 1]) if held and i else effort[i]
+        every = filtered.advanced(every, q[i], v[i], u)
+        seen = i - i % 3
+        slow = filtered.advanced(slow, q[seen], v[seen], u, repeated=seen != i)
+        if i % 3 == 0:
+            Y, known = filtered.rows(slow)
+            np.testing.assert_allclose(Y @ TRUTH, known, atol=5e-3)
+    for one, other in zip(filtered.rows(slow), filtered.rows(every), strict=True):
+        assert np.abs(one - other).max() < 0.02 * np.abs(other).max()
+
+
 def test_filters_that_are_none_are_refused():
     for wrong in ((0.0, 20.0, 2), (1e-3, -1.0, 2), (1e-3, 20.0, 0), (np.nan, 20.0, 1), (1, 1, 1.5)):
         with pytest.raises(ArgumentError, match="positive period"):

@@ -22,7 +22,8 @@ class FilteredRegressor:
 
     which needs no acceleration. Both sides pass through the same low-pass filters λ / (s + λ), so
     that the rows stay true and the noise of velocities does not get through. An interval at whose
-    ends something is missing is left out of both sides, which keeps the rows true as well.
+    ends something is missing is left out of both sides, which keeps the rows true as well. Where a
+    sensor only repeats its last state, the interval goes on to its next one.
 
     The memory of the filter is one vector, so that a Drake Context can hold it.
 
@@ -77,6 +78,7 @@ class FilteredRegressor:
         effort: Array,
         *,
         sample: ControlSample | None = None,
+        repeated: bool = False,
     ) -> Array:
         """The memory after one more sample; whatever is not finite ends an interval.
 
@@ -86,6 +88,8 @@ class FilteredRegressor:
             qd: (nv,) velocities.
             effort: (nv,) efforts.
             sample: The robot at q, q̇ and v = q̇, if that is known already.
+            repeated: Whether positions and velocities are no new measurement but the last one: then
+                the effort alone is new.
         """
         if not np.isfinite(np.concatenate([q, qd, effort])).all():
             return self.skipped(memory)
@@ -99,11 +103,20 @@ class FilteredRegressor:
             return self.skipped(memory)
         after = memory.copy()
         stack = after[1:].reshape(self.order + 1, *self.shape)
-        if memory[0]:
+        periods = float(memory[0])
+        if repeated and periods:
+            stack[-1] += following - now
+            after[0] += 1.0
+            return after
+        if periods:
             # The interval's rows are [now] − [before], with the filters linear in both.
             rows = np.subtract(now, stack[-1], out=now)
+            share = self._pass
+            if periods > 1:
+                rows /= periods
+                share = 1.0 - (1.0 - share) ** periods
             for i in range(self.order):
-                stack[i] += self._pass * (rows - stack[i])
+                stack[i] += share * (rows - stack[i])
                 rows = stack[i]
         stack[-1], after[0] = following, 1.0
         return after

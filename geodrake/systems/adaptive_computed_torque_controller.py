@@ -50,9 +50,9 @@ class AdaptiveComputedTorqueController(AdaptiveController):
       and `lyapunov` is ½ eᵀ P e + γ D(p‖p̂).
     - With a `bandwidth`, by the filtered regressor, which needs no acceleration: b is the gradient
       of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f), of the controller's own efforts. `lyapunov`
-      is γ D(p‖p̂), which never rises, whatever tracking does. This needs a time step, a measured
-      state that is new at every one, and the whole effort that moves the robot to be this
-      controller's. Efforts at their limits and the dead zone do not stop it.
+      is γ D(p‖p̂), which never rises, whatever tracking does. This needs a time step,
+      and the whole effort that moves the robot to be this controller's. Efforts at their limits and
+      the dead zone do not stop it.
 
     M̂ is invertible while the estimate is physical, which the natural law sees to.
 
@@ -147,13 +147,17 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         if self.law is None:
             return p
         memory = context.get_discrete_state(self._memory).value()
-        if not seen.trusted or result is None:
+        if not (seen.trusted or seen.repeated) or result is None:
             state.set_value(self._memory, self._filter.skipped(memory))
             return p
         # (Efforts at their limits are known as well, so adaptation need not wait for them.)
         effort = self._held(context)
-        memory = self._filter.advanced(memory, seen.q, seen.qd, effort, sample=result.sample)
+        memory = self._filter.advanced(
+            memory, seen.q, seen.qd, effort, sample=result.sample, repeated=seen.repeated
+        )
         state.set_value(self._memory, memory)
+        if seen.repeated:
+            return p
         rows = self._filter.rows(memory)
         return self._adapted(p, lambda _: self._prediction_error(p, *rows), context)
 

@@ -46,7 +46,7 @@ class AdaptiveController(LeafSystem):
 
     - A measured state that is not finite, or that stands still for the safeguards' `stale_time`
       while it says that the robot moves (with a time step only), is replaced by the desired one:
-      feedforward of the model. Adaptation waits, at any state that only repeats the last one.
+      feedforward of the model. Adaptation waits, also where a state only repeats the last one.
     - A desired motion that is not finite is replaced by rest at the last desired position (without
       a time step: at the measured one). Adaptation waits.
     - Without any of both, and where numbers overflow, the last actuation is held (without a time

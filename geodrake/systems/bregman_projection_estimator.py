@@ -43,9 +43,9 @@ class BregmanProjectionEstimator(LeafSystem):
 
     `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection.
 
-    A sample that is not finite, or whose state repeats the last one while it says that the robot
-    moves, is left out of the filter, and the estimate stays; so does one whose projection is not
-    found. So measurements must be new at every time step.
+    A sample that is not finite, or a state that stands still for `stale_time` while it says that
+    the robot moves, is left out of the filter, and the estimate stays; so does one whose projection
+    is not found. A sensor may be slower than the time step: its states count when they are new.
     """
 
     def __init__(
@@ -57,6 +57,7 @@ class BregmanProjectionEstimator(LeafSystem):
         time_step: float = 1e-3,
         parameters: ArrayLike | None = None,
         memory: float = 2.0,
+        stale_time: float = 0.05,
         update_every: int = 1,
     ) -> None:
         """Constructs the system.
@@ -69,8 +70,9 @@ class BregmanProjectionEstimator(LeafSystem):
             parameters: (p,) first estimate; that of the model if None.
             memory: For how long samples are seen again, s; zero for never. A change of the robot
                 shows at once, and is settled after this time.
-            update_every: Samples from one projection to the next. The filter takes every sample;
-                samples much closer than its bandwidth say nearly the same.
+            stale_time: How long the state may stand still, s.
+            update_every: New samples from one projection to the next. The filter takes all of
+                them; samples much closer than its bandwidth say nearly the same.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -86,6 +88,8 @@ class BregmanProjectionEstimator(LeafSystem):
             )
         if not 0 <= memory < np.inf:
             raise ArgumentError(f"An estimator remembers for zero or more seconds; got {memory}.")
+        if not stale_time > 0:
+            raise ArgumentError(f"A stale time is positive; got {stale_time} s.")
         nv = len(control.joints)
         if np.shape(update.tolerance) not in ((), (nv,)):
             raise ArgumentError(
@@ -103,7 +107,7 @@ class BregmanProjectionEstimator(LeafSystem):
         self._nv, self._time_step = nv, time_step
         self._every = update_every
         self._spacing = max(1, round(memory / (_SLOTS * time_step * update_every)))
-        self._watch = Watch(nv)
+        self._watch = Watch(nv, max(stale_time / time_step, 1.0))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
         self._estimate, self._memory, self._seen, self._residual = (
@@ -134,15 +138,19 @@ class BregmanProjectionEstimator(LeafSystem):
     def _update(self, context: Context, state: DiscreteValues) -> None:
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         watched = context.get_discrete_state(self._seen).value()
-        _, new, count = self._watch.fresh(watched, x)
+        measured, new, count = self._watch.fresh(watched, x)
         state.set_value(self._seen, np.concatenate([x if new else watched[:-1], [count]]))
         memory = context.get_discrete_state(self._memory).value()
-        if not (new and np.isfinite(effort).all()):
+        if not (measured and np.isfinite(effort).all()):
             state.set_value(self._memory, self._filter.skipped(memory))
             return
         with np.errstate(all="ignore"):
-            memory = self._filter.advanced(memory, x[: self._nv], x[self._nv :], effort)
+            memory = self._filter.advanced(
+                memory, x[: self._nv], x[self._nv :], effort, repeated=not new
+            )
             state.set_value(self._memory, memory)
+            if not new:
+                return
             p, (Y, known) = self.parameters(context), self._filter.rows(memory)
             state.set_value(self._residual, known - Y @ p)
             count = int(context.get_discrete_state(self._count).value()[0])

@@ -79,6 +79,7 @@ class Seen:
         v_d: (n,) desired velocities.
         a_d: (n,) desired accelerations.
         trusted: Whether all of it was measured and asked for just now.
+        repeated: Whether all of that is so but that the state is the last one again.
         known: Whether there is anything to go by.
     """
 
@@ -88,6 +89,7 @@ class Seen:
     v_d: Array
     a_d: Array
     trusted: bool
+    repeated: bool
     known: bool
 
 
@@ -155,7 +157,8 @@ class Watch:
         if known:
             following[2 * n + 1 :] = q_d
         q, qd = (state[:n], state[n:]) if measured else (q_d, v_d)
-        return Seen(q, qd, q_d, v_d, a_d, measured and new and asked, known), following
+        usable = measured and asked
+        return Seen(q, qd, q_d, v_d, a_d, usable and new, usable and not new, known), following
 
 
 def _usable(x: Array) -> bool:
