@@ -5,10 +5,9 @@ normalization, base parameters may be written down in any way. Beside them are m
 that others published, with the same start, limits and number of solver iterations, and the best of
 random motions, of which there are as many as the solver may take iterations. Rounding may lead the
 solver different ways; from the best geometric motion it goes on to the same optimum in every
-representation. Errors are those to be
-expected, exactly, by the covariance of least squares. The iiwa is read from the folder --shared;
-without it, and with --quick, an arm of our own takes its place. Finished designs are kept beside
-the table, so that an interrupted run goes on.
+representation. Errors are those to be expected, exactly, by the covariance of least squares. The
+iiwa is read from the folder --shared; without it, and with --quick, an arm of our own takes its
+place. Finished designs are kept beside the table, so that an interrupted run goes on.
 
     python diagrams/iiwa_excitation.py --json iiwa.json --figures figures
 """

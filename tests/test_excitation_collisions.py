@@ -182,7 +182,9 @@ def test_distances_of_public_robots_are_pinocchios(name):
     assert (distances[~apart] < 2e-3).all()
 
 
-def test_a_public_robot_does_not_hit_itself():
+@pytest.mark.parametrize("solver", ["snopt", "ipopt"])
+def test_a_public_robot_does_not_hit_itself(solver):
+    """SNOPT's way, when it is stopped, has long been through collisions; before, it was better."""
     model = load_description(public_robot("ur_description/urdf/ur5_robot.urdf"))
     world, target = CollisionWorld(model, clearance=0.005), make_target(model, noise=1.0)
     result = design_excitation(
@@ -190,7 +192,7 @@ def test_a_public_robot_does_not_hit_itself():
         motion_limits(model, acceleration=6.0, effort=np.inf),
         trajectory=FourierMotion(6.0, 2),
         options=DesignOptions(
-            samples=60, iterations=12, sharpness=(8.0,), collisions=world, solver="ipopt"
+            samples=60, iterations=10, sharpness=(8.0,), collisions=world, solver=solver
         ),
         seeds=1,
     )

@@ -502,3 +502,25 @@ def test_gradient_is_much_faster_than_differences():
     differences = process_time() - begin
     np.testing.assert_allclose(gradient, slopes, atol=1e-4 * np.abs(gradient).max())
     assert differences > 20.0 * analytic
+
+
+def test_cost_grows_at_most_linearly():
+    """In samples, and in the coefficients of a motion."""
+    model = load_description(MODELS / "arm7.urdf")
+    objective, limits = Objective(make_target(model, noise=0.1)), motion_limits(model)
+
+    def seconds(samples, modes):
+        options = DesignOptions(samples=samples, rest=False)
+        problem = make_problem(objective, limits, FourierMotion(10.0, modes), options)
+        y = np.random.default_rng(0).uniform(-0.1, 0.1, problem.scale.size)
+        problem.cost(y)
+        times = []
+        for _ in range(3):
+            begin = process_time()
+            problem.cost(y)
+            times.append(process_time() - begin)
+        return min(times)
+
+    few = seconds(500, 5)
+    assert seconds(2000, 5) < 1.5 * 4 * few
+    assert seconds(500, 20) < 4 * few

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverInterface, SolverOptions
 
 from geodrake.errors import ArgumentError
+from geodrake.excitation.guess import within_limits
+from geodrake.excitation.margins import limit_use
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.program import build_program
 from geodrake.model_files.description import drake_messages
@@ -17,6 +19,8 @@ Array = NDArray[np.float64]
 
 SOLVERS: dict[str, type[SolverInterface]] = {"snopt": SnoptSolver, "ipopt": IpoptSolver}
 _OPTIMAL, _FEASIBLE = 1e-4, 1e-6
+_LOOKED_AT = 200  # most of the motions that a solver saw
+_COARSE = 0.05  # of the family's shortest time
 
 
 def check_solver(solver: str) -> None:
@@ -41,9 +45,12 @@ def solve(
 ) -> tuple[Array, str]:
     """Improve a motion.
 
+    A solver that is stopped may be beyond limits of efforts or in collision, and the way back long.
+    Then the best motion that it saw within them may be better.
+
     Args:
         problem: The design problem.
-        guess: (f, nv) variables to start from.
+        guess: (f, nv) variables to start from, within the limits.
         solver: A name of `SOLVERS`.
         iterations: Most iterations.
         seconds: Most time, s.
@@ -53,7 +60,13 @@ def solve(
         (f nv,) variables, whether or not the solver was done, and what it said.
     """
     raised: list[BaseException] = []
-    program, variables = build_program(problem, watch, raised)
+    seen: list[tuple[float, Array]] = []
+
+    def see(value: float, y: Array) -> None:
+        seen.append((value, y.copy()))
+        watch(value, y)
+
+    program, variables = build_program(problem, see, raised)
     options, engine = SolverOptions(), SOLVERS[solver]()
     settings: dict[str, float | int]
     if solver == "snopt":
@@ -80,4 +93,20 @@ def solve(
         if raised:
             raise raised[0] from error
         raise
-    return np.asarray(result.GetSolution(variables), float), result.get_solution_result().name
+    found = np.asarray(result.GetSolution(variables), float)
+    if not result.is_success() and not limit_use(problem, found, fine=_COARSE).is_within:
+        found = _back(problem, found, guess, seen)
+    return found, result.get_solution_result().name
+
+
+def _back(
+    problem: DesignProblem, found: Array, guess: Array, seen: list[tuple[float, Array]]
+) -> Array:
+    """The better of the motion (f nv,) on the way back to the guess, and the best of those seen."""
+    nearest = within_limits(problem, found.reshape(guess.shape), guess).ravel()
+    value = problem.cost(nearest)[0]
+    better = sorted((one for one in seen if one[0] < value), key=lambda one: one[0])
+    for _, y in better[:_LOOKED_AT]:
+        if limit_use(problem, y, fine=_COARSE).is_within:
+            return y
+    return nearest
