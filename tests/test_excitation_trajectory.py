@@ -168,8 +168,8 @@ def test_ros_trajectory(tmp_path):
         np.testing.assert_allclose([p[name] for p in message["points"]], expected, atol=1e-8)
 
 
-def test_positions_in_drakes_order(tmp_path):
-    """Velocities and positions of this robot come in different orders by joint."""
+def test_positions_in_drakes_order():
+    """Of joints of one degree of freedom it is that of velocities; any other would be kept to."""
     model = arm(joints="RPRR")
     order = joint_order(model)
     states = np.arange(12.0).reshape(3, 1, 4)

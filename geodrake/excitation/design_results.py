@@ -24,9 +24,10 @@ class DesignOptions:
     Attributes:
         samples: Number of samples by which information is counted.
         rest: Whether the motion starts and ends at rest, without a jump of acceleration.
-        start: (nv,) positions at the start by joint, rad or m; free if None.
+        start: (nv,) positions at the start by joint, rad or m; free if None. Free samples have no
+            start, and none is looked at.
         collisions: What may not be hit.
-        solver: "snopt" or "ipopt".
+        solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
         iterations: Most iterations of the solver, for each stage.
         seconds: Most time of the solver for each seed, s.
         sharpness: Stages of the smooth forms of E-optimality and condition number; see
