@@ -8,10 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.trajectories import PiecewisePolynomial
 
-from geodrake import load_model
 from geodrake.effects import Effect, catalogue
 
 README = Path(__file__).parents[1] / "README.md"
@@ -65,15 +62,8 @@ def test_adaptive_loop_of_the_readme_runs(tmp_path, monkeypatch):
     demo = files("geodrake.demo") / "demo.urdf"
     (tmp_path / "robot.urdf").write_bytes(demo.read_bytes())
     monkeypatch.chdir(tmp_path)
-    builder = DiagramBuilder()
-    t = np.linspace(0.0, 2.0, 21)
-    q = np.tile(0.3 * np.sin(t), (6, 1))
-    names = {
-        "builder": builder,
-        "plant": builder.AddSystem(load_model("robot.urdf").plant),
-        "motion": PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, q),
-    }
+    names = {}
     exec(code, names)
-    loop = names["loop"]
-    _, logs = loop.simulated(names["builder"].Build(), 0.1)
-    assert np.abs(logs["state"] - logs["desired_state"]).max() < 0.01
+    error = np.abs(names["logs"]["state"] - names["logs"]["desired_state"])[:, :6]
+    assert names["time"][-1] == 4.0
+    assert error[200:].max() < 0.5 * error[:100].max()
