@@ -94,7 +94,10 @@ def solve(
             raise raised[0] from error
         raise
     found = np.asarray(result.GetSolution(variables), float)
-    if not result.is_success() and not limit_use(problem, found, fine=_COARSE).is_within:
+    # Solvers keep linear limits on their way, those of efforts and collisions in the end only.
+    bent = problem.collisions is not None or bool(np.isfinite(problem.limits.effort).any())
+    is_done = result.is_success() or not bent
+    if not is_done and not limit_use(problem, found, fine=_COARSE).is_within:
         found = _back(problem, found, guess, seen)
     return found, result.get_solution_result().name
 
