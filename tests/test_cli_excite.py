@@ -146,6 +146,7 @@ class TestTellApart:
         assert "Hardest to tell is" in result.output
         numbers = json.loads((tmp_path / "n.json").read_text())
         assert numbers["criterion"] == "separation"
+        assert numbers["motion"]["frequency"] == pytest.approx(2 * np.pi * 3 / 4.0)
         assert {(p["truth"], p["rival"]) for p in numbers["pairs"]} == {
             ("coulomb_friction", "load_dependent_friction"),
             ("load_dependent_friction", "coulomb_friction"),

@@ -63,7 +63,9 @@ class _Motion:
     frequency: Annotated[
         float | None,
         typer.Option(
-            metavar="HZ", help="Base frequency of a Fourier motion; once in its length if absent."
+            metavar="HZ",
+            help="Base frequency of a Fourier motion; once in its length if absent, and three "
+            "times with --tell-apart, so that every block of the log tells.",
         ),
     ] = None
     points: Annotated[

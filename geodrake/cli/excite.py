@@ -54,6 +54,7 @@ _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free
 _NOISE_SHARE = 0.01  # of the limits of effort
 _TOLD_EVERY = 5  # evaluations
 _SAMPLES = 300
+_REPEATS = 3  # of a motion that tells effects apart: a diagnosis holds out blocks of its log
 
 
 def run_excite(options: ExciteOptions) -> None:
@@ -123,7 +124,10 @@ def family_of(options: ExciteOptions) -> MotionFamily:
         return FreeSamples(options.samples or 50)
     if name == "spline":
         return SplineMotion(options.duration, options.points or 16)
-    rate = None if options.frequency is None else 2.0 * np.pi * options.frequency
+    frequency = options.frequency
+    if frequency is None and options.tell_apart is not None and 0 < options.duration < np.inf:
+        frequency = _REPEATS / options.duration
+    rate = None if frequency is None else 2.0 * np.pi * frequency
     harmonics = 5 if options.harmonics is None else options.harmonics
     return FourierMotion(options.duration, harmonics, rate)
 
