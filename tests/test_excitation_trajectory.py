@@ -11,7 +11,11 @@ from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.families import FourierMotion, FreeSamples, SplineMotion
 from geodrake.excitation.regressor_gradient import inverse_dynamics_regressor_gradient
 from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
-from geodrake.excitation.trajectory_files import ros_joint_trajectory, write_trajectory
+from geodrake.excitation.trajectory_files import (
+    read_drake_trajectory,
+    ros_joint_trajectory,
+    write_trajectory,
+)
 from geodrake.log_files import read_log
 from geodrake.model import load_description
 from geodrake.regressor import inverse_dynamics
@@ -166,6 +170,26 @@ def test_ros_trajectory(tmp_path):
         ("positions", "velocities", "accelerations"), trajectory.states(times), strict=True
     ):
         np.testing.assert_allclose([p[name] for p in message["points"]], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("family", [FourierMotion(2.5), SplineMotion(2.5)])
+def test_drake_trajectory_in_a_file(tmp_path, family):
+    model = arm(joints="RPR")
+    trajectory = trajectory_of(family, model)
+    write_trajectory(trajectory, tmp_path / "motion.drake.yaml", model)
+    read, kept = read_drake_trajectory(tmp_path / "motion.drake.yaml"), trajectory.to_drake()
+    times = np.linspace(0.0, 2.5, 31)
+    np.testing.assert_array_equal(read.vector_values(times), kept.vector_values(times))
+    fields = yaml.safe_load((tmp_path / "motion.drake.yaml").read_text())
+    assert fields.keys() == {"basis", "control_points"}
+    assert fields["basis"].keys() == {"order", "knots"}
+
+
+def test_files_that_hold_no_drake_trajectory(tmp_path):
+    (tmp_path / "ros.drake.yaml").write_text("points: []\n")
+    for name in ("ros.drake.yaml", "missing.drake.yaml"):
+        with pytest.raises(ArgumentError, match=name):
+            read_drake_trajectory(tmp_path / name)
 
 
 def test_positions_in_drakes_order():

@@ -174,8 +174,9 @@ class ExciteOptions(_Motion, _Robot, _Search):
     save: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv|.npz|.yaml",
-            help="Write the motion: a log with the predicted efforts, or a ROS JointTrajectory.",
+            metavar="FILE.csv|.npz|.yaml|.drake.yaml",
+            help="Write the motion: a log with the predicted efforts, a ROS JointTrajectory, or a "
+            "Drake BsplineTrajectory.",
         ),
     ] = None
     rate: Annotated[

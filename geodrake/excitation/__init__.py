@@ -47,7 +47,12 @@ from geodrake.excitation.separation import Pair, Separation
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import design_separation, make_separation
 from geodrake.excitation.trajectory import ExcitationTrajectory
-from geodrake.excitation.trajectory_files import ros_joint_trajectory, write_trajectory
+from geodrake.excitation.trajectory_files import (
+    drake_trajectory,
+    read_drake_trajectory,
+    ros_joint_trajectory,
+    write_trajectory,
+)
 
 __all__ = [
     "CRITERIA",
@@ -80,6 +85,7 @@ __all__ = [
     "design_objective",
     "design_reduced_excitation",
     "design_separation",
+    "drake_trajectory",
     "identifiable_parameters",
     "inverse_dynamics_regressor_gradient",
     "make_rival",
@@ -87,6 +93,7 @@ __all__ = [
     "make_target",
     "measurement_factor",
     "motion_limits",
+    "read_drake_trajectory",
     "reduced_identification",
     "regressor_jacobian",
     "ros_joint_trajectory",

@@ -1,4 +1,4 @@
-"""Motions as files: a log in CSV or NPZ, and ROS's JointTrajectory in YAML."""
+"""Motions as files: a log in CSV or NPZ, and trajectories of ROS and of Drake in YAML."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from geodrake.errors import OutputError
+import numpy as np
+from pydrake.common.yaml import yaml_load
+from pydrake.math import BsplineBasis
+from pydrake.trajectories import BsplineTrajectory
+
+from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.log_files import write_log
 from geodrake.model import RobotModel
@@ -14,6 +19,7 @@ from geodrake.saved_model import write_whole
 
 _LOGS = (".csv", ".txt", ".npz")
 _YAML = (".yaml", ".yml")
+_DRAKE = (".drake.yaml", ".drake.yml")
 
 
 def write_trajectory(
@@ -24,7 +30,8 @@ def write_trajectory(
     Args:
         trajectory: The motion.
         path: Where to: `.csv` or `.npz` for a log with the predicted efforts, `.yaml` for a ROS
-            trajectory_msgs/JointTrajectory, which `ros2 topic pub` takes.
+            trajectory_msgs/JointTrajectory, which `ros2 topic pub` takes, `.drake.yaml` for a
+            Drake BsplineTrajectory, which `read_drake_trajectory` takes.
         model: The robot, for the efforts.
         rate: Samples a second.
 
@@ -36,12 +43,14 @@ def write_trajectory(
     suffix = path.suffix.lower()
     if suffix in _LOGS:
         write_log(trajectory.log(model, rate=rate, name=path.stem), path)
+    elif path.name.lower().endswith(_DRAKE):
+        write_whole(path, drake_trajectory(trajectory))
     elif suffix in _YAML:
         write_whole(path, ros_joint_trajectory(trajectory, rate=rate))
     else:
         raise OutputError(
             f"A motion cannot be written to {str(path)!r}.",
-            advice=f"Use {', '.join((*_LOGS, *_YAML))}.",
+            advice=f"Use {', '.join((*_LOGS, *_YAML, *_DRAKE))}.",
         )
 
 
@@ -75,6 +84,46 @@ def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.
             f"  time_from_start: {{sec: {nanoseconds // 10**9}, nanosec: {nanoseconds % 10**9}}}",
         ]
     return "\n".join(lines) + "\n"
+
+
+def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
+    """A motion's positions, in Drake's order, as YAML of a Drake BsplineTrajectory.
+
+    The fields are those by which Drake's C++ classes go through YAML: `LoadYamlFile` of
+    `BsplineTrajectory<double>` takes it as well.
+
+    Raises:
+        ArgumentError: The samples do not follow each other in time.
+    """
+    spline = trajectory.to_drake()
+    basis = spline.basis()
+    points = [f"- {json.dumps(point.tolist())}" for point in spline.control_points()]
+    lines = ["basis:", f"  order: {basis.order()}", f"  knots: {json.dumps(basis.knots())}"]
+    return "\n".join([*lines, "control_points:", *points]) + "\n"
+
+
+def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
+    """A motion that was written to `.drake.yaml`.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The positions in Drake's order over time, s.
+
+    Raises:
+        ArgumentError: The file cannot be read, or holds no B-spline.
+    """
+    try:
+        found = yaml_load(filename=str(path))
+        basis, points = found["basis"], np.array(found["control_points"], float)
+        knots = [float(knot) for knot in basis["knots"]]
+        return BsplineTrajectory(BsplineBasis(int(basis["order"]), knots), list(points))
+    except Exception as error:  # YAML's errors are of many kinds, and Drake's RuntimeErrors
+        raise ArgumentError(
+            f"There is no B-spline to read in {str(path)!r}: {error}",
+            advice="Give a .drake.yaml file that `geodrake excite --save` wrote.",
+        ) from error
 
 
 def _numbers(values: Iterable[float]) -> str:
