@@ -82,11 +82,13 @@ def verdict(result: ExcitationResult) -> str:
 def _separation_verdict(result: ExcitationResult, pairs: Sequence[Told]) -> str:
     hardest, gained = pairs[0], np.sqrt(improvement(result))
     place = "/".join(hardest.pair.where) or "the robot"
+    unit = "N·m or N" if result.objective.target.model.sliding_joints else "N·m"
     words = (
         f"Every pair differs by at least {hardest.deviations:.3g} standard deviations of the noise "
         f"of all {result.samples} samples together, {_times(gained)} what the best random motion "
         f"makes of it. Hardest to tell is {hardest.pair.truth} of {place} from "
-        f"{hardest.pair.rival}: {hardest.effort:.3g} N·m or N RMS."
+        f"{hardest.pair.rival}, which leaves an effort of {hardest.effort:.3g} {unit} RMS "
+        "unexplained."
     )
     if hardest.deviations < CLEAR:
         words += " That is little: such a log will hardly tell them apart."
