@@ -1,11 +1,16 @@
 """The study of motions that tell effects apart: its robots are what they say, and what it shows."""
 
+import re
 import sys
 from pathlib import Path
 
 import numpy as np
 import pinocchio
 import pytest
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+from geodrake.log_files import read_log, write_log
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "diagrams"))
@@ -118,3 +123,26 @@ class TestTold:
         assert (second["robots"], second["ambiguous"]) == (8, 0)
         assert first["designed"] == {"told": 3, "wrong": 0, "deviations": 1.0}
         assert second["designed"]["deviations"] is None
+
+
+def test_the_command_that_diagnose_prints_designs_the_motion(tmp_path):
+    """From an ambiguous log to a motion file, with nothing but the command line."""
+    case = CASES[1]
+    motion = case.first_motion(np.random.default_rng(0))
+    _, log = robot_log(case.robot(case.size), motion, trial.FIRST, noise=trial.NOISE)
+    write_log(log, tmp_path / "first.csv")
+    told = command_line("diagnose", trial.ROBOT, tmp_path / "first.csv")
+    pair = "coulomb_friction,load_dependent_friction@elbow"
+    (words,) = re.findall(rf"- geodrake (excite MODEL .* {pair})$", told, flags=re.MULTILINE)
+    words = words.replace("MODEL", str(trial.ROBOT)).split()
+    file = tmp_path / "motion.csv"
+    fast = ("--seeds", 1, "--iterations", 5, "--limits", "velocity=1,acceleration=5")
+    told = command_line(*words, *fast, "--noise", trial.NOISE, "--save", file)
+    assert "Hardest to tell is" in told
+    assert np.abs(read_log(file).velocity).max() <= 1.0 + 1e-6
+
+
+def command_line(*arguments):
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == 0, result.output
+    return result.output
