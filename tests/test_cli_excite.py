@@ -177,6 +177,13 @@ class TestTellApart:
         assert separation.pairs[0].effects.max() == 0.05
         assert "as large as the model has them" in notes[0]
 
+    def test_what_contains_the_other_is_said(self):
+        model = load_model(PENDULUM)
+        pair = "coulomb_friction,asymmetric_friction"
+        separation, notes = separation_of(pair, model, limits_of(None, model), noise=0.1)
+        assert {p.truth for p in separation.pairs} == {"asymmetric_friction"}
+        assert notes[0].startswith("asymmetric_friction explains all that coulomb_friction does")
+
     def test_an_effect_of_the_users_own(self, tmp_path):
         own = tmp_path / "own.py"
         own.write_text(OWN)

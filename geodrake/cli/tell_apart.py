@@ -88,9 +88,15 @@ def separation_of(
     )
     width = _SIGN_SHARE * limits.velocity
     separation = make_separation(model, *rivals, noise=noise, sign_width=width)
+    told = {pair.truth.partition(" (")[0] for pair in separation.pairs}
+    notes = [
+        f"{other} explains all that {name} does: only the other way around can they be told apart"
+        for name, other in ((first, second), (second, first))
+        if name not in told
+    ]
     known = {fitted.effect for fitted in model.effects if fitted.parameters.any()}
     if any(known.intersection(rival.effects) for rival in rivals):
-        return separation, (
-            "effects are as large as the model has them, rivals as like them as can be",
-        )
-    return separation, (f"effects of unknown size are thought to take {SIZE_WORDS}",)
+        sizes = "effects are as large as the model has them, rivals as like them as can be"
+    else:
+        sizes = f"effects of unknown size are thought to take {SIZE_WORDS}"
+    return separation, (*notes, sizes)
