@@ -7,8 +7,9 @@ twentieth of the data, so that the outermost samples of neighbouring folds may s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -109,6 +110,56 @@ def validation_blocks(
             outputs=outputs,
         )
     return folds
+
+
+def dealt_out(
+    folds: Sequence[Fold],
+    trajectories: Sequence[Trajectory],
+    windows: Sequence[tuple[int, float, float]],
+    *,
+    pieces: int,
+) -> tuple[Fold, ...]:
+    """Folds of which windows are cut into pieces, every other one given to another fold.
+
+    Args:
+        folds: The folds.
+        trajectories: The prepared logs.
+        windows: Index of the log, start and end of each window, s since the log began.
+        pieces: Pieces of a window.
+    """
+    dealt: list[list[Block]] = [[] for _ in folds]
+    for number, fold in enumerate(folds):
+        other = (number + len(folds) // 2) % len(folds)
+        for block in fold.blocks:
+            cuts = {block.start: number}
+            for start, stop in _outputs_within(block, trajectories[block.trajectory], windows):
+                edges = np.linspace(start, stop, pieces + 1).round().astype(int).tolist()
+                cuts |= {edge: (number, other)[k % 2] for k, edge in enumerate(edges[:-1])}
+                cuts[stop] = number
+            edges = sorted(cuts)
+            for start, stop in zip(edges, [*edges[1:], block.stop], strict=True):
+                if start < stop:
+                    dealt[cuts[start]].append(replace(block, start=start, stop=stop))
+    order = attrgetter("trajectory", "segment", "start")
+    return tuple(
+        replace(fold, blocks=tuple(sorted(blocks, key=order)))
+        for fold, blocks in zip(folds, dealt, strict=True)
+    )
+
+
+def _outputs_within(
+    block: Block, trajectory: Trajectory, windows: Sequence[tuple[int, float, float]]
+) -> Iterator[tuple[int, int]]:
+    """First and last filtered sample of each window in a block."""
+    low_pass, segment = trajectory.filter, trajectory.segments[block.segment]
+    began, here = trajectory.began, float(segment[:1].time[0])
+    for log, *window in windows:
+        if log == block.trajectory:
+            since = (np.array(window) + began - here) / low_pass.period - low_pass.halfwidth
+            places = np.rint(since / low_pass.decimation).astype(int)
+            first, last = np.clip(places, block.start, block.stop).tolist()
+            if first < last:
+                yield first, last
 
 
 def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | None) -> list[Fold]:

@@ -117,8 +117,7 @@ class Motion:
         v: (N, nv) generalized velocities.
         vd: (N, nv) generalized accelerations.
         time: (N,) instants, s, if they matter.
-        before: (M, nq) positions right before the first sample, none at the start of a log; None
-            where samples do not follow each other in time.
+        before: (M, nq) positions right before the first sample; None for samples out of order.
     """
 
     q: Array
@@ -221,6 +220,7 @@ class Trajectory:
         filter: What efforts and regressors of every segment are to be filtered by.
         speed_noise: (n,) deviation of the noise of the smoothed velocities, rad/s or m/s.
         notes: What was done to the log and chosen from it, in words.
+        began: Its first time stamp, s.
     """
 
     name: str
@@ -229,6 +229,7 @@ class Trajectory:
     filter: ZeroPhaseFilter
     speed_noise: Array
     notes: tuple[str, ...] = ()
+    began: float = 0.0
 
     @property
     def output_counts(self) -> tuple[int, ...]:

@@ -98,7 +98,15 @@ def _prepare(
     long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p)) > 0)
     stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
     speed_noise = _speed_noise(uniform, smoother)
-    trajectory = Trajectory(log.name, log.joints, stretches, low_pass, speed_noise, tuple(notes))
+    trajectory = Trajectory(
+        log.name,
+        log.joints,
+        stretches,
+        low_pass,
+        speed_noise,
+        tuple(notes),
+        float(log.time[0]),
+    )
     outputs = sum(trajectory.output_counts)
     if outputs < LEAST_OUTPUTS:
         ends = 4 * low_pass.halfwidth * period

@@ -110,6 +110,7 @@ def instances():
         effects.CoupledRotorInertia(("elbow", "wrist")),
         effects.Payload("hand"),
         effects.GravityTilt(),
+        effects.Contact("hand", 0.05, 0.12, 0.02, 0, 0.1),
         effects.AerodynamicDrag("hand"),
         effects.AerodynamicDrag("forearm", 0.1, -0.2, 0.3),
     ]
@@ -384,7 +385,7 @@ class TestNames:
     def test_catalogue_is_in_the_order_of_the_design(self):
         names = [effect.name for effect in effects.catalogue()]
         assert names == [name for name in NAMES_OF_DESIGN if name in names]
-        assert len(names) == 20
+        assert len(names) == 21
 
     def test_lookup(self):
         assert effects.effect_class("payload") is effects.Payload

@@ -29,6 +29,7 @@ COMPLEXITY: Mapping[str, int] = {
     "gravity_tilt": 1,
     "effort_scale": 1,
     "aerodynamic_drag": 2,
+    "contact": 3,
     "wrong_inertia": 3,
 }
 """Of candidates that the data cannot tell apart, the one of least complexity is named."""

@@ -9,15 +9,19 @@ import numpy as np
 
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.case import Case, reduced
+from geodrake.diagnosis.contact_window import PIECES
+from geodrake.diagnosis.episodes import find_episodes, refined_episodes
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import suggested
 from geodrake.diagnosis.search import convincing
-from geodrake.diagnosis.trials import gain_of
+from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects import CoulombFriction, Hysteresis, ViscousFriction
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.contact import log_number
+from geodrake.folds import dealt_out
 from geodrake.model import RobotModel
 
 _MOST_EXPANSIONS = 3
@@ -122,3 +126,42 @@ def with_exact_expansions(
         kept = [e for e in (*had, *moved.values()) if e not in moved]
         case, trail = with_columns(tried, replace(there, end=end), kept)
     return case, trail
+
+
+def with_episodes(case: Case, trail: Trail) -> tuple[Case, Trail, tuple[Effect, ...]]:
+    """The case with the episodes that the residual of a trail's end shows, and these.
+
+    Nothing outside of an episode tells of it. So its pieces are dealt out to the folds in turns.
+
+    Args:
+        case: The case.
+        trail: A search.
+    """
+    contacts = find_episodes(case, trail.end)
+    if not contacts:
+        return case, trail, ()
+    windows = [(contact.log, contact.start, contact.end) for contact in contacts]
+    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    placed = [(numbers.index(log), start, end) for log, start, end in windows]
+    dealt = replace(case, folds=dealt_out(case.folds, case.trajectories, placed, pieces=PIECES))
+    tried, there = with_columns(dealt, trail, [*case.dataset.effects, *contacts])
+    end = there.end.with_effects(contacts)
+    if gain_of(there.end, end) <= PENALTY * sum(len(c.parameters) for c in contacts):
+        return case, trail, ()
+    return tried, replace(there, end=end), contacts
+
+
+def with_exact_episodes(case: Case, trail: Trail) -> tuple[Case, Trail, tuple[Effect, ...]]:
+    """The case with its episodes anew, now that other effects are known, and these.
+
+    Args:
+        case: The case.
+        trail: A search that found episodes.
+    """
+    moved = refined_episodes(case, trail.end)
+    tried, there = with_columns(case, trail, [*case.dataset.effects, *moved.values()])
+    end = there.end.without([*moved]).with_effects([*moved.values()])
+    if gain_of(there.end, end) <= 0.0:
+        return case, trail, tuple(moved)
+    kept = [effect for effect in tried.dataset.effects if effect not in moved]
+    return *with_columns(tried, replace(there, end=end), kept), tuple(moved.values())

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table, open_case
-from geodrake.diagnosis.columns import with_suggestions
+from geodrake.diagnosis.columns import with_episodes, with_suggestions
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
 from geodrake.diagnosis.explain import verdict_of
@@ -68,7 +68,7 @@ def diagnose(
         others = [r for r in step.ranked if set(r.names) != set(first.names)]
         candidates = [_candidate(r, hypothesis.nrms) for r in (first, *others)]
     else:
-        candidates = _refitted(case, start, criteria)
+        candidates = _episodes(case, trail) or _refitted(case, start, criteria)
     refitted = error_table(case.dataset, hypothesis.held_out)
     before = comparison(case)
     return Diagnosis(
@@ -101,6 +101,19 @@ def _first(case: Case, before: Hypothesis, step: Forward) -> Ranked:
         false_alarm_probability(gain, parameters, len(case.dataset.effects)),
         tied=True,
     )
+
+
+def _episodes(case: Case, trail: Trail) -> list[Candidate]:
+    """Contacts, if the residual shows any."""
+    there, after, found = with_episodes(case, trail)
+    if not found:
+        return []
+    without = after.end.without(found)
+    gain, parameters = gain_of(without, after.end), sum(len(e.parameters) for e in found)
+    alarm = false_alarm_probability(gain, parameters, len(there.dataset.effects))
+    places = tuple(dict.fromkeys(place for effect in found for place in effect.where))
+    ranked = Ranked((found[0].name,), places, found, after.end, gain, parameters, alarm, tied=True)
+    return [_candidate(ranked, without.nrms)]
 
 
 def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:

@@ -15,6 +15,8 @@ from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.columns import (
     to_expand,
     with_columns,
+    with_episodes,
+    with_exact_episodes,
     with_exact_expansions,
     with_suggestions,
 )
@@ -26,7 +28,7 @@ from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.refine import reshape
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.diagnosis.trials import PENALTY, gain_of
-from geodrake.effects import EffortDelay
+from geodrake.effects import Contact, EffortDelay
 from geodrake.effects.base import Effect
 from geodrake.model import FittedEffect
 
@@ -62,7 +64,8 @@ def searched(
     case, trail = with_suggestions(case, Trail(start, start, {}), criteria, least_share=DOMINANT)
     grid, origin, late = case.dataset.effects, case.model.delay, False
     step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
-    profiled, expanded = set(fixed), set(fixed)
+    profiled, expanded, held = set(fixed), set(fixed), tuple(fixed)
+    episodes: tuple[Effect, ...] = ()
 
     def pause(hypothesis: Hypothesis) -> bool:
         new_delay = not late and hypothesis.delay != trail.start.delay
@@ -70,9 +73,18 @@ def searched(
         return new_delay or new_shape or bool(to_expand(case.model, hypothesis, expanded))
 
     for _ in range(_MOST_ROUNDS):
-        more = search(trail.end, fixed, criteria, tune=tune, pause=pause, progress=progress)
+        more = search(trail.end, held, criteria, tune=tune, pause=pause, progress=progress)
         trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
         if not pause(trail.end):
+            case, trail, found = with_episodes(case, trail)
+            if not found and episodes:
+                case, trail, found = with_exact_episodes(case, trail)
+                episodes = ()
+            else:
+                episodes = (*episodes, *found)
+            if found:
+                held = (*fixed, *(e for e in trail.end.unknowns.effects if isinstance(e, Contact)))
+                continue
             had = case.dataset.effects
             case, trail = with_suggestions(case, trail, criteria, known=grid)
             if case.dataset.effects == had:

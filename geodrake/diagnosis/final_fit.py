@@ -12,7 +12,7 @@ from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis, settle
 from geodrake.diagnosis.refine import prune
-from geodrake.effects import CoulombFriction, EffortDelay, ViscousFriction
+from geodrake.effects import Contact, CoulombFriction, EffortDelay, ViscousFriction
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import ModelFit, effects_of, fit_model
 from geodrake.identification.unknowns import Unknowns, effect_prior
@@ -44,7 +44,8 @@ def final_fit(
     reopened = _with_fitted_loads(case, end, delays, companions=criteria is not None)
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     if criteria is not None:
-        settled = prune(settled, effects_of(case.model), criteria)
+        episodes = [e for e in settled.unknowns.effects if isinstance(e, Contact)]
+        settled = prune(settled, [*effects_of(case.model), *episodes], criteria)
         kept = settled.unknowns.effects
         end = end.without([e for e in end.unknowns.effects if e not in kept])
         settled = replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))

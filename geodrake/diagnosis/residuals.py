@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.evidence import effective_samples
 from geodrake.diagnosis.hypothesis import Hypothesis, residual_blocks
+from geodrake.effects.base import Effect
 from geodrake.motion import Segment
 
 Array = NDArray[np.float64]
@@ -73,13 +74,21 @@ class JointResidual:
         return share, float(-self.effective * np.log1p(-min(share, 1.0 - 1e-9)))
 
 
-def joint_residuals(case: Case, hypothesis: Hypothesis) -> list[JointResidual]:
-    """Residuals of all joints."""
-    dataset = hypothesis.dataset
-    blocks = residual_blocks(
-        dataset, hypothesis.unknowns.columns, hypothesis.held_out.x, delay=hypothesis.delay
-    )
-    began = [float(trajectory.segments[0][:1].time[0]) for trajectory in case.trajectories]
+def joint_residuals(
+    case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()
+) -> list[JointResidual]:
+    """Residuals of all joints.
+
+    Args:
+        case: The case.
+        hypothesis: A hypothesis.
+        without: Effects of it whose effort is left in the residual.
+    """
+    dataset, x = hypothesis.dataset, hypothesis.held_out.x.copy()
+    for effect in without:
+        x[:, hypothesis.unknowns.span(effect)] = 0.0
+    blocks = residual_blocks(dataset, hypothesis.unknowns.columns, x, delay=hypothesis.delay)
+    began = [trajectory.began for trajectory in case.trajectories]
     found = []
     for name, data, residual in zip(dataset.joints, dataset.data, blocks, strict=True):
         rows = [
@@ -128,7 +137,7 @@ def filtered_columns(
     Returns:
         (K, k) columns at the residual's rows, NaN where the motion was not looked at.
     """
-    began = [float(trajectory.segments[0][:1].time[0]) for trajectory in case.trajectories]
+    began = [trajectory.began for trajectory in case.trajectories]
     parts: list[tuple[NDArray[np.bool_], Array]] = []
     for log, segment in motion:
         low_pass = case.trajectories[log].filter

@@ -205,7 +205,7 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
         return {"all joints": {"delay": delay.delay}}, {"all joints": {"delay": deviation}}
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
-            place = " & ".join(fitted.effect.where) or "base"
+            place = fitted.effect.place
             found, spread = _named(fitted)
             values.setdefault(place, {}).update(found)
             deviations.setdefault(place, {}).update(spread)
@@ -239,5 +239,5 @@ def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
         return values, {"mass": float(spread[0]), **deviations}
     names = [p.name for p in fitted.effect.parameters]
     values = dict(zip(names, map(float, fitted.parameters), strict=True))
-    shapes = {k: float(v) for k, v in fitted.effect.shape.items() if v is not None}
+    shapes = {k: float(v) for k, v in fitted.effect.shape.items() if v is not None and k != "log"}
     return {**values, **shapes}, dict(zip(names, map(float, spread), strict=True))

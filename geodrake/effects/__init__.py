@@ -38,6 +38,7 @@ from geodrake.effects.base import (
     Parameter,
     RobotMotion,
 )
+from geodrake.effects.contact import Contact
 from geodrake.effects.coulomb_friction import CoulombFriction
 from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
@@ -63,6 +64,7 @@ __all__ = [
     "AerodynamicDrag",
     "AsymmetricFriction",
     "BodyEffect",
+    "Contact",
     "CoulombFriction",
     "CoupledFriction",
     "CoupledRotorInertia",

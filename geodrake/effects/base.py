@@ -79,6 +79,11 @@ class Effect(abc.ABC):
     def where(self) -> tuple[str, ...]:
         """Names of the joints or bodies that the effect acts at."""
 
+    @property
+    def place(self) -> str:
+        """Where it acts, in words."""
+        return " & ".join(self.where) or "base"
+
     @abc.abstractmethod
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """Regressor columns, one entry per joint whose effort the effect changes.

@@ -16,6 +16,7 @@ from typing import Any
 from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
 from geodrake.effects.base import Effect
+from geodrake.effects.contact import Contact
 from geodrake.effects.coulomb_friction import CoulombFriction
 from geodrake.effects.coupled_friction import CoupledFriction
 from geodrake.effects.coupled_rotor_inertia import CoupledRotorInertia
@@ -67,6 +68,7 @@ def catalogue() -> tuple[type[Effect], ...]:
         CoupledRotorInertia,
         Payload,
         GravityTilt,
+        Contact,
         AerodynamicDrag,
     )
 

@@ -45,13 +45,12 @@ def noise_floor(
     power, weight = np.zeros(len(trajectories[0].joints)), 0
     for trajectory in trajectories:
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
-        began = float(trajectory.segments[0][:1].time[0])
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
             density = _quiet_density(start.effort, rate, bandwidth)
             if model is not None:
-                residual = _residual(start, model, sign_width, began)
+                residual = _residual(start, model, sign_width, trajectory.began)
                 density = np.minimum(density, _quiet_density(residual, rate, bandwidth))
             power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
+from geodrake.effects.contact import log_number
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.errors import LogError
 from geodrake.folds import Block, Fold
@@ -170,10 +171,11 @@ class _Layout:
             return np.zeros((0, len(self.model.joints)))
         return stretch[max(0, sample - MEMORY) : sample].position
 
-    def evaluate(self, motion: Motion) -> list[Array]:
+    def evaluate(self, motion: Motion, log: int) -> list[Array]:
         """(N, p_j) unfiltered columns of every joint."""
         regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
         seen = self.model.motion(motion, sign_width=self.sign_width, regressor=regressor)
+        seen = replace(seen, log=log)
         width = regressor.shape[2]
         parts = [[regressor[:, j, c[c < width]]] for j, c in enumerate(self.columns)]
         for effect in self.effects:
@@ -220,7 +222,6 @@ def _chunks(
     """First output and filtered rows of every joint, for slices of a stretch."""
     low_pass, model = trajectory.filter, layout.model
     width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
-    began = float(trajectory.segments[0][:1].time[0])
     margin = SPLINE_REACH + round(max(map(abs, advance)) / stretch.period)
     first = 0
     for samples, outputs in low_pass.chunks(len(stretch), min(CHUNK, LARGEST_REGRESSOR // width)):
@@ -235,7 +236,7 @@ def _chunks(
             model.positions(here.position),
             here.velocity,
             here.acceleration,
-            here.time - began,
+            here.time - trajectory.began,
             model.positions(layout.past(stretch, samples.start)),
         )
         rows = [
@@ -246,7 +247,7 @@ def _chunks(
                 low_pass.apply(effort[:, j]),
                 ~still[:, j],
             )
-            for j, columns in enumerate(layout.evaluate(motion))
+            for j, columns in enumerate(layout.evaluate(motion, log_number(trajectory.name)))
         ]
         yield first, rows
         first += outputs

@@ -1,0 +1,136 @@
+"""One window of a log: which contact of a body explains the residual in it, and how well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.contact import Contact
+from geodrake.filtering import ZeroPhaseFilter
+
+Array = NDArray[np.float64]
+
+PIECES = 4
+"""Pieces into which a window is cut; every other one predicts the rest."""
+
+SHORTEST = 0.2
+"""Shortest contact that is looked for, s."""
+
+_TRIES = 120
+_LEVER = 0.2  # m, by which forces and moments are made alike
+_SINGULAR = 0.02
+_FARTHEST = 2.0  # m, of the point from the body's origin
+_SHARPEST = 1e-3  # s
+_STEPS = np.array([0.05, 0.05, 0.5, 0.1, 0.1, 0.1])  # first: s, s, logarithm, m, m, m
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A window of a log, with the residual and the motion around it.
+
+    Attributes:
+        log: Index of the log.
+        start: Its first guess, s since the log began.
+        end: The same of its end.
+        time: (N,) instants at the full rate, s since the log began.
+        bodies: The bodies at these instants.
+        outputs: (K,) instants of the filtered samples.
+        residual: (K, nv) their residuals over `size`; NaN where left out.
+        size: (nv,) what is typical of each joint, and of what a contact leaves unexplained.
+        effective: (nv,) independent samples for each one.
+        filter: The log's filter.
+    """
+
+    log: int
+    start: float
+    end: float
+    time: Array
+    bodies: RobotBodies
+    outputs: Array
+    residual: Array
+    size: Array
+    effective: Array
+    filter: ZeroPhaseFilter
+
+
+def columns(window: Window, contact: Contact) -> Array:
+    """(K, nv, 6) filtered columns of a contact, over what is typical of each joint."""
+    values = contact.columns(window.bodies.motion(contact.body), window.time)
+    return np.asarray(window.filter.apply(values) / window.size[:, None])
+
+
+def refined(window: Window, contact: Contact) -> Contact:
+    """The contact with the times and the point at which it leaves least of the squared residual."""
+    rows = np.isfinite(window.residual)
+    b = window.residual[rows]
+
+    def moved(step: Array) -> Contact | None:
+        start, end, rise, x, y, z = step.tolist()
+        start, end, rise = contact.start + start, contact.end + end, contact.rise * np.exp(rise)
+        point = [contact.x + x, contact.y + y, contact.z + z]
+        if end - start < 0.5 * SHORTEST or rise > 0.25 * (end - start):
+            return None
+        if max(map(abs, point)) > _FARTHEST or rise < _SHARPEST:
+            return None
+        return Contact(contact.body, start, end, rise, contact.log, *point)
+
+    def left(step: Array) -> float:
+        other = moved(step)
+        if other is None:
+            return float(b @ b)
+        A = columns(window, other)[rows]
+        return float(np.square(b - A @ _wrench(A, b)).sum())
+
+    simplex = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
+    options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-3, "fatol": 1e-2}
+    found = minimize(left, np.zeros(len(_STEPS)), method="Nelder-Mead", options=options)
+    return moved(found.x) or contact
+
+
+def with_point(window: Window, contact: Contact) -> Contact:
+    """A contact at the point, on the line of its force, that makes its moment smallest."""
+    motion, rows = window.bodies.motion(contact.body), np.isfinite(window.residual)
+    wrench = _wrench(columns(window, contact)[rows], window.residual[rows])
+    force, moment = wrench[:3], wrench[3:]
+    middle = int(np.searchsorted(window.time, 0.5 * (contact.start + contact.end)))
+    arm = np.cross(force, moment) / max(float(force @ force), np.finfo(float).tiny)
+    x, y, z = (motion.rotation[min(middle, len(motion.rotation) - 1)].T @ arm).tolist()
+    near = max(abs(x), abs(y), abs(z)) < 0.5 * _FARTHEST
+    return replace(contact, x=x, y=y, z=z) if near else contact
+
+
+def _wrench(A: Array, b: Array) -> Array:
+    """(6,) least squares, without the directions that the joints hardly feel."""
+    unit = np.repeat([1.0, _LEVER], 3)
+    return np.asarray(np.linalg.lstsq(A * unit, b, rcond=_SINGULAR)[0] * unit)
+
+
+def evidence(window: Window, contact: Contact) -> tuple[float, float, int]:
+    """What the wrench of every other piece of a window predicts of the rest.
+
+    Returns:
+        The share of the squared residual, twice the log-likelihood ratio, and how many directions
+        of the wrench the joints feel.
+    """
+    A = columns(window, contact)
+    inside = (window.outputs >= contact.start) & (window.outputs <= contact.end)
+    since = (window.outputs - contact.start) / (contact.end - contact.start)
+    piece = np.floor(PIECES * since).astype(int)
+    known, odd = np.isfinite(window.residual), piece % 2 == 1
+    before, after = np.zeros((2, window.residual.shape[1]))
+    for held in (odd, ~odd):
+        fit, seen = (known & (inside & part)[:, None] for part in (~held, held))
+        wrench = _wrench(A[fit], window.residual[fit])
+        error = window.residual - A @ wrench
+        before += np.where(seen, np.square(window.residual), 0.0).sum(0)
+        after += np.where(seen, np.square(error), 0.0).sum(0)
+    samples = (known & inside[:, None]).sum(0) * window.effective
+    floor = np.maximum(1e-3 * before, np.finfo(float).tiny)
+    gain = samples * np.log(np.maximum(before, floor) / np.maximum(after, floor))
+    unit = np.repeat([1.0, _LEVER], 3)
+    felt = int(np.linalg.matrix_rank(A[known] * unit, rtol=_SINGULAR))
+    return float(1.0 - after.sum() / max(before.sum(), 1e-300)), float(gain.sum()), felt

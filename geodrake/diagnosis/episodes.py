@@ -1,0 +1,195 @@
+"""Episodes: stretches of time in which several joints feel what no model of the motion explains.
+
+A contact is no property of the robot, so that nothing can be learned of it from other parts of a
+log. It is looked for in the residual itself: a window in which two joints or more err far beyond
+what they do elsewhere, a body whose wrench explains them all, and, as evidence, that the wrench of
+one half of the window, in alternate pieces, predicts the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label, uniform_filter1d
+from scipy.stats import chi2
+
+from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.contact_window import SHORTEST, Window, evidence, refined, with_point
+from geodrake.diagnosis.evidence import effective_samples
+from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.residuals import full_motion, joint_residuals
+from geodrake.effects.base import Effect
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.contact import Contact, log_number
+from geodrake.motion import Segment
+
+Array = NDArray[np.float64]
+
+_USUAL = 3.0  # typical sizes
+_AVERAGE = 0.3  # s, over which squared residuals are averaged
+_HIGH, _LOW = 12.0, 4.0  # of their typical size: within an episode, and at its ends
+_LEAST_JOINTS = 2
+_MOST_TIME = 0.3  # share of a log: what is there longer is no episode
+_MOST = 8
+_LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must predict
+_AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
+_ALARM = 0.01
+_MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
+_RISE = 0.03  # s, at first
+
+
+@dataclass(frozen=True, eq=False)
+class _Scale:
+    """Residuals of all joints on one grid of time for each log, over their typical size."""
+
+    size: Array
+    effective: Array
+    grids: list[Array]
+    period: float
+
+
+def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
+    """Contacts that stand out of the held-out residuals of a hypothesis.
+
+    Args:
+        case: The case.
+        hypothesis: What is known so far.
+    """
+    scale = _scaled(case, hypothesis)
+    windows = [w for log, grid in enumerate(scale.grids) for w in _windows(log, grid, scale.period)]
+    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Contact)]
+    windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
+    if not windows or len(windows) > _MOST:
+        return ()
+    motion = full_motion(case)
+    found = []
+    for place in windows:
+        window = _cut_out(case, scale, motion, place)
+        contact = None if window is None else _contact(case, window, len(windows))
+        if contact is not None:
+            found.append(contact)
+    return tuple(found)
+
+
+def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Contact, Contact]:
+    """The contacts of a hypothesis, each with what it is once all other effects are known.
+
+    Args:
+        case: The case.
+        hypothesis: A hypothesis.
+    """
+    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Contact)]
+    scale = _scaled(case, hypothesis, without=known)
+    numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
+    motion, found = full_motion(case), {}
+    for contact in known:
+        if contact.log in numbers:
+            place = (numbers.index(contact.log), contact.start, contact.end)
+            window = _cut_out(case, scale, motion, place)
+            if window is not None:
+                found[contact] = refined(window, contact)
+    return found
+
+
+def _overlap(case: Case, window: tuple[int, float, float], contact: Contact) -> bool:
+    log, start, end = window
+    same = contact.log in (0, log_number(case.trajectories[log].name))
+    return same and start < contact.end and contact.start < end
+
+
+def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()) -> _Scale:
+    joints = joint_residuals(case, hypothesis, without=without)
+    period = case.trajectories[0].filter.output_period
+    sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
+    size = np.maximum(sizes, np.finfo(float).tiny)
+    # What an episode does to the correlation is none of it.
+    usual = [np.clip(j.residual / s, -_USUAL, _USUAL) for j, s in zip(joints, size, strict=True)]
+    effective = np.array([effective_samples([u]) / len(u) for u in usual])
+    grids = []
+    for log in range(len(case.trajectories)):
+        period = case.trajectories[log].filter.output_period
+        kept = [joint.part(joint.log == log) for joint in joints]
+        places = [np.rint(joint.time / period).astype(int) for joint in kept]
+        length = 1 + max((int(place.max()) for place in places if len(place)), default=0)
+        grid = np.full((length, len(joints)), np.nan)
+        for k, (joint, place) in enumerate(zip(kept, places, strict=True)):
+            grid[place, k] = joint.residual / size[k]
+        grids.append(grid)
+    return _Scale(size, effective, grids, period)
+
+
+def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float, float]]:
+    """Log, start and end of stretches in which several joints err beyond the usual."""
+    power = np.where(np.isnan(grid), 1.0, np.square(grid))
+    mean = uniform_filter1d(power, max(3, round(_AVERAGE / period)), axis=0, mode="nearest")
+    core = (mean > _HIGH).sum(1) >= _LEAST_JOINTS
+    wide, count = label((mean > _LOW).any(1))
+    kept = [np.flatnonzero(wide == k) for k in range(1, count + 1)]
+    kept = [rows for rows in kept if core[rows].any() and len(rows) * period >= SHORTEST]
+    if sum(map(len, kept)) <= _MOST_TIME * len(grid):
+        for rows in kept:
+            yield log, float(rows[0] * period), float(rows[-1] * period)
+
+
+def _cut_out(
+    case: Case,
+    scale: _Scale,
+    motion: Sequence[tuple[int, Segment]],
+    window: tuple[int, float, float],
+) -> Window | None:
+    log, start, end = window
+    trajectory = case.trajectories[log]
+    began, low_pass = trajectory.began, trajectory.filter
+    pad = (low_pass.halfwidth + 2 * low_pass.decimation) * low_pass.period + _AVERAGE
+    for index, segment in motion:
+        time = segment.time - began
+        if index == log and time[0] <= start and end <= time[-1]:
+            # Filtered samples of the cut are to be those of the whole segment.
+            step = low_pass.decimation
+            first, last = np.searchsorted(time, [start - pad, end + pad]).tolist()
+            near = slice(first // step * step, last)
+            here = segment[near]
+            outputs = time[near][low_pass.output_indices(len(here))]
+            place = np.rint(outputs / low_pass.output_period).astype(int)
+            inside = (place >= 0) & (place < len(scale.grids[log]))
+            residual = np.full((len(outputs), len(scale.size)), np.nan)
+            residual[inside] = scale.grids[log][place[inside]]
+            bodies = RobotBodies(
+                case.model.tree, case.model.positions(here.position), case.model.total_phi
+            )
+            within = residual[(outputs >= start) & (outputs <= end)]
+            power = np.nan_to_num(np.nanmean(np.square(within), 0)) if len(within) else 0.0
+            size = np.sqrt(1.0 + _MODEL**2 * power)
+            return Window(
+                log,
+                start,
+                end,
+                time[near],
+                bodies,
+                outputs,
+                residual / size,
+                size * scale.size,
+                scale.effective,
+                low_pass,
+            )
+    return None
+
+
+def _contact(case: Case, window: Window, tried: int) -> Contact | None:
+    """The contact that explains a window, if one does."""
+    bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
+    number = log_number(case.trajectories[window.log].name)
+    guesses = [Contact(b, window.start, window.end, _RISE, number) for b in bodies]
+    shapes = [refined(window, with_point(window, guess)) for guess in guesses]
+    shares = [evidence(window, shape)[0] for shape in shapes]
+    best = max(shares)
+    if best < 0.5 * _LEAST_SHARE:
+        return None
+    contact = next(c for c, s in zip(shapes, shares, strict=True) if s >= _AS_GOOD * best)
+    contact = refined(window, contact)
+    share, gain, felt = evidence(window, contact)
+    alarm = min(1.0, tried * float(chi2.sf(gain, felt + 3)))
+    return contact if share >= _LEAST_SHARE and alarm <= _ALARM else None
