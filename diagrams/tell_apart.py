@@ -6,7 +6,9 @@ them apart. Then the robot executes the motion that `geodrake excite --tell-apar
 pair, within the same narrow limits, and the log of that alone is diagnosed; likewise, to compare, a
 random motion of the same family and limits, the one that the design starts from. A pair is told
 apart if the effect is among those that the log cannot tell from the best, and its rival is not.
-Robots whose first log is not ambiguous are counted and left aside. Draws are kept beside the table,
+Robots whose first log is not ambiguous are counted and left aside. A motion that makes the two
+differ may still not be told by a diagnosis, which wants most blocks of a log to agree: a direction
+that few blocks have counts little. So motions repeat. Draws are kept beside the table,
 so that an interrupted run goes on.
 
     python diagrams/tell_apart.py --json tell_apart.json --figures figures
@@ -142,7 +144,7 @@ def draw(table: dict[str, Any], path: Path) -> None:
     left.set_xlim(0, 1.12 * max(row["ambiguous"] for row in rows) + 0.5)
     label = style.plain(style.SMALL, style.QUIET)
     left.set_xlabel(f"told apart, of {plan['wanted']} that the first log left ambiguous", **label)
-    right.set_xlabel("deviations of the noise; hollow: not told apart", **label)
+    right.set_xlabel(f"deviations of the noise, from {LEAST_SHOWN:g} on; hollow: not told apart", **label)
     handles = [
         Line2D([], [], color=color, marker="o", linewidth=0, label=f"{log} motion")
         for log, color in LOGS.items()
