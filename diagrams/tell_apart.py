@@ -144,7 +144,9 @@ def draw(table: dict[str, Any], path: Path) -> None:
     left.set_xlim(0, 1.12 * max(row["ambiguous"] for row in rows) + 0.5)
     label = style.plain(style.SMALL, style.QUIET)
     left.set_xlabel(f"told apart, of {plan['wanted']} that the first log left ambiguous", **label)
-    right.set_xlabel(f"deviations of the noise, from {LEAST_SHOWN:g} on; hollow: not told apart", **label)
+    right.set_xlabel(
+        f"deviations of the noise, from {LEAST_SHOWN:g} on; hollow: not told apart", **label
+    )
     handles = [
         Line2D([], [], color=color, marker="o", linewidth=0, label=f"{log} motion")
         for log, color in LOGS.items()
