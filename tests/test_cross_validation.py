@@ -191,6 +191,28 @@ def test_several_candidates_at_once(dataset, model):
     np.testing.assert_allclose(shortcut.sse, full.held_out.sse, rtol=1e-6)
 
 
+def test_dropped_unknowns_are_as_a_refit_without(dataset, model):
+    base = model_unknowns(dataset, model)
+    full = with_effects(dataset, base, *EFFECTS[:4])
+    full = replace(full, lower=np.full_like(full.lower, -np.inf))
+    dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[2]).stop)
+    found = CrossValidation(dataset, full, WEIGHTS).without_columns(dropped)
+    rest = full.without_effect(EFFECTS[1]).without_effect(EFFECTS[2])
+    expected = CrossValidation(dataset, rest, WEIGHTS).held_out
+    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
+    np.testing.assert_allclose(found.x[:, dropped], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.delete(found.x, dropped, axis=1), expected.x, rtol=1e-6)
+
+
+def test_unknowns_at_bounds_are_not_dropped_in_passing(dataset, model):
+    full = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    start = full.span(EFFECTS[0]).start
+    bounded = replace(full, lower=np.where(np.arange(len(full.lower)) == start, 1e3, -np.inf))
+    cv = CrossValidation(dataset, bounded, WEIGHTS)
+    assert cv.without_columns(np.array([start + 1])) is None
+    assert cv.without_columns(np.array([start])) is not None
+
+
 def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):
     """Friction that is taken already: what is left of its sign is negative in some fold or none."""
     base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])

@@ -13,12 +13,22 @@ from geodrake.diagnosis.candidates import (
     kind_complexity,
     kinds,
 )
-from geodrake.diagnosis.evidence import Criteria, tie_probability
+from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.search import best_trial
 from geodrake.diagnosis.shapes import variants
-from geodrake.diagnosis.trials import PENALTY, acted_upon, gain_of, settled_trial, try_package
+from geodrake.diagnosis.trials import (
+    PENALTY,
+    acted_upon,
+    gain_of,
+    improvement,
+    settled_trial,
+    try_package,
+)
 from geodrake.effects.base import Effect
+
+_BY_FAR = 4.0  # times what a criterion asks for
+_NEARLY_ALL = 0.8  # of the folds
 
 
 def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
@@ -32,7 +42,8 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
     while True:
         weakest: tuple[float, Hypothesis] | None = None
         for effect in hypothesis.unknowns.effects:
-            if effect not in fixed and not _is_base(hypothesis, effect):
+            kept = effect in fixed or _is_base(hypothesis, effect)
+            if not kept and not _clearly_needed(hypothesis, effect, criteria):
                 reduced = hypothesis.without([effect])
                 package = Package((effect,), effect.where)
                 trial = try_package(reduced, package, 1)
@@ -45,6 +56,25 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         if weakest is None:
             return hypothesis
         hypothesis = weakest[1]
+
+
+def _clearly_needed(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
+    """Whether an effect passes all criteria by far with the weights as they are, which is quick."""
+    cv, span = hypothesis.cv, hypothesis.unknowns.span(effect)
+    without = cv.without_columns(np.arange(span.start, span.stop))
+    if without is None:
+        return False
+    package = Package((effect,), effect.where)
+    reduction, agreement = improvement(
+        (without, cv.held_out), acted_upon(hypothesis.dataset, package)
+    )
+    gain = log_likelihood_gain(without.mse, cv.held_out.mse, hypothesis.effective).sum()
+    return (
+        reduction > _BY_FAR * criteria.reduction
+        and agreement >= max(criteria.agreement, _NEARLY_ALL)
+        and gain > _BY_FAR**2 * PENALTY * package.parameters
+        and stands_out(hypothesis, effect)
+    )
 
 
 def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
@@ -93,15 +123,16 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
     for effect in hypothesis.unknowns.effects:
         if effect in fixed or effect not in hypothesis.unknowns.effects:
             continue
-        reduced = hypothesis.without([effect])
+        others = [other for other in hypothesis.unknowns.effects if other != effect]
         simpler = [
             package
-            for kind in kinds(hypothesis.dataset.effects, reduced.unknowns.effects)
+            for kind in kinds(hypothesis.dataset.effects, others)
             if kind.complexity < kind_complexity((effect.name,)) and effect.where in kind.options
             for package in kind.options[effect.where]
         ]
-        trials = [try_package(reduced, package, len(simpler)) for package in simpler]
-        if trials:
+        if simpler:
+            reduced = hypothesis.without([effect])
+            trials = [try_package(reduced, package, len(simpler)) for package in simpler]
             swapped = reduced.with_effects(best_trial(reduced, trials).package.effects)
             if not _worth_it(swapped, hypothesis, effect, criteria):
                 hypothesis = swapped

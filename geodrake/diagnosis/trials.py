@@ -83,7 +83,7 @@ def try_package(
     lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
     after = hypothesis.cv.with_candidate(columns, information, lower, upper)
     errors, joints = (before, after), acted_upon(dataset, package)
-    reduction, agreement = _improvement(errors, joints)
+    reduction, agreement = improvement(errors, joints)
     if least and (reduction < least.reduction or agreement < least.agreement):
         return Trial(package, 0.0, reduction, agreement, 1.0)
     both = np.concatenate([hypothesis.unknowns.columns, columns])
@@ -104,7 +104,7 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
     seen[np.argmin(errors[1].mse / errors[0].mse)] = True
     gain = gain_of(before, after)
     alarm = false_alarm_probability(gain, package.parameters, 1)
-    return Trial(package, gain, *_improvement(errors, seen), alarm)
+    return Trial(package, gain, *improvement(errors, seen), alarm)
 
 
 def acted_upon(dataset: Dataset, package: Package) -> Mask:
@@ -113,7 +113,7 @@ def acted_upon(dataset: Dataset, package: Package) -> Mask:
     return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
 
 
-def _improvement(errors: tuple[HeldOut, HeldOut], joints: Mask) -> tuple[float, float]:
+def improvement(errors: tuple[HeldOut, HeldOut], joints: Mask) -> tuple[float, float]:
     """Share of the squared error gone at some joints, and share of the folds in which it fell."""
     before, after = errors
     weight = joints / before.mse

@@ -7,6 +7,7 @@ fit costs one Cholesky factorization and a candidate effect one small Schur comp
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,9 +75,11 @@ def normal_matrices(
     gram = np.zeros((len(dataset.folds), len(left), len(right)))
     rhs = np.zeros((len(dataset.folds), len(right)))
     for data, weight in zip(dataset.data, weights, strict=True):
-        at_left, at_right = data.local(left), data.local(right)
-        on_left, on_right = np.flatnonzero(at_left >= 0), np.flatnonzero(at_right >= 0)
+        at_right = data.local(right)
+        on_right = np.flatnonzero(at_right >= 0)
         if len(on_right):
+            at_left = data.local(left)
+            on_left = np.flatnonzero(at_left >= 0)
             rows, cols = at_left[on_left], at_right[on_right]
             gram[:, on_left[:, None], on_right] += weight * data.grams[:, rows[:, None], cols]
             rhs[:, on_right] += weight * data.grams[:, cols, len(data.columns) + delay]
@@ -125,13 +128,34 @@ class CrossValidation:
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
-        return self._solve(self._gram, self._rhs).x
+        return self._whole.x
 
     def deviations(self) -> Array:
         """(p,) standard deviations of `fit_all`, bounds left aside."""
+        return self._deviations
+
+    @cached_property
+    def _whole(self) -> _Fit:
+        return self._solve(self._gram, self._rhs)
+
+    @cached_property
+    def _deviations(self) -> Array:
         scale = 1.0 / np.sqrt(np.diag(self._gram))
         matrix = self._gram * scale[:, None] * scale + _ridge(len(scale))
         return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
+
+    @cached_property
+    def _residuals(self) -> list[tuple[Array, Indices, Array]]:
+        """Per joint: factors (F, m, l) of the unknowns it sees, which, and residuals (F, m)."""
+        found = []
+        for data in self.dataset.data:
+            local = data.local(self.unknowns.columns)
+            used = np.flatnonzero(local >= 0)
+            factor = data.factors[:, :, local[used]]
+            predicted = (factor @ self.held_out.x[:, used, None])[..., 0]
+            left = data.factors[:, :, len(data.columns) + self.delay] - predicted
+            found.append((factor, used, left))
+        return found
 
     def with_candidate(
         self, columns: Indices, information: Array, lower: Array, upper: Array
@@ -144,18 +168,52 @@ class CrossValidation:
             lower: (k,) lower bounds.
             upper: (k,) upper bounds.
         """
-        base = self.unknowns.columns
-        cross, rhs = self._assemble(base, columns)
+        cross, right = self._assemble(self.unknowns.columns, columns)
         own, _ = self._assemble(columns, columns)
-        cross, rhs = cross.sum(0) - cross, rhs.sum(0) - rhs
+        cross, right = cross.sum(0) - cross, right.sum(0) - right
         own = own.sum(0) - own + information
-        x = np.empty((len(rhs), len(base) + len(columns)))
+        moved, y = np.empty_like(cross), np.empty_like(right)
         for f, fit in enumerate(self._fits):
-            solved = fit.solve(cross[f])
-            schur, right = own[f] - cross[f].T @ solved, rhs[f] - cross[f].T @ fit.x
-            y = _bounded_solve(schur, right, lower, upper)
-            x[f] = np.concatenate([fit.x - solved @ y, y])
-        return hold_out(self.dataset, np.concatenate([base, columns]), x, delay=self.delay)
+            moved[f] = fit.solve(cross[f])
+            schur, pull = own[f] - cross[f].T @ moved[f], right[f] - cross[f].T @ fit.x
+            y[f] = _bounded_solve(schur, pull, lower, upper)
+        x = self.held_out.x - (moved @ y[:, :, None])[..., 0]
+        sse = np.empty_like(self.held_out.sse)
+        for j, (data, (factor, used, left)) in enumerate(
+            zip(self.dataset.data, self._residuals, strict=True)
+        ):
+            local = data.local(columns)
+            on = np.flatnonzero(local >= 0)
+            effect = data.factors[:, :, local[on]] @ y[:, on, None]
+            effect -= factor @ (moved[:, used] @ y[:, :, None])
+            sse[:, j] = np.square(left - effect[..., 0]).sum(1)
+        return HeldOut(sse, self.dataset.samples, np.hstack([x, y]))
+
+    def without_columns(self, places: Indices) -> HeldOut | None:
+        """Held-out errors without some of the unknowns, all else refitted with the same weights.
+
+        Args:
+            places: (k,) their places among the unknowns.
+
+        Returns:
+            The errors; None where another parameter is at a bound, which this leaves aside.
+        """
+        others = np.ones(len(self.unknowns.columns), bool)
+        others[places] = False
+        x = self.held_out.x
+        bounded = (x <= self.unknowns.lower) | (x >= self.unknowns.upper)
+        if bounded[:, others].any():
+            return None
+        y = np.empty_like(x)
+        unit = np.eye(len(others))[:, places]
+        for f, fit in enumerate(self._fits):
+            C = fit.solve(unit)
+            y[f] = x[f] - C @ np.linalg.solve(C[places], x[f, places])
+        sse = np.empty_like(self.held_out.sse)
+        for j, (factor, used, left) in enumerate(self._residuals):
+            change = (factor @ (y - x)[:, used, None])[..., 0]
+            sse[:, j] = np.square(left - change).sum(1)
+        return HeldOut(sse, self.dataset.samples, y)
 
 
 @dataclass(frozen=True, eq=False)
