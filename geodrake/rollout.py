@@ -209,7 +209,7 @@ class _Simulation:
         effects = [
             (fitted.effect, fitted.parameters)
             for fitted in model.effects
-            if not isinstance(fitted.effect, EffortDelay) and fitted.effect.name != "payload"
+            if fitted.effect.is_force and fitted.effect.name != "payload"
         ]
         force = builder.AddSystem(
             EffectForce(self._plant, effects, sign_width=sign_width, phi=model.total_phi)

@@ -29,6 +29,7 @@ COMPLEXITY: Mapping[str, int] = {
     "gravity_tilt": 1,
     "effort_scale": 1,
     "aerodynamic_drag": 2,
+    "joint_elasticity": 1,
     "contact": 3,
     "wrong_inertia": 3,
 }
@@ -98,7 +99,7 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
             continue
         options[(effect.name,)][effect.where].append(Package((effect,), effect.where))
         by_place[effect.where][effect.name] = effect
-        if effect.places == "joint":
+        if effect.places == "joint" and not effect.sees_bodies:  # felt at its joint alone
             joint_kinds.add((effect.name,))
     for place, named in by_place.items():
         pair = tuple(named[name] for name in DRY_AND_VISCOUS if name in named)

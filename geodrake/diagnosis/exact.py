@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from geodrake.diagnosis.candidates import DRY_AND_VISCOUS
 from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.columns import (
     to_expand,
@@ -66,8 +67,11 @@ def searched(
     step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
     profiled, expanded, held = set(fixed), set(fixed), tuple(fixed)
     episodes: tuple[Effect, ...] = ()
+    looked = False
 
     def pause(hypothesis: Hypothesis) -> bool:
+        if not looked and _rubs(hypothesis):
+            return True
         new_delay = not late and hypothesis.delay != trail.start.delay
         new_shape = bool(to_profile(hypothesis, grid, profiled))
         return new_delay or new_shape or bool(to_expand(case.model, hypothesis, expanded))
@@ -75,6 +79,11 @@ def searched(
     for _ in range(_MOST_ROUNDS):
         more = search(trail.end, held, criteria, tune=tune, pause=pause, progress=progress)
         trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
+        if not looked and _rubs(trail.end):  # what friction hid may come before what is small
+            looked, had = True, case.dataset.effects
+            case, trail = with_suggestions(case, trail, criteria, known=grid, least_share=DOMINANT)
+            grid = (*grid, *(e for e in case.dataset.effects if e not in had))
+            continue
         if not pause(trail.end):
             case, trail, found = with_episodes(case, trail)
             if not found and episodes:
@@ -102,6 +111,14 @@ def searched(
     if late:
         case, trail = with_exact_delay(case, trail, origin=origin, step=0.5 * step)
     return case, trail
+
+
+def _rubs(hypothesis: Hypothesis) -> bool:
+    """Whether a hypothesis has friction."""
+    return any(
+        effect.name in (*DRY_AND_VISCOUS, "asymmetric_friction")
+        for effect in hypothesis.unknowns.effects
+    )
 
 
 def to_profile(

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.elastic import elastic_joints
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import highest_peak
+from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import (
     JointResidual,
     filtered_columns,
@@ -34,21 +35,6 @@ _FEW = 5.0  # waves in the range of motion
 _FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in units of those told apart
 _MANY_WAVES = (-0.15, 0.0, 0.15)
 _WHOLE = 0.25  # distance from a whole order within which that is tried, in the same units
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """An effect that a residual suggests.
-
-    Attributes:
-        effects: The effect with the shapes to try.
-        share: Share of the squared error at its joint that it explains.
-        alarm: Probability that noise alone suggests as much.
-    """
-
-    effects: tuple[Effect, ...]
-    share: float
-    alarm: float
 
 
 def suggested(
@@ -92,8 +78,9 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
 
 def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
     """What the residual suggests at every place, whatever the evidence for it."""
-    motion = full_motion(case)
-    for joint in joint_residuals(case, hypothesis):
+    motion, joints = full_motion(case), joint_residuals(case, hypothesis)
+    yield from elastic_joints(case, joints, motion)
+    for joint in joints:
         if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
             yield from _ripples(case, joint)
             yield from _drifts(joint)

@@ -49,6 +49,7 @@ from geodrake.effects.friction_drift import FrictionDrift
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.hysteresis import Hysteresis
+from geodrake.effects.joint_elasticity import JointElasticity
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.lookup import catalogue, effect_class, load_effect_file, make_effect
@@ -77,6 +78,7 @@ __all__ = [
     "GravityTilt",
     "Hysteresis",
     "JointEffect",
+    "JointElasticity",
     "JointMotion",
     "JointPairEffect",
     "JointSpring",

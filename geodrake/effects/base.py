@@ -58,6 +58,7 @@ class Effect(abc.ABC):
         expandable: Whether the columns are slopes of something not linear in the parameters.
         sees_bodies: Whether the effect depends on where bodies are and how they move.
         sees_time: Whether the effect depends on the time since a log began.
+        is_force: Whether it is a force on the robot, so that a simulation can have it.
         state_count: How many hidden states it has, decided by the motion so far.
     """
 
@@ -72,6 +73,7 @@ class Effect(abc.ABC):
     expandable: ClassVar[bool] = False
     sees_bodies: ClassVar[bool] = False
     sees_time: ClassVar[bool] = False
+    is_force: ClassVar[bool] = True
     state_count: ClassVar[int] = 0
 
     @property

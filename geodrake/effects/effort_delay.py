@@ -36,6 +36,7 @@ class EffortDelay(Effect):
 
     name = "effort_delay"
     parameters = ()
+    is_force = False
     places: ClassVar[str] = "log"
     signature = "follows the rate of change of the effort, so it is largest in fast motion"
     confused_with = ("nonlinear_viscous_friction", "joint_elasticity", "rotor_inertia")

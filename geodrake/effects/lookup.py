@@ -27,6 +27,7 @@ from geodrake.effects.friction_drift import FrictionDrift
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.hysteresis import Hysteresis
+from geodrake.effects.joint_elasticity import JointElasticity
 from geodrake.effects.joint_spring import JointSpring
 from geodrake.effects.load_dependent_friction import LoadDependentFriction
 from geodrake.effects.nonlinear_viscous_friction import NonlinearViscousFriction
@@ -66,6 +67,7 @@ def catalogue() -> tuple[type[Effect], ...]:
         TorqueRipple,
         RotorInertia,
         CoupledRotorInertia,
+        JointElasticity,
         Payload,
         GravityTilt,
         Contact,

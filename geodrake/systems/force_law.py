@@ -108,6 +108,11 @@ class ForceLaw:
                 raise ArgumentError(
                     "A delay is not a force.", advice="Use geodrake.systems.DelayedEffort."
                 )
+            if not effect.is_force:
+                raise ArgumentError(
+                    f"{effect.name} is no force on a robot whose state is that of its links.",
+                    advice="Leave it out, or put a motor's body and a spring into the plant.",
+                )
             if mu.shape != (len(effect.parameters),) or not np.isfinite(mu).all():
                 names = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
                 raise ArgumentError(f"{effect.name} needs finite {names}; it got {mu}.")

@@ -1,0 +1,86 @@
+"""Signs of elastic joints in residuals, looked for at all joints at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.proposal import Proposal
+from geodrake.diagnosis.residuals import JointResidual, filtered_columns
+from geodrake.effects import JointElasticity
+from geodrake.effects.base import Effect
+from geodrake.effects.robot_motion import RobotMotion
+from geodrake.motion import Motion, Segment
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 5_000  # of a segment that are looked at
+
+
+def elastic_joints(
+    case: Case, joints: Sequence[JointResidual], motion: Sequence[tuple[int, Segment]]
+) -> Iterator[Proposal]:
+    """Elasticity of every joint, with what it explains of all residuals together.
+
+    Args:
+        case: The case.
+        joints: Residuals of all joints.
+        motion: `full_motion` of the case.
+    """
+    motion = [(log, segment[:_SAMPLES]) for log, segment in motion]
+    seen = {id(segment): _motion(case, segment) for _, segment in motion}
+    found = []
+    for name in case.model.single_joints:
+        if np.ptp(joints[case.model.joints.index(name)].q) > 0.0:
+            effect = JointElasticity(name)
+            columns = {key: _column(effect, each) for key, each in seen.items()}
+            filtered = [
+                filtered_columns(case, motion, joint, lambda s, i=i, c=columns: c[id(s)][:, i])  # type: ignore[misc]
+                for i, joint in enumerate(joints)
+            ]
+            found.append(_proposal(effect, joints, filtered))
+    # Elastic joints are easily taken for one another: all are offered, or none.
+    most = max((proposal.share for proposal in found), default=0.0)
+    yield from (replace(proposal, share=most) for proposal in found)
+
+
+def _motion(case: Case, segment: Segment) -> RobotMotion:
+    q, time = case.model.positions(segment.position), segment.time
+    return case.model.motion(Motion(q, segment.velocity, segment.acceleration, time))
+
+
+def _column(effect: Effect, motion: RobotMotion) -> Array:
+    """(N, nv, 1) its column at every joint."""
+    return effect.regressor(motion)
+
+
+def _proposal(
+    effect: Effect, joints: Sequence[JointResidual], columns: Sequence[Array]
+) -> Proposal:
+    """The one parameter that suits the residuals of all joints, each as good as its error says."""
+    parts: list[tuple[Array, Array, float]] = []
+    for joint, column in zip(joints, columns, strict=True):
+        rows = np.asarray(np.isfinite(column[:, 0]))
+        size = float(np.sqrt(np.mean(np.square(joint.residual)))) if len(joint.residual) else 0.0
+        if rows.any() and size > 0.0:
+            here = joint.part(rows)
+            base = np.stack([here.sign_v, here.v, np.ones_like(here.v)], 1)
+            both = np.stack([here.residual, column[rows, 0]], 1) / size
+            left = both - base @ np.linalg.lstsq(base, both, rcond=1e-9)[0]
+            parts.append((left[:, 0], left[:, 1], here.effective / len(here.v)))
+    power = sum(weight * float(a @ a) for _, a, weight in parts)
+    value = sum(weight * float(r @ a) for r, a, weight in parts) / power if power > 0.0 else 0.0
+    if value <= 0.0:
+        return Proposal((effect,), 0.0, 1.0)
+    share, gain = 0.0, 0.0
+    for residual, a, weight in parts:
+        before, after = np.square(residual).sum(), np.square(residual - value * a).sum()
+        if before > 0.0:
+            share = max(share, float(1.0 - after / before))
+            gain += weight * len(a) * float(np.log(before / max(after, 1e-9 * before)))
+    return Proposal((effect,), share, min(1.0, len(joints) * float(chi2.sf(max(gain, 0.0), 1))))
