@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.columns import with_episodes, with_suggestions
@@ -123,9 +124,10 @@ def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candida
         return []
     (gain, alarm), nb = evidence, len(case.model.bodies)
     moved = moved_bodies(case, start.cv.fit_all()[: case.model.phi.size].reshape(nb, -1))
-    standing = error_table(case.dataset, as_it_stands(case.dataset, case.model)).nrms
-    score = gain - 2 * PENALTY * nb
-    return [Candidate("wrong_inertia", tuple(moved), standing, start.nrms, score, alarm, tied=True)]
+    standing = as_it_stands(case.dataset, case.model)
+    where = gains_of_bodies(case, start, standing, criteria).enough or tuple(moved)
+    before, score = error_table(case.dataset, standing).nrms, gain - 2 * PENALTY * nb
+    return [Candidate("wrong_inertia", where, before, start.nrms, score, alarm, tied=True)]
 
 
 def _candidate(ranked: Ranked, before: float) -> Candidate:

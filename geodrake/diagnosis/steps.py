@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.delay import fine_delay
@@ -117,14 +118,22 @@ def refit_step(
         return ()
     before = as_it_stands(case.dataset, case.model)
     was, now = error_table(case.dataset, before), error_table(case.dataset, fit.held_out)
-    moved = moved_bodies(case, fit.model.phi)
+    moved, gained = (
+        moved_bodies(case, fit.model.phi),
+        gains_of_bodies(case, start, before, criteria),
+    )
+    if gained.enough:
+        moved = {body: distance_of(case, fit.model.phi, body) for body in gained.enough}
+    values = _inertias(moved, fit)
+    for body, own in values.items():
+        own["gain_alone"] = gained.gains[body]
     return (
         Step(
             "wrong_inertia",
             tuple(moved),
             was.nrms,
             now.nrms,
-            _inertias(moved, fit),
+            values,
             {},
             (),
             evidence[1],
@@ -188,10 +197,21 @@ def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:
 
 def moved_bodies(case: Case, phi: Array) -> Mapping[str, float]:
     """Bodies that a fit (nb, 10) moved farthest from their prior, with the geometric distance."""
-    step = phi - case.model.phi
-    distance = np.sqrt(np.einsum("bi,bij,bj->b", step, pullback_metric(case.model.phi), step))
+    distance = _distances(case, phi)
     far = distance >= max(0.5 * distance.max(), 1e-9)
     return {b: float(d) for b, d, f in zip(case.model.bodies, distance, far, strict=True) if f}
+
+
+def distance_of(case: Case, phi: Array, body: str) -> float:
+    """How far a fit (nb, 10) moved a body, as a geometric distance."""
+    return float(_distances(case, phi)[case.model.bodies.index(body)])
+
+
+def _distances(case: Case, phi: Array) -> Array:
+    step = phi - case.model.phi
+    return np.asarray(
+        np.sqrt(np.einsum("bi,bij,bj->b", step, pullback_metric(case.model.phi), step))
+    )
 
 
 def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Values, Values]:

@@ -1,0 +1,60 @@
+"""Which body's inertia is wrong: what the logs say of each body moved alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain
+from geodrake.diagnosis.hypothesis import Hypothesis, settle
+from geodrake.identification.cross_validation import HeldOut
+from geodrake.inertia import PARAMETERS_PER_BODY
+
+_HELD = 1e-3  # width of the prior, as a share of that assumed, at which a body stays as it is
+
+
+@dataclass(frozen=True)
+class BodyGains:
+    """What refitting one body alone gains.
+
+    Attributes:
+        gains: Body -> twice the held-out log-likelihood ratio against the model as it stands.
+        enough: The body that leaves least held-out error if it does as well alone as all bodies
+            together, or nothing.
+    """
+
+    gains: Mapping[str, float]
+    enough: tuple[str, ...]
+
+
+def gains_of_bodies(
+    case: Case, refitted: Hypothesis, standing: HeldOut, criteria: Criteria
+) -> BodyGains:
+    """Refit one body after the other, all others held where the model has them.
+
+    Args:
+        case: The case.
+        refitted: The model with all inertias refitted within their prior.
+        standing: Errors of the model as it stands.
+        criteria: How much less squared error counts as a reduction.
+    """
+    gains, losses = {}, {}
+    for index, body in enumerate(case.model.bodies):
+        alone = _alone(refitted, index, len(case.model.bodies))
+        gain = log_likelihood_gain(standing.mse, alone.held_out.mse, alone.effective).sum()
+        gains[body], losses[body] = float(gain), float(alone.loss().sum())
+    best = min(losses, key=lambda body: losses[body])
+    most = (1.0 + criteria.reduction) * float(refitted.loss().sum())
+    return BodyGains(gains, (best,) if losses[best] <= most else ())
+
+
+def _alone(refitted: Hypothesis, index: int, bodies: int) -> Hypothesis:
+    """The hypothesis with the inertial parameters of all bodies but one held."""
+    scale = np.ones(len(refitted.unknowns.columns))
+    scale[: bodies * PARAMETERS_PER_BODY] = 1.0 / _HELD
+    scale[index * PARAMETERS_PER_BODY : (index + 1) * PARAMETERS_PER_BODY] = 1.0
+    information = refitted.unknowns.information * scale[:, None] * scale
+    return settle(replace(refitted, unknowns=replace(refitted.unknowns, information=information)))
