@@ -151,13 +151,16 @@ def belt(site: Site) -> Hidden:
 
 
 def coupled_rotor(site: Site) -> Hidden:
-    """A rotor that turns with the sum of two joints, [1, 1]ᵀ I (v̇_i + v̇_j)."""
+    """A rotor that turns with the difference of two joints, [1, −1]ᵀ I (v̇_i − v̇_j).
+
+    One that turns with the sum is the same as a heavier link where two axes are parallel.
+    """
 
     def effort(seen: Seen, size: float) -> Array:
-        torque = size * (seen.a[:, site.joint] + seen.a[:, site.other])
-        return seen.at(site.joint, torque) + seen.at(site.other, torque)
+        torque = size * (seen.a[:, site.joint] - seen.a[:, site.other])
+        return seen.at(site.joint, torque) - seen.at(site.other, torque)
 
-    return Hidden(effort, {"inertia": 1.0})
+    return Hidden(effort, {"inertia": -1.0})
 
 
 def warming(site: Site) -> Hidden:
@@ -211,9 +214,13 @@ def compensator(site: Site) -> Hidden:
 
 
 def cogging(site: Site) -> Hidden:
-    """Waves over the position."""
-    order, phase = site.rng.uniform(5.0, 40.0), site.rng.uniform(0.0, 2.0 * np.pi)
-    return joint_law(lambda q, v, a, load: np.cos(order * q - phase))(site)
+    """Waves over the position, of which the motion passes a few."""
+    waves, phase = site.rng.uniform(2.5, 12.0), site.rng.uniform(0.0, 2.0 * np.pi)
+
+    def law(q: Array, v: Array, a: Array, load: Array) -> Array:
+        return np.asarray(np.cos(2.0 * np.pi * waves * q / np.ptp(q) - phase))
+
+    return joint_law(law)(site)
 
 
 def hysteresis(site: Site) -> Hidden:
