@@ -98,13 +98,17 @@ def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
 def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     """All kinds that convince, best first, with those that tie with the best marked."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
-    tried = sum(len(packages) for kind in offered for packages in kind.options.values())
+    # A shape costs a parameter, so that places are counted, not shapes. A kind that was found at one
+    # joint is a hypothesis of its own at the others: no longer one of all kinds.
+    places = sum(len(kind.options) for kind in offered)
+    present = {effect.name for effect in hypothesis.unknowns.effects}
     ranked = [
         *_delays(hypothesis, criteria),
         *_looser_prior(hypothesis, criteria),
         *_other_payloads(hypothesis, criteria),
     ]
     for kind in offered:
+        tried = len(kind.options) if present.issuperset(kind.names) else places
         trials = convincing(hypothesis, kind, tried, criteria)
         if trials:
             effects = tuple(effect for t in trials for effect in t.package.effects)
