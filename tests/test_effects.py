@@ -109,6 +109,7 @@ def instances():
         effects.RotorInertia("elbow"),
         effects.CoupledRotorInertia(("elbow", "wrist")),
         effects.JointElasticity("elbow"),
+        effects.Backlash("elbow", 1e-3),
         effects.Payload("hand"),
         effects.GravityTilt(),
         effects.Contact("hand", 0.05, 0.12, 0.02, 0, 0.1),
@@ -386,7 +387,7 @@ class TestNames:
     def test_catalogue_is_in_the_order_of_the_design(self):
         names = [effect.name for effect in effects.catalogue()]
         assert names == [name for name in NAMES_OF_DESIGN if name in names]
-        assert len(names) == 22
+        assert len(names) == 23
 
     def test_lookup(self):
         assert effects.effect_class("payload") is effects.Payload

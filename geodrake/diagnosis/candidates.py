@@ -30,6 +30,7 @@ COMPLEXITY: Mapping[str, int] = {
     "effort_scale": 1,
     "aerodynamic_drag": 2,
     "joint_elasticity": 1,
+    "backlash": 2,
     "contact": 3,
     "wrong_inertia": 3,
 }

@@ -1,4 +1,4 @@
-"""Signs of elastic joints in residuals, looked for at all joints at once."""
+"""Signs of elastic and of loose joints in residuals."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from scipy.stats import chi2
 from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import JointResidual, filtered_columns
-from geodrake.effects import JointElasticity
+from geodrake.effects import Backlash, JointElasticity
 from geodrake.effects.base import Effect
 from geodrake.effects.robot_motion import RobotMotion
 from geodrake.motion import Motion, Segment
 
 Array = NDArray[np.float64]
 
+_LEAST_REVERSALS = 4
+_NEAR, _EXCESS = 0.3, 1.3  # share of the load's RMS, and of the squared error elsewhere
 _SAMPLES = 5_000  # of a segment that are looked at
 
 
@@ -47,6 +49,48 @@ def elastic_joints(
     # Elastic joints are easily taken for one another: all are offered, or none.
     most = max((proposal.share for proposal in found), default=0.0)
     yield from (replace(proposal, share=most) for proposal in found)
+
+
+def loose_joints(
+    case: Case, joints: Sequence[JointResidual], motion: Sequence[tuple[int, Segment]]
+) -> Iterator[Proposal]:
+    """Backlash of every joint whose load changes its sign, by what it does at the joint itself.
+
+    Args:
+        case: The case.
+        joints: Residuals of all joints.
+        motion: `full_motion` of the case.
+    """
+    motion = [(log, segment[:_SAMPLES]) for log, segment in motion]
+    seen = {id(segment): _motion(case, segment) for _, segment in motion}
+    for name in case.model.single_joints:
+        at = case.model.joints.index(name)
+        joint, loads = joints[at], {key: each.load[:, at, None] for key, each in seen.items()}
+        reversals = sum(int(np.sum(np.diff(np.sign(load[:, 0])) != 0)) for load in loads.values())
+        if reversals < _LEAST_REVERSALS or np.ptp(joint.q) <= 0.0:
+            continue
+        load = filtered_columns(case, motion, joint, lambda s, c=loads: c[id(s)])[:, 0]  # type: ignore[misc]
+        if not _errs_near_zero(joint, load):
+            continue
+        shapes = tuple(Backlash.candidates(name, 0.0))
+        tried = []
+        for shape in shapes:
+            columns = {key: _column(shape, each) for key, each in seen.items()}
+            found = filtered_columns(case, motion, joint, lambda s, c=columns, i=at: c[id(s)][:, i])  # type: ignore[misc]
+            tried.append(_proposal(shape, [joint], [found]))
+        best = min(tried, key=lambda proposal: proposal.alarm)
+        yield Proposal(shapes, best.share, min(1.0, len(shapes) * best.alarm))
+
+
+def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
+    """Whether a joint errs more where its load (K,) changes its sign than elsewhere."""
+    known = np.isfinite(load)
+    near = known & (np.abs(load) < _NEAR * np.sqrt(np.mean(np.square(load[known]))))
+    far = known & ~near
+    if not near.any() or not far.any():
+        return False
+    squares = np.square(joint.residual)
+    return bool(squares[near].mean() > _EXCESS * squares[far].mean())
 
 
 def _motion(case: Case, segment: Segment) -> RobotMotion:

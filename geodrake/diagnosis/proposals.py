@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case
-from geodrake.diagnosis.elastic import elastic_joints
+from geodrake.diagnosis.elastic import elastic_joints, loose_joints
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import highest_peak
 from geodrake.diagnosis.proposal import Proposal
@@ -80,6 +80,7 @@ def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
     """What the residual suggests at every place, whatever the evidence for it."""
     motion, joints = full_motion(case), joint_residuals(case, hypothesis)
     yield from elastic_joints(case, joints, motion)
+    yield from loose_joints(case, joints, motion)
     for joint in joints:
         if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
             yield from _ripples(case, joint)

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
+from geodrake.effects.backlash import Backlash
 from geodrake.effects.base import (
     BodyEffect,
     Effect,
@@ -64,6 +65,7 @@ from geodrake.effects.viscous_friction import ViscousFriction
 __all__ = [
     "AerodynamicDrag",
     "AsymmetricFriction",
+    "Backlash",
     "BodyEffect",
     "Contact",
     "CoulombFriction",

@@ -20,7 +20,14 @@ def rate_and_acceleration(signal: Array, time: Array | None) -> tuple[Array, Arr
     return np.asarray(spline(time, 1)), np.asarray(spline(time, 2))
 
 
-def effort_of_deflection(motion: RobotMotion, name: str, joint: str, lag: Array) -> Array:
+def effort_of_deflection(
+    motion: RobotMotion,
+    name: str,
+    joint: str,
+    lag: Array,
+    *,
+    rates: tuple[Array, Array] | None = None,
+) -> Array:
     """Change of the needed effort (N, nv), to first order, where a link lags behind its motor.
 
     −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇) and the lag s(t).
@@ -31,10 +38,11 @@ def effort_of_deflection(motion: RobotMotion, name: str, joint: str, lag: Array)
         joint: The joint.
         lag: (N,) position of the motor less that of the link, rad or m; of any size, as the change
             is that of an infinitely small lag, scaled.
+        rates: (N,) its first and second time derivative; by default those of its spline.
     """
     bodies, at = motion.body_motions(name), motion.index(joint)
     mobilizer = next(m for m in bodies.tree.mobilizers if m.velocities.start == at)
-    rate, acceleration = rate_and_acceleration(lag, motion.time)
+    rate, acceleration = rate_and_acceleration(lag, motion.time) if rates is None else rates
     scale = _STEP / max(float(np.abs(lag).max(initial=0.0)), np.finfo(float).tiny)
 
     def effort(sign: float) -> Array:

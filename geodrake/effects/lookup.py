@@ -15,6 +15,7 @@ from typing import Any
 
 from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
+from geodrake.effects.backlash import Backlash
 from geodrake.effects.base import Effect
 from geodrake.effects.contact import Contact
 from geodrake.effects.coulomb_friction import CoulombFriction
@@ -68,6 +69,7 @@ def catalogue() -> tuple[type[Effect], ...]:
         RotorInertia,
         CoupledRotorInertia,
         JointElasticity,
+        Backlash,
         Payload,
         GravityTilt,
         Contact,

@@ -1,0 +1,109 @@
+"""Play between a motor and its link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import (
+    Array,
+    JointEffect,
+    JointMotion,
+    Parameter,
+    RobotMotion,
+    require_positive,
+)
+from geodrake.effects.deflection import effort_of_deflection
+from geodrake.regressor import inverse_dynamics
+
+_SUBSTEPS = 4
+_HALF_WIDTHS = (3e-4, 1e-3, 3e-3, 1e-2)
+
+
+@dataclass(frozen=True)
+class Backlash(JointEffect):
+    """Dead band between a motor, whose position is measured, and its link.
+
+    effort = −g (∂τ/∂q s + ∂τ/∂v ṡ + M s̈), with the lag s(t) of the link; g is 1 where the gap is
+    as wide as the shape says.
+
+    The link lies at the side of the gap to which its load pushes it, s = ±h. When the load τ_j
+    changes its sign the link comes loose, is carried by nothing, M_jj s̈ = τ_j, and strikes the
+    other side, where it stays. The motor thus feels no load for a while, and then a blow. Where
+    samples are no series in time, there is only the posture s = h sgn τ_j.
+
+    In a simulation the state of the robot is that of its links, so that this is no force: put a
+    body for the motor and a contact with a gap into the plant.
+
+    Attributes:
+        half_width: h, rad or m.
+    """
+
+    half_width: float
+
+    name = "backlash"
+    parameters = (Parameter("gap_share", "1", lower=0.0),)
+    signature = "no load for a moment where the load changes its sign, and then a blow"
+    confused_with = ("joint_elasticity", "hysteresis", "coulomb_friction")
+    from_residual = True
+    sees_bodies = True
+    sees_time = True
+    is_force = False
+
+    def __post_init__(self) -> None:
+        require_positive(self, "half_width")
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """Nothing that the joint's own motion says."""
+        return [np.zeros_like(joint.v)]
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
+        at, time = motion.index(self.joint), motion.time
+        load = motion.load[:, at]
+        if time is None or len(time) < 3:
+            lag, rates = self.half_width * np.sign(load), None
+        else:
+            bodies = motion.body_motions(self.name)
+            unit, none = np.zeros_like(motion.v), np.zeros_like(motion.v)
+            unit[:, at] = 1.0
+            inertia, weight = (
+                inverse_dynamics(bodies.tree, bodies.q, none, vd, bodies.phi)[:, at]
+                for vd in (unit, none)
+            )
+            lag = self.lag(load / np.maximum(inertia - weight, 1e-9), time)
+            speed = np.gradient(lag, time)
+            bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
+            rates = speed, bend / float(np.median(np.diff(time))) ** 2
+        change = effort_of_deflection(motion, self.name, self.joint, lag, rates=rates)
+        return {joint: change[:, i, None] for i, joint in enumerate(motion.joints)}
+
+    def lag(self, acceleration: Array, time: Array) -> Array:
+        """The lag s (N,) of a link.
+
+        Args:
+            acceleration: (N,) τ_j / M_jj, with which it falls behind when it is loose, rad/s².
+            time: (N,) instants, s.
+        """
+        h, lags = self.half_width, []
+        s, speed = float(np.copysign(self.half_width, acceleration[0])), 0.0
+        steps = np.diff(time, append=time[-1:]) / _SUBSTEPS
+        following = np.append(acceleration[1:], acceleration[-1:])
+        for a, b, dt in zip(acceleration.tolist(), following.tolist(), steps.tolist(), strict=True):
+            lags.append(s)
+            if a * s > 0.0 and b * s > 0.0 and abs(s) == h:
+                continue  # it lies at its side
+            for k in range(_SUBSTEPS):
+                speed += dt * (a + (b - a) * (k + 0.5) / _SUBSTEPS)
+                s += dt * speed
+                if abs(s) >= h:
+                    s, speed = float(np.copysign(h, s)), 0.0
+        return np.array(lags)
+
+    @classmethod
+    def candidates(cls, joint: str, peak_speed: float) -> tuple[Backlash, ...]:
+        """Half widths from 0.3 to 10 mrad."""
+        del peak_speed
+        return tuple(cls(joint, h) for h in _HALF_WIDTHS)
