@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from geodrake.diagnosis.absorbed import instead_of_inertias
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
@@ -79,10 +78,7 @@ def investigate(
     before = comparison(case)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     tune = model.information is None
-    fixed = effects_of(model)
-    case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
-    if tune and verdict_of(error_table(case.dataset, trail.end.held_out), True) == "explained":
-        trail = instead_of_inertias(case, trail, criteria)
+    case, trail = searched(case, start, effects_of(model), criteria, tune=tune, progress=progress)
     after_case, fit, end = final_fit(case, trail.end, criteria=criteria)
     trail = replace(trail, end=end)
     steps = steps_of(case, trail, fit) or refit_step(case, start, fit, criteria)

@@ -18,9 +18,6 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_FIRST_REFITS = 12
-"""Most refits of the first hypothesis: weights begin far from those that its errors deserve."""
-
 _SETTLED = 0.3
 """Relative change of the weights below which they count as settled."""
 
@@ -181,5 +178,4 @@ def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: int = 0) ->
     weights = 0.05 / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = np.ones(len(dataset.joints))
-    first = Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective)
-    return settle(first, iterations=_FIRST_REFITS)
+    return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective), iterations=3)
