@@ -98,8 +98,8 @@ def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
 def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     """All kinds that convince, best first, with those that tie with the best marked."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
-    # A shape costs a parameter, so that places are counted, not shapes. A kind that was found at one
-    # joint is a hypothesis of its own at the others: no longer one of all kinds.
+    # A shape costs a parameter, so that places are counted, not shapes. A kind that was found at
+    # one joint is a hypothesis of its own at the others: no longer one of all kinds.
     places = sum(len(kind.options) for kind in offered)
     present = {effect.name for effect in hypothesis.unknowns.effects}
     ranked = [
