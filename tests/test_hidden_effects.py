@@ -39,6 +39,14 @@ MARGIN = 1.15
 ARM6 = load_model(MODELS / "arm6.urdf").joints
 
 
+def seeds(*numbers, first=1):
+    """Seeds, of which those after the first few are for a thorough run (`pytest -m thorough`)."""
+    return [
+        seed if i < first else pytest.param(seed, marks=pytest.mark.thorough)
+        for i, seed in enumerate(numbers)
+    ]
+
+
 def diagram_script():
     """The script `diagrams/hidden_effect_log.py` as a module."""
     path = MODELS.parent / "diagrams" / "hidden_effect_log.py"
@@ -197,7 +205,7 @@ PINOCCHIO = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", seeds(1, 2))
 @pytest.mark.parametrize("case", PINOCCHIO)
 def test_pinocchio_with_bodies_off(case, seed):
     name, hidden, expected = PINOCCHIO[case]
@@ -211,7 +219,7 @@ def test_pinocchio_with_bodies_off(case, seed):
 class TestNothingHidden:
     ROBOTS = ("arm6", "arm7", "double_pendulum")
 
-    @pytest.mark.parametrize("seed", range(24))
+    @pytest.mark.parametrize("seed", seeds(*range(24), first=12))
     def test_white_noise(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed)
@@ -222,13 +230,13 @@ class TestNothingHidden:
         floor = floor_nrms(model, recording, found.end)
         assert floor / MARGIN < found.end.nrms < MARGIN * floor
 
-    @pytest.mark.parametrize("seed", range(100, 124))
+    @pytest.mark.parametrize("seed", seeds(*range(100, 124), first=12))
     def test_coloured_noise(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed, colour=(0.4, 0.8)[seed % 2])
         assert explain(model_file(name), [recording.log]).steps == ()
 
-    @pytest.mark.parametrize("seed", range(200, 212))
+    @pytest.mark.parametrize("seed", seeds(*range(200, 212), first=6))
     def test_bodies_off(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed, off=0.2)
@@ -258,7 +266,7 @@ REFINED = {
 }
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", seeds(1, 2, 3, first=2))
 @pytest.mark.parametrize("name", REFINED)
 def test_laws_with_a_shape(name, seed):
     """Laws written out here, on Drake's inverse dynamics of the double pendulum."""
@@ -279,7 +287,7 @@ def test_laws_with_a_shape(name, seed):
             assert values["excess"] == pytest.approx(0.35, rel=0.1)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", seeds(1, 2))
 @pytest.mark.parametrize("exponent", [1.7, 2.4])
 def test_exponents_between_those_of_the_grid(exponent, seed):
     """No further effect is drawn by what a wrong exponent would leave."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,7 @@ class Case:
         dataset: The reduced logs, with columns for the model's effects and the candidates.
         fingerprints: Fingerprints of the logs.
         notes: What was done to the logs and noticed about the model.
+        kept: What was computed of model and motion alone, and serves again.
     """
 
     model: RobotModel
@@ -46,6 +48,7 @@ class Case:
     dataset: Dataset
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]
+    kept: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
 
 def open_case(
@@ -119,7 +122,7 @@ def open_case(
 def reopen(case: Case, model: RobotModel) -> Case:
     """The case with a model fitted to it, whose effects alone get columns."""
     dataset = reduce_logs(model, case.trajectories, case.folds, effects=effects_of(model))
-    return replace(case, model=model, dataset=dataset)
+    return replace(case, model=model, dataset=dataset, kept={})
 
 
 def reduced(

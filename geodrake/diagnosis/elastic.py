@@ -35,12 +35,12 @@ def elastic_joints(
         motion: `full_motion` of the case.
     """
     motion = [(log, segment[:_SAMPLES]) for log, segment in motion]
-    seen = {id(segment): _motion(case, segment) for _, segment in motion}
+    segments = [segment for _, segment in motion]
     found = []
     for name in case.model.single_joints:
         if np.ptp(joints[case.model.joints.index(name)].q) > 0.0:
             effect = JointElasticity(name)
-            columns = {key: _column(effect, each) for key, each in seen.items()}
+            columns = _columns(case, effect, segments)
             filtered = [
                 filtered_columns(case, motion, joint, lambda s, i=i, c=columns: c[id(s)][:, i])  # type: ignore[misc]
                 for i, joint in enumerate(joints)
@@ -62,7 +62,8 @@ def loose_joints(
         motion: `full_motion` of the case.
     """
     motion = [(log, segment[:_SAMPLES]) for log, segment in motion]
-    seen = {id(segment): _motion(case, segment) for _, segment in motion}
+    segments = [segment for _, segment in motion]
+    seen = dict(zip(map(id, segments), _motions(case, segments), strict=True))
     for name in case.model.single_joints:
         at = case.model.joints.index(name)
         joint, loads = joints[at], {key: each.load[:, at, None] for key, each in seen.items()}
@@ -75,7 +76,7 @@ def loose_joints(
         shapes = tuple(Backlash.candidates(name, 0.0))
         tried = []
         for shape in shapes:
-            columns = {key: _column(shape, each) for key, each in seen.items()}
+            columns = _columns(case, shape, segments)
             found = filtered_columns(case, motion, joint, lambda s, c=columns, i=at: c[id(s)][:, i])  # type: ignore[misc]
             tried.append(_proposal(shape, [joint], [found]))
         best = min(tried, key=lambda proposal: proposal.alarm)
@@ -85,6 +86,8 @@ def loose_joints(
 def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
     """Whether a joint errs more where its load (K,) changes its sign than elsewhere."""
     known = np.isfinite(load)
+    if not known.any():
+        return False
     near = known & (np.abs(load) < _NEAR * np.sqrt(np.mean(np.square(load[known]))))
     far = known & ~near
     if not near.any() or not far.any():
@@ -93,14 +96,23 @@ def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
     return bool(squares[near].mean() > _EXCESS * squares[far].mean())
 
 
+def _motions(case: Case, segments: Sequence[Segment]) -> list[RobotMotion]:
+    """The motion of every segment, computed once a case."""
+    if RobotMotion not in case.kept:
+        case.kept[RobotMotion] = [_motion(case, segment) for segment in segments]
+    return list(case.kept[RobotMotion])
+
+
 def _motion(case: Case, segment: Segment) -> RobotMotion:
     q, time = case.model.positions(segment.position), segment.time
     return case.model.motion(Motion(q, segment.velocity, segment.acceleration, time))
 
 
-def _column(effect: Effect, motion: RobotMotion) -> Array:
-    """(N, nv, 1) its column at every joint."""
-    return effect.regressor(motion)
+def _columns(case: Case, effect: Effect, segments: Sequence[Segment]) -> dict[int, Array]:
+    """By the segment's identity, the effect's column at every joint (N, nv, 1), once a case."""
+    if effect not in case.kept:
+        case.kept[effect] = [effect.regressor(each) for each in _motions(case, segments)]
+    return dict(zip(map(id, segments), case.kept[effect], strict=True))
 
 
 def _proposal(
