@@ -337,6 +337,15 @@ def test_gaps_stay_gaps_and_logs_keep_their_own_time():
     assert labels == ["0", "2", "4", "6", "8", "2", "4"]
 
 
+def test_a_block_without_motion_is_left_out():
+    one = comparison(("elbow",), 1.0)
+    first, *others = one.series
+    empty = dataclasses.replace(first, **{f: getattr(first, f)[:0] for f in FIELDS})
+    figure = effort_figure(dataclasses.replace(one, series=(empty, *others)))
+    assert np.isfinite(figure.axes[0].lines[0].get_data()[1]).sum() == 40 * len(others)
+    png(figure)
+
+
 def test_perfect_models_and_nan_positions_can_be_drawn():
     one = comparison(("elbow",), 1.0)
     perfect = dataclasses.replace(

@@ -48,6 +48,8 @@ class _Timeline:
     def of(cls, series: Sequence[Series]) -> _Timeline:
         spans: dict[str, tuple[float, float]] = {}
         for s in series:
+            if not len(s.time):  # a joint that stands still throughout a block
+                continue
             low, high = spans.get(_log_of(s), (np.inf, -np.inf))
             spans[_log_of(s)] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
         gap = 0.02 * sum(high - low for low, high in spans.values())
