@@ -47,9 +47,7 @@ class _Timeline:
     @classmethod
     def of(cls, series: Sequence[Series]) -> _Timeline:
         spans: dict[str, tuple[float, float]] = {}
-        for s in series:
-            if not len(s.time):  # a joint that stands still throughout a block
-                continue
+        for s in (s for s in series if len(s.time)):  # not where a joint stands still throughout
             low, high = spans.get(_log_of(s), (np.inf, -np.inf))
             spans[_log_of(s)] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
         gap = 0.02 * sum(high - low for low, high in spans.values())
