@@ -34,8 +34,7 @@ def elastic_joints(
         joints: Residuals of all joints.
         motion: `full_motion` of the case.
     """
-    motion = [(log, segment[:_SAMPLES]) for log, segment in motion]
-    segments = [segment for _, segment in motion]
+    motion, segments = _looked_at(motion)
     found = []
     for name in case.model.single_joints:
         if np.ptp(joints[case.model.joints.index(name)].q) > 0.0:
@@ -61,8 +60,7 @@ def loose_joints(
         joints: Residuals of all joints.
         motion: `full_motion` of the case.
     """
-    motion = [(log, segment[:_SAMPLES]) for log, segment in motion]
-    segments = [segment for _, segment in motion]
+    motion, segments = _looked_at(motion)
     seen = dict(zip(map(id, segments), _motions(case, segments), strict=True))
     for name in case.model.single_joints:
         at = case.model.joints.index(name)
@@ -94,6 +92,14 @@ def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
         return False
     squares = np.square(joint.residual)
     return bool(squares[near].mean() > _EXCESS * squares[far].mean())
+
+
+def _looked_at(
+    motion: Sequence[tuple[int, Segment]],
+) -> tuple[list[tuple[int, Segment]], list[Segment]]:
+    """The first samples of every segment, with the index of its log and by themselves."""
+    shorter = [(log, segment[:_SAMPLES]) for log, segment in motion]
+    return shorter, [segment for _, segment in shorter]
 
 
 def _motions(case: Case, segments: Sequence[Segment]) -> list[RobotMotion]:
