@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.control_regressor.spatial_algebra import SKEW, SWAP
-from geodrake.inertia import Array
+from geodrake.control_regressor.spatial_algebra import SWAP, skew, wrench_transform
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.joints import constant, cosine_sine
 from geodrake.kinematics import KinematicTree, Mobilizer
 
@@ -28,12 +28,12 @@ class Placement:
         wrenches: (nb, 6, 6) matrices D that take a wrench about Bo in B to one about Wo in W. Their
             transposes take motions from W to B.
         subspace: (nv, 6) motion of each velocity in W, about Wo.
-        inboard_rotation: (nv, 3, 3) rotation in W of the body inboard of each velocity.
+        inboard: (nv, 6, 6) the same matrices for the body inboard of each velocity.
     """
 
     wrenches: Array
     subspace: Array
-    inboard_rotation: Array
+    inboard: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,7 @@ class OnlineTree:
         moves: (nb, nv) one where a velocity moves a body.
         moves_inboard: (nv, nv) one where a velocity moves the body inboard of another's joint.
         reaction: (nb, 6) acceleration of the bodies at rest that stands in for gravity.
+        moves_columns: (nv, 10 nb) one where a velocity moves the body of a parameter.
         swing: (nv, 3, nv) linear part of what a joint's motion does to its own axes, for joints
             that slide and turn; zero for all that have one velocity.
         swings: Whether any of that is not zero.
@@ -52,9 +53,10 @@ class OnlineTree:
     moves: Array
     moves_inboard: Array
     reaction: Array
+    moves_columns: Array
     swing: Array
     swings: bool
-    _poses: Array
+    _wrenches: Array
     _angles: Indices
     _slides: Array
     _general: tuple[tuple[int, Mobilizer], ...]
@@ -72,8 +74,8 @@ class OnlineTree:
         nb, nq, nv = len(tree.bodies), tree.num_positions, tree.num_velocities
         moves, moves_inboard = np.zeros((nb, nv)), np.zeros((nv, nv))
         reaction, bodies = np.zeros((nb, 6)), np.zeros(nb, int)
-        poses = np.zeros((3, count + 1, 4, 4))
-        poses[0] = np.eye(4)
+        wrenches = np.zeros((3, count + 1, 6, 6))
+        wrenches[0] = np.eye(6)
         angles, slides = np.zeros(count + 1, int), np.zeros((count + 1, 3, nq))
         columns, column_slides = np.zeros((nv, 6)), np.zeros((nv, 3, nq))
         inboard, swing = np.zeros(nv, int), np.zeros((nv, 3, nv))
@@ -88,7 +90,7 @@ class OnlineTree:
             moves_inboard[own, before] = 1.0
             if joint.features in (constant, cosine_sine):
                 angles[i] = mobilizer.positions.stop - 1
-                poses[:, i] = _pose_features(mobilizer)
+                wrenches[:, i] = _wrench_features(mobilizer)
             else:
                 general.append((i, mobilizer))
             slides[i, :, mobilizer.positions] = joint.translation
@@ -104,9 +106,10 @@ class OnlineTree:
             moves,
             moves_inboard,
             reaction,
+            np.repeat(moves.T, PARAMETERS_PER_BODY, axis=1),
             swing,
             bool(swing.any()),
-            poses,
+            wrenches,
             angles,
             slides,
             tuple(general),
@@ -120,40 +123,33 @@ class OnlineTree:
 
     def place(self, q: Array) -> Placement:
         """Poses and subspace at positions q (nq,)."""
-        angle = q[self._angles, None, None]
-        pose = self._poses[0] + self._poses[1] * np.cos(angle) + self._poses[2] * np.sin(angle)
+        angle = q.take(self._angles)[:, None, None]
+        D = self._wrenches[0] + self._wrenches[1] * np.cos(angle) + self._wrenches[2] * np.sin(angle)
         for i, mobilizer in self._general:
             joint = mobilizer.motion
             R_PB = (joint.rotation @ joint.features(q[mobilizer.positions, None])).reshape(3, 3)
-            pose[i, :3, :3] = R_PB
-            pose[i, :3, 3] = joint.offset + R_PB @ mobilizer.p_MoBo_B
+            D[i] = wrench_transform(R_PB, joint.offset + R_PB @ mobilizer.p_MoBo_B)
         columns = self._columns
         if self._sliding:
-            pose[:, :3, 3] += self._slides @ q
+            D[:, :3, 3:] += skew(self._slides @ q) @ D[:, :3, :3]
             columns = columns.copy()
             columns[:, :3] += self._column_slides @ q
         for jump in self._jumps:
-            pose = pose[jump] @ pose
-        R = pose[:, :3, :3]
-        D = np.zeros((len(pose), 6, 6))
-        D[:, :3, :3] = D[:, 3:, 3:] = R
-        np.matmul((pose[:, :3, 3] @ SKEW).reshape(-1, 3, 3), R, out=D[:, :3, 3:])
+            D = D.take(jump, 0) @ D
         # A wrench transform with its halves exchanged is the transform of motions.
-        D_P = D[self._inboard]
-        subspace = (D_P @ columns[:, :, None])[:, SWAP, 0]
-        return Placement(D[self._body_mobilizers], subspace, D_P[:, :3, :3])
+        inboard = D.take(self._inboard, 0)
+        subspace = (inboard @ columns[:, :, None])[:, :, 0].take(SWAP, 1)
+        return Placement(D.take(self._body_mobilizers, 0), subspace, inboard)
 
 
-def _pose_features(mobilizer: Mobilizer) -> Array:
-    """(3, 4, 4) factors of 1, cos and sin in the pose X_PB of a joint about or along one axis."""
-    joint = mobilizer.motion
-    rotation = joint.rotation.T.reshape(-1, 3, 3)
-    poses = np.zeros((3, 4, 4))
-    poses[: len(rotation), :3, :3] = rotation
-    poses[: len(rotation), :3, 3] = rotation @ mobilizer.p_MoBo_B
-    poses[0, :3, 3] += joint.offset
-    poses[0, 3, 3] = 1.0
-    return poses
+def _wrench_features(mobilizer: Mobilizer) -> Array:
+    """(3, 6, 6) factors of 1, cos and sin in D of X_PB, of a joint about or along one axis."""
+    joint, factors = mobilizer.motion, np.zeros((3, 6, 6))
+    R = joint.rotation.T.reshape(-1, 3, 3)
+    factors[: len(R), :3, :3] = factors[: len(R), 3:, 3:] = R
+    # [offset + R p] R = [offset] R + R [p] is as linear in the features as R is.
+    factors[: len(R), :3, 3:] = skew(joint.offset) @ R + R @ skew(mobilizer.p_MoBo_B)
+    return factors
 
 
 def _doublings(parents: Indices) -> tuple[Indices, ...]:

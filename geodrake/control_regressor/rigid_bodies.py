@@ -22,11 +22,10 @@ from geodrake.control_regressor.spatial_algebra import (
     INERTIA,
     MOMENTUM,
     MOTION_CROSS,
+    SLOTINE_LI,
     motion_cross,
 )
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-
-_IDENTITY = np.eye(6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,37 +49,29 @@ class RigidSample:
         """Kinematics at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,)."""
         placement = tree.place(q)
         S, sums = placement.subspace, np.empty((len(v), 3, 6))
-        np.multiply(S, v[:, None], out=sums[:, 1])
-        np.multiply(S, qd[:, None], out=sums[:, 2])
+        np.multiply(S[:, None], np.array((a, v, qd)).T[:, :, None], out=sums)
         subspace_rate = (motion_cross(tree.moves_inboard @ sums[:, 2]) @ S[:, :, None])[:, :, 0]
         if tree.swings:
-            swing = placement.inboard_rotation @ (tree.swing @ qd)[:, :, None]
+            swing = placement.inboard[:, :3, :3] @ (tree.swing @ qd)[:, :, None]
             subspace_rate[:, 3:] += swing[:, :, 0]
-        sums[:, 0] = S * a[:, None] + subspace_rate * v[:, None]
+        sums[:, 0] += subspace_rate * v[:, None]
         motions = (tree.moves @ sums.reshape(-1, 18)).reshape(-1, 3, 6)
         motions[:, 0] += tree.reaction
         return cls(tree, placement, motions @ placement.wrenches, subspace_rate)
 
     @cached_property
-    def crosses(self) -> Array:
-        """The matrices 𝟙, −½ V × and −½ U × (nb, 18, 6)."""
-        crosses = np.empty((len(self.motions), 3, 6, 6))
-        crosses[:, 0] = _IDENTITY
-        np.multiply(motion_cross(self.motions[:, :0:-1]), -0.5, out=crosses[:, 1:])
-        return crosses.reshape(-1, 18, 6)
-
-    @cached_property
-    def pushed(self) -> Array:
-        """Rows A', U and V (nb, 3, 6)."""
-        pushed = self.motions.copy()
-        pushed[:, 0] += (self.crosses[:, 6:12] @ self.motions[:, 1, :, None])[:, :, 0]
-        return pushed
+    def wrench_maps(self) -> Array:
+        """Matrices X (nb, 10, 6): φᵀ X is the wrench F of a body about Bo, in B."""
+        count = len(self.motions)
+        features = np.empty((count, 42))
+        features[:, :6] = self.motions[:, 0]
+        U, V = self.motions[:, 1, :, None], self.motions[:, 2, None]
+        np.multiply(U, V, out=features[:, 6:].reshape(count, 6, 6))
+        return (features @ SLOTINE_LI).reshape(count, PARAMETERS_PER_BODY, 6)
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
-        G = (phi @ INERTIA).reshape(-1, 6, 6)
-        momenta = (self.pushed @ G).reshape(-1, 1, 18)
-        wrenches = (momenta @ self.crosses) @ self.placement.wrenches.transpose(0, 2, 1)
+        wrenches = (phi[:, None] @ self.wrench_maps) @ self.placement.wrenches.transpose(0, 2, 1)
         total = self.tree.moves.T @ wrenches[:, 0]
         return np.einsum("ij,ij->i", self.placement.subspace, total)
 
@@ -88,26 +79,25 @@ class RigidSample:
         """Yᵀ r (nb, 10) for r (nv,), from spatial velocities alone."""
         along = self.tree.moves @ (self.placement.subspace * r[:, None])
         R = along[:, None] @ self.placement.wrenches
-        sides = (self.crosses @ R.transpose(0, 2, 1)).reshape(-1, 3, 6)
-        products = sides.transpose(0, 2, 1) @ self.pushed
-        return products.reshape(-1, 36) @ INERTIA.T
+        return (self.wrench_maps @ R.transpose(0, 2, 1))[:, :, 0]
 
     @cached_property
     def regressor(self) -> Array:
         """Y (nv, 10 nb)."""
-        momenta = (self.pushed @ MOMENTUM).reshape(-1, 18, PARAMETERS_PER_BODY)
-        wrenches = self.crosses.transpose(0, 2, 1) @ momenta
-        return self._spread(wrenches[None], self.placement.subspace)[0]
+        product = self.placement.subspace @ self._in_world(self.wrench_maps).T
+        product *= self.tree.moves_columns
+        return product
 
     @cached_property
     def momentum_regressors(self) -> tuple[Array, Array]:
         """Regressors (nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g, that is Σ Jᵀ G V and Σ J̇ᵀ G V + τ_g."""
-        # (What goes along the subspace goes together: the cost is in the number of calls.)
-        reaction = self.tree.reaction[:, None] @ self.placement.wrenches
-        both = np.concatenate([self.motions[:, 2], reaction[:, 0]]) @ MOMENTUM
-        both = both.reshape(2, -1, 6, PARAMETERS_PER_BODY)
-        momentum, weight = self._spread(both, self.placement.subspace)
-        return momentum, self._spread(both[:1], self.subspace_rate)[0] - weight
+        # (All products at once: the cost is in the number of calls. One of the four is not needed.)
+        V, S = self.motions[:, 2], self.placement.subspace
+        reaction = (self.tree.reaction[:, None] @ self.placement.wrenches)[:, 0]
+        maps = (np.concatenate((V, reaction)) @ MOMENTUM).reshape(2, -1, PARAMETERS_PER_BODY, 6)
+        product = np.concatenate((S, self.subspace_rate)) @ self._in_world(maps).T
+        moves, (nv, n) = self.tree.moves_columns, self.tree.moves_columns.shape
+        return product[:nv, :n] * moves, (product[nv:, :n] - product[:nv, n:]) * moves
 
     def mass_matrix(self, phi: Array) -> Array:
         """M (nv, nv) for φ (nb, 10)."""
@@ -124,14 +114,9 @@ class RigidSample:
         B = -0.5 * (turned + turned.transpose(0, 2, 1) + pushed)
         return _sum_of_products(J, J_rate @ G + J @ B.transpose(0, 2, 1))
 
-    def _spread(self, wrenches: Array, subspace: Array) -> Array:
-        """Regressors (k, nv, 10 nb) of wrenches (k, nb, 6, 10) in B, along directions (nv, 6)."""
-        in_world = (self.placement.wrenches @ wrenches).transpose(0, 2, 1, 3)
-        size, bodies = len(wrenches), in_world.shape[2]
-        product = subspace @ in_world.reshape(size, 6, -1)
-        product = product.reshape(size, len(subspace), bodies, -1)
-        product *= self.tree.moves.T[:, :, None]
-        return product.reshape(size, len(subspace), -1)
+    def _in_world(self, maps: Array) -> Array:
+        """Wrenches of unit parameters (k nb 10, 6) in W about Wo, from maps (k, nb, 10, 6) in B."""
+        return (maps @ self.placement.wrenches.transpose(0, 2, 1)).reshape(-1, 6)
 
     def _jacobian(self, subspace: Array) -> Array:
         """Rows (nb, nv, 6) of the bodies' velocities in B, from directions (nv, 6) in W."""

@@ -25,8 +25,7 @@ def _motion_cross_tensor() -> Array:
     return tensor
 
 
-SKEW = _cross_tensor().reshape(3, 9)
-"""p @ SKEW is the 3×3 matrix of p ×, row after row."""
+_SKEW = _cross_tensor().reshape(3, 9)
 
 MOTION_CROSS = _motion_cross_tensor().reshape(6, 36)
 """V @ MOTION_CROSS is the 6×6 matrix of V × on motion vectors, row after row."""
@@ -34,8 +33,8 @@ MOTION_CROSS = _motion_cross_tensor().reshape(6, 36)
 INERTIA = spatial_inertia_matrix(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 36)
 """φ @ INERTIA is the spatial inertia G(φ), row after row."""
 
-MOMENTUM = INERTIA.reshape(-1, 6, 6).transpose(2, 1, 0).reshape(6, 60).copy()
-"""V @ MOMENTUM is the 6×10 matrix that maps φ to the momentum G(φ) V, row after row."""
+MOMENTUM = INERTIA.reshape(-1, 6, 6).transpose(2, 0, 1).reshape(6, 60).copy()
+"""V @ MOMENTUM is the 10×6 matrix X with the momentum φᵀ X = G(φ) V, row after row."""
 
 SWAP = np.array([3, 4, 5, 0, 1, 2])
 """Exchanges rotation and translation."""
@@ -44,3 +43,37 @@ SWAP = np.array([3, 4, 5, 0, 1, 2])
 def motion_cross(V: Array) -> Array:
     """The matrices (..., 6, 6) of V × on motion vectors, for V (..., 6)."""
     return (V @ MOTION_CROSS).reshape(*V.shape, 6)
+
+
+def skew(p: Array) -> Array:
+    """The matrices (..., 3, 3) of p ×, for p (..., 3)."""
+    return (p @ _SKEW).reshape(*p.shape, 3)
+
+
+def wrench_transform(R: Array, p: Array) -> Array:
+    """The matrix (6, 6) that takes wrenches about Bo in B to A, for the pose R (3, 3), p (3,)."""
+    D = np.zeros((6, 6))
+    D[:3, :3] = D[3:, 3:] = R
+    D[:3, 3:] = skew(p) @ R
+    return D
+
+
+def _slotine_li_tensor() -> Array:
+    """(42, 60) tensor behind SLOTINE_LI."""
+    tensor = np.empty((42, PARAMETERS_PER_BODY, 6))
+    momenta = MOMENTUM.reshape(6, PARAMETERS_PER_BODY, 6)
+    tensor[:6] = momenta
+    crosses = MOTION_CROSS.reshape(6, 6, 6)
+    for i, U_cross in enumerate(crosses):
+        for j, V_cross in enumerate(crosses):
+            # V ×* = −(V ×)ᵀ, and momenta are rows here.
+            turned = np.tensordot(V_cross[:, i], momenta, 1)
+            tensor[6 + 6 * i + j] = -0.5 * (turned + momenta[i] @ V_cross + momenta[j] @ U_cross)
+    return tensor.reshape(42, 60)
+
+
+SLOTINE_LI = _slotine_li_tensor()
+"""[A, U ⊗ V] @ SLOTINE_LI is the 10×6 matrix X, row after row, with φᵀ X the wrench
+
+    F = G A' + ½ (V ×* G U + U ×* G V),   A' = A − ½ V × U.
+"""
