@@ -21,9 +21,10 @@ from geodrake.manifolds.base import Array
 _TO_MATRIX = pseudo_inertia_basis().reshape(PARAMETERS_PER_BODY, 16)
 _TO_DUAL = dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
-_IDENTITY = np.eye(4)
-_SIXTH = _IDENTITY / 6
-_SHORT = 0.02  # logarithm of what half a step may multiply a direction of P by, for a series
+_SHORT = 0.02  # length of a step of all bodies together, for a series
+_SERIES = np.array(
+    [[1.0, 1 / 2, 1 / 6], [0.0, 1 / 24, 1 / 120]]
+)  # of z, z² and z³ in e^z − 1, and in what z² multiplies there
 _USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a direction of P by, on the fast way
 _GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _WELL_INSIDE = 1e-12  # det P over the product of its diagonal
@@ -44,6 +45,26 @@ class _Group:
     places: NDArray[np.intp]
     weight: float
     lower: Array | None = None
+
+    @cached_property
+    def _span(self) -> slice | None:
+        """Where the coordinates are, if they follow each other: slices take a third of the time."""
+        start = int(self.places[0, 0]) if self.places.size else 0
+        following = np.arange(start, start + self.places.size).reshape(self.places.shape)
+        return slice(start, following.size + start) if (following == self.places).all() else None
+
+    def part(self, x: Array) -> Array:
+        """The coordinates (..., k, n) among those of the product (..., N)."""
+        if self._span is None:
+            return x[..., self.places]
+        return x[..., self._span].reshape(*x.shape[:-1], *self.places.shape)
+
+    def put(self, values: Array, x: Array) -> None:
+        """Writes coordinates (..., k, n) to their places in those of the product (..., N)."""
+        if self._span is None:
+            x[..., self.places] = values
+        else:
+            x[..., self._span] = values.reshape(*x.shape[:-1], self.places.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +102,13 @@ class BatchedProduct(Product):
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
         """Whether x is inside every factor (...)."""
         x = np.asarray(x, float)
-        inside = [g.manifold.contains(x[..., g.places]).all(-1) for g in self._groups]
+        inside = [g.manifold.contains(g.part(x)).all(-1) for g in self._groups]
         return np.logical_and.reduce(inside)
 
     def barrier(self, x: ArrayLike) -> Array:
         """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
         x = np.asarray(x, float)
-        terms = [g.weight * g.manifold.barrier(x[..., g.places]).sum(-1) for g in self._groups]
+        terms = [g.weight * g.manifold.barrier(g.part(x)).sum(-1) for g in self._groups]
         return np.asarray(sum(terms), float)
 
     def gradient(self, x: ArrayLike) -> Array:
@@ -109,18 +130,14 @@ class BatchedProduct(Product):
         """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
         x, y = np.asarray(x, float), np.asarray(y, float)
         terms = [
-            g.weight * g.manifold.divergence(x[..., g.places], y[..., g.places]).sum(-1)
-            for g in self._groups
+            g.weight * g.manifold.divergence(g.part(x), g.part(y)).sum(-1) for g in self._groups
         ]
         return np.asarray(sum(terms), float)
 
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The least of the factors' times (...)."""
         x, v = np.asarray(x, float), np.asarray(v, float)
-        times = [
-            g.manifold.longest_step(x[..., g.places], v[..., g.places]).min(-1)
-            for g in self._groups
-        ]
+        times = [g.manifold.longest_step(g.part(x), g.part(v)).min(-1) for g in self._groups]
         return np.minimum.reduce(times)
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
@@ -141,26 +158,27 @@ class BatchedProduct(Product):
             step = group.manifold.inverse_metric_times(x, b) * (-time / group.weight)
             return group.manifold.retract(x, step)
 
+        if np.shape(x) != np.shape(b):
+            x, b = np.broadcast_arrays(x, b)
         return self._filled(stepped, x, b)
 
     def _filled(self, function: Callable[..., Array], *vectors: ArrayLike) -> Array:
         """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
         whole = [np.asarray(vector, float) for vector in vectors]
-        if any(x.shape != whole[0].shape for x in whole):
-            whole = list(np.broadcast_arrays(*whole))
-        filled = np.empty(whole[0].shape)
+        # (What has fewer leading axes than the rest is not repeated: the functions broadcast.)
+        filled = np.empty(max((x.shape for x in whole), key=len))
         for group in self._groups:
-            at = group.places if filled.ndim == 1 else (..., group.places)
-            filled[at] = function(group, *[x[at] for x in whole])
+            group.put(function(group, *(group.part(x) for x in whole)), filled)
         return filled
 
 
 def _matrices(vectors: Array, basis: Array) -> Array:
-    return (vectors @ basis).reshape(*vectors.shape[:-1], 4, 4)
+    return (vectors.reshape(-1, PARAMETERS_PER_BODY) @ basis).reshape(*vectors.shape[:-1], 4, 4)
 
 
 def _parameters(matrices: Array) -> Array:
-    return matrices.reshape(*matrices.shape[:-2], 16) @ _FROM_MATRIX
+    flat = matrices.reshape(-1, 16) @ _FROM_MATRIX
+    return flat.reshape(*matrices.shape[:-2], PARAMETERS_PER_BODY)
 
 
 def _body_step(phi: Array, b: Array, time: float) -> Array:
@@ -186,27 +204,28 @@ def _body_step(phi: Array, b: Array, time: float) -> Array:
 def _short_step(P: Array, X: Array, time: float) -> Array | None:
     """The natural step of pseudo inertias by a series, if it is short.
 
-    It is S P Sᵀ with S = exp(−½ time P X), whatever root of P there is.
+    It is exp(Z) P with Z = −time P X, whatever root of P there is.
     """
-    Z = P @ (X * (-0.5 * time))
-    # tr Z² is the squared length of ½ time Lᵀ X L.
-    square = Z @ Z
-    if not np.einsum("...ii", square).max(initial=0.0) < _SHORT**2:
+    powers = np.empty((3, *P.shape))
+    Z = np.matmul(P, X * -time, out=powers[0])
+    # tr Z² is the squared length of time Lᵀ X L.
+    if not np.vdot(Z, Z.swapaxes(-1, -2)) < _SHORT**2:
         return None
-    cube = square @ Z
-    S = _IDENTITY + Z + 0.5 * square + cube @ (_SIXTH + Z * (1 / 24) + square * (1 / 120))
-    stepped = S @ P @ S.swapaxes(-1, -2)
+    square = np.matmul(Z, Z, out=powers[1])
+    np.matmul(square, Z, out=powers[2])
+    low, high = (_SERIES @ powers.reshape(3, -1)).reshape(2, *P.shape)
+    stepped = P + (low + square @ high) @ P
     return stepped if _well_inside(stepped) else None
 
 
 def _well_inside(P: Array) -> bool:
     """Whether P (..., 4, 4) are so far from the edge that rounding does not matter."""
-    diagonal = np.diagonal(P, axis1=-2, axis2=-1)
-    if not 1 / _GREATEST < diagonal.min(initial=1.0) <= diagonal.max(initial=1.0) < _GREATEST:
+    diagonal = P.reshape(-1, 16)[:, ::5]
+    if not diagonal.min(initial=1.0) > 1 / _GREATEST:
         return False
-    # (det P over the product of its diagonal does not depend on units.)
-    shape = np.linalg.det(P) / diagonal.prod(-1)
-    return bool(shape.min(initial=1.0) > _WELL_INSIDE)
+    # det P over the product of its diagonal does not depend on units. (Both overflow together.)
+    least = _WELL_INSIDE * diagonal.prod(-1)
+    return bool((np.linalg.det(P).ravel() > least).all())
 
 
 def _careful_step(phi: Array, b: Array, time: float) -> Array:
@@ -219,9 +238,9 @@ def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
     """The natural step of parameters x (..., n) that have a lower bound only."""
     slack = x - lower
     growth = slack * b * -time
-    if np.abs(growth).max(initial=0.0) <= _USUAL_GROWTH:
+    if np.vdot(growth, growth) <= _USUAL_GROWTH**2:
         stepped = x + slack * np.expm1(growth)
-        if (stepped > lower).all() and stepped.max() < _GREATEST:
+        if (stepped > lower).all() and np.vdot(stepped, stepped) < _GREATEST:
             return np.asarray(stepped)
     above = Interval(tuple(lower.tolist()), (np.inf,) * len(lower))
     return above.retract(x, slack * growth)

@@ -200,7 +200,7 @@ class ControlSample:
         rigid = self.rigid.regressor
         if not self.model.effects:
             return rigid
-        return self._scaled(np.hstack([rigid, self._effect_columns]))
+        return self._scaled(np.concatenate((rigid, self._effect_columns), axis=1))
 
     def effort(self, parameters: Array) -> Array:
         """Y p (nv,), N·m or N, for parameters p (p,)."""
@@ -243,14 +243,14 @@ class ControlSample:
         if not self.model.effects:
             return momentum, drift
         columns, qd = self.model._columns, self._motion[1]
-        still = self._seen(np.zeros_like(qd), qd)
+        still = self._seen(np.zeros(len(qd)), qd)
         rest = columns.columns(still, self._body_columns(-drift))
         moved = np.zeros_like(rest)
         if columns.uses_acceleration or columns.sees_bodies:
             turning = replace(still, vd=qd)
             moved = columns.columns(turning, self._body_columns(momentum))
             moved -= columns.columns(still, _no_columns(momentum))
-        both = np.hstack([momentum, moved]), np.hstack([drift, -rest])
+        both = np.concatenate((momentum, moved), axis=1), np.concatenate((drift, -rest), axis=1)
         return self._scaled(both[0]), self._scaled(both[1])
 
     def _scaled(self, regressor: Array) -> Array:
@@ -274,11 +274,11 @@ class ControlSample:
         """The motion as effects see it, at accelerations a and velocities v (nv,)."""
         model, q = self.model, self._motion[0]
         columns = model._columns
-        load = np.zeros_like(v)
+        load = np.zeros(len(v))
         if columns.uses_load:
             phi = model._total_phi if self._load_phi is None else self._load_phi
             load = self.rigid.effort(phi)
-        q_joint = q[model._positions]
+        q_joint = q.take(model._positions)
         if not model._all_single:
             q_joint = np.where(model._single, q_joint, np.nan)
         bodies = None

@@ -48,13 +48,15 @@ class _Together:
 
     Attributes:
         effect: One of them.
-        joints: (k,) their velocities.
+        joints: (k,) their velocities; None for all velocities in order.
         columns: (m, k) where their parameters are among all effects' parameters.
+        places: (m, k) where their values are in the columns (nv, k) of all effects, flattened.
     """
 
     effect: JointEffect
-    joints: Indices
+    joints: Indices | None
     columns: Indices
+    places: Indices
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,7 @@ class EffectColumns:
         q, v, vd, load = rng.normal(size=(4, len(joints)))
         trial = OnlineMotion(np.where(single, q, np.nan), v, vd, load, base.direction(v), bodies)
         exact = base.columns(trial, body_columns)
-        together, alone = _sorted(joints, parts)
+        together, alone = _sorted(joints, parts, ends[-1])
         found = replace(base, _together=(), _alone=tuple(alone))
         for group in together:
             attempt = replace(base, _together=(group,), _alone=())
@@ -147,13 +149,13 @@ class EffectColumns:
     def columns(self, motion: OnlineMotion, body_columns: Callable[[str], Array]) -> Array:
         """Columns (nv, k) of all effects' parameters."""
         Y = np.zeros((len(self.joints), self.count))
+        fields = motion.q, motion.v, motion.vd, motion.load, motion.sign_v
+        everywhere = JointMotion(*fields)
         for group in self._together:
             at = group.joints
-            joint = JointMotion(
-                motion.q[at], motion.v[at], motion.vd[at], motion.load[at], motion.sign_v[at]
-            )
-            for column, values in zip(group.columns, group.effect.columns(joint), strict=True):
-                Y[at, column] = values
+            joint = everywhere if at is None else JointMotion(*(x[at] for x in fields))
+            for place, values in zip(group.places, group.effect.columns(joint), strict=True):
+                Y.put(place, values)
         if self._alone:
             seen = RobotMotion(
                 self.joints,
@@ -187,7 +189,7 @@ class EffectColumns:
 
 
 def _sorted(
-    joints: tuple[str, ...], parts: list[tuple[Effect, slice]]
+    joints: tuple[str, ...], parts: list[tuple[Effect, slice]], count: int
 ) -> tuple[list[_Together], list[tuple[Effect, slice]]]:
     """Groups of joint effects that may be evaluated together, and the other effects."""
     groups: list[list[tuple[JointEffect, slice]]] = []
@@ -203,12 +205,12 @@ def _sorted(
                 break
         else:
             groups.append([(effect, part)])
-    together = [
-        _Together(
-            group[0][0],
-            np.array([joints.index(effect.joint) for effect, _ in group]),
-            np.array([range(part.start, part.stop) for _, part in group]).T,
+    together = []
+    for group in groups:
+        at = np.array([joints.index(effect.joint) for effect, _ in group])
+        columns = np.array([range(part.start, part.stop) for _, part in group]).T
+        everywhere = np.array_equal(at, np.arange(len(joints)))
+        together.append(
+            _Together(group[0][0], None if everywhere else at, columns, at * count + columns)
         )
-        for group in groups
-    ]
     return together, alone

@@ -124,7 +124,11 @@ class OnlineTree:
     def place(self, q: Array) -> Placement:
         """Poses and subspace at positions q (nq,)."""
         angle = q.take(self._angles)[:, None, None]
-        D = self._wrenches[0] + self._wrenches[1] * np.cos(angle) + self._wrenches[2] * np.sin(angle)
+        D = (
+            self._wrenches[0]
+            + self._wrenches[1] * np.cos(angle)
+            + self._wrenches[2] * np.sin(angle)
+        )
         for i, mobilizer in self._general:
             joint = mobilizer.motion
             R_PB = (joint.rotation @ joint.features(q[mobilizer.positions, None])).reshape(3, 3)
