@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
@@ -481,6 +481,7 @@ def test_steps_along_a_limit_keep_to_it():
 
 @some
 @given(seeds, st.floats(0, 8))
+@example(49485, 3.0)
 def test_a_step_of_any_length_ends_in_the_set(seed, size):
     rng = np.random.default_rng(seed)
     start = random_point(BODIES, rng)

@@ -145,15 +145,15 @@ class _Part:
     def project(self, x: Array) -> Array:
         """The Bregman projection of x (n,) onto the limits."""
         values, normals = self.limits.values(x), self.limits.gradients(x)
-        rounding = _ROUNDING * (np.abs(normals) @ np.abs(x))
-        outside = np.flatnonzero(values > rounding)
+        sizes = _ROUNDING * np.abs(normals)
+        outside = np.flatnonzero(values > sizes @ np.abs(x))
         if not len(outside):
             return x
         # The projection onto one half-space is the one onto all, if it is inside of all.
         for row in outside:
             limit = float(normals[row] @ x - values[row])
             y = half_space_projection(self.manifold, x, normals[row], limit)
-            if y is not None and (self.limits.values(y) <= rounding).all():
+            if y is not None and (self.limits.values(y) <= sizes @ np.abs(y)).all():
                 return y
         return bregman_projection(self.manifold, x, self.limits.polyhedron)
 
