@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.control_regressor.spatial_algebra import SWAP, skew, wrench_transform
+from geodrake.control_regressor.spatial_algebra import SWAP, motion_transform, skew
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.joints import constant, cosine_sine
 from geodrake.kinematics import KinematicTree, Mobilizer
@@ -25,13 +25,13 @@ class Placement:
     """Where a tree is at one q.
 
     Attributes:
-        wrenches: (nb, 6, 6) matrices D that take a wrench about Bo in B to one about Wo in W. Their
-            transposes take motions from W to B.
+        transforms: (nb, 6, 6) matrices X that take a motion about Wo in W to one about Bo in B, as a
+            column. Wrenches F go the other way as rows: Fᵀ X is about Wo in W.
         subspace: (nv, 6) motion of each velocity in W, about Wo.
         inboard: (nv, 6, 6) the same matrices for the body inboard of each velocity.
     """
 
-    wrenches: Array
+    transforms: Array
     subspace: Array
     inboard: Array
 
@@ -56,7 +56,7 @@ class OnlineTree:
     moves_columns: Array
     swing: Array
     swings: bool
-    _wrenches: Array
+    _transforms: Array
     _angles: Indices
     _slides: Array
     _general: tuple[tuple[int, Mobilizer], ...]
@@ -74,8 +74,8 @@ class OnlineTree:
         nb, nq, nv = len(tree.bodies), tree.num_positions, tree.num_velocities
         moves, moves_inboard = np.zeros((nb, nv)), np.zeros((nv, nv))
         reaction, bodies = np.zeros((nb, 6)), np.zeros(nb, int)
-        wrenches = np.zeros((3, count + 1, 6, 6))
-        wrenches[0] = np.eye(6)
+        transforms = np.zeros((3, count + 1, 6, 6))
+        transforms[0] = np.eye(6)
         angles, slides = np.zeros(count + 1, int), np.zeros((count + 1, 3, nq))
         columns, column_slides = np.zeros((nv, 6)), np.zeros((nv, 3, nq))
         inboard, swing = np.zeros(nv, int), np.zeros((nv, 3, nv))
@@ -90,7 +90,7 @@ class OnlineTree:
             moves_inboard[own, before] = 1.0
             if joint.features in (constant, cosine_sine):
                 angles[i] = mobilizer.positions.stop - 1
-                wrenches[:, i] = _wrench_features(mobilizer)
+                transforms[:, i] = _transform_features(mobilizer)
             else:
                 general.append((i, mobilizer))
             slides[i, :, mobilizer.positions] = joint.translation
@@ -109,7 +109,7 @@ class OnlineTree:
             np.repeat(moves.T, PARAMETERS_PER_BODY, axis=1),
             swing,
             bool(swing.any()),
-            wrenches,
+            transforms,
             angles,
             slides,
             tuple(general),
@@ -124,35 +124,34 @@ class OnlineTree:
     def place(self, q: Array) -> Placement:
         """Poses and subspace at positions q (nq,)."""
         angle = q.take(self._angles)[:, None, None]
-        D = (
-            self._wrenches[0]
-            + self._wrenches[1] * np.cos(angle)
-            + self._wrenches[2] * np.sin(angle)
-        )
+        still, by_cos, by_sin = self._transforms
+        X = still + by_cos * np.cos(angle) + by_sin * np.sin(angle)
         for i, mobilizer in self._general:
             joint = mobilizer.motion
             R_PB = (joint.rotation @ joint.features(q[mobilizer.positions, None])).reshape(3, 3)
-            D[i] = wrench_transform(R_PB, joint.offset + R_PB @ mobilizer.p_MoBo_B)
+            X[i] = motion_transform(R_PB, joint.offset + R_PB @ mobilizer.p_MoBo_B)
         columns = self._columns
         if self._sliding:
-            D[:, :3, 3:] += skew(self._slides @ q) @ D[:, :3, :3]
+            X[:, 3:, :3] -= X[:, :3, :3] @ skew(self._slides @ q)
             columns = columns.copy()
             columns[:, :3] += self._column_slides @ q
         for jump in self._jumps:
-            D = D.take(jump, 0) @ D
-        # A wrench transform with its halves exchanged is the transform of motions.
-        inboard = D.take(self._inboard, 0)
-        subspace = (inboard @ columns[:, :, None])[:, :, 0].take(SWAP, 1)
-        return Placement(D.take(self._body_mobilizers, 0), subspace, inboard)
+            X = X @ X.take(jump, 0)
+        # A motion with its halves exchanged is transformed as a wrench is.
+        inboard = X.take(self._inboard, 0)
+        subspace = (columns[:, None] @ inboard)[:, 0].take(SWAP, 1)
+        return Placement(X.take(self._body_mobilizers, 0), subspace, inboard)
 
 
-def _wrench_features(mobilizer: Mobilizer) -> Array:
-    """(3, 6, 6) factors of 1, cos and sin in D of X_PB, of a joint about or along one axis."""
+def _transform_features(mobilizer: Mobilizer) -> Array:
+    """(3, 6, 6) factors of 1, cos and sin in X of B from P, of a joint about or along one axis."""
     joint, factors = mobilizer.motion, np.zeros((3, 6, 6))
     R = joint.rotation.T.reshape(-1, 3, 3)
-    factors[: len(R), :3, :3] = factors[: len(R), 3:, 3:] = R
+    R_BP = R.transpose(0, 2, 1)
+    factors[: len(R), :3, :3] = factors[: len(R), 3:, 3:] = R_BP
     # [offset + R p] R = [offset] R + R [p] is as linear in the features as R is.
-    factors[: len(R), :3, 3:] = skew(joint.offset) @ R + R @ skew(mobilizer.p_MoBo_B)
+    product = skew(joint.offset) @ R + R @ skew(mobilizer.p_MoBo_B)
+    factors[: len(R), 3:, :3] = product.transpose(0, 2, 1)
     return factors
 
 

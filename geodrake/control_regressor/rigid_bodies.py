@@ -35,7 +35,7 @@ class RigidSample:
     Attributes:
         tree: What is constant.
         placement: What depends on q.
-        motions: (nb, 3, 6) rows A, U and V of each body about Bo, in B.
+        motions: (nb, 6, 3) columns A, U and V of each body about Bo, in B.
         subspace_rate: (nv, 6) rate of the placement's subspace along the motion q̇.
     """
 
@@ -48,38 +48,38 @@ class RigidSample:
     def at(cls, tree: OnlineTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
         """Kinematics at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,)."""
         placement = tree.place(q)
-        S, sums = placement.subspace, np.empty((len(v), 3, 6))
-        np.multiply(S[:, None], np.array((a, v, qd)).T[:, :, None], out=sums)
-        subspace_rate = (motion_cross(tree.moves_inboard @ sums[:, 2]) @ S[:, :, None])[:, :, 0]
+        S, sums = placement.subspace, np.empty((len(v), 6, 3))
+        np.multiply(S[:, :, None], np.array((a, v, qd)).T[:, None], out=sums)
+        carried = motion_cross(tree.moves_inboard @ sums[:, :, 2])
+        subspace_rate = (carried @ S[:, :, None])[:, :, 0]
         if tree.swings:
-            swing = placement.inboard[:, :3, :3] @ (tree.swing @ qd)[:, :, None]
+            swing = placement.inboard[:, :3, :3].transpose(0, 2, 1) @ (tree.swing @ qd)[:, :, None]
             subspace_rate[:, 3:] += swing[:, :, 0]
-        sums[:, 0] += subspace_rate * v[:, None]
-        motions = (tree.moves @ sums.reshape(-1, 18)).reshape(-1, 3, 6)
-        motions[:, 0] += tree.reaction
-        return cls(tree, placement, motions @ placement.wrenches, subspace_rate)
+        sums[:, :, 0] += subspace_rate * v[:, None]
+        motions = (tree.moves @ sums.reshape(-1, 18)).reshape(-1, 6, 3)
+        motions[:, :, 0] += tree.reaction
+        return cls(tree, placement, placement.transforms @ motions, subspace_rate)
 
     @cached_property
     def wrench_maps(self) -> Array:
         """Matrices X (nb, 10, 6): φᵀ X is the wrench F of a body about Bo, in B."""
         count = len(self.motions)
         features = np.empty((count, 42))
-        features[:, :6] = self.motions[:, 0]
-        U, V = self.motions[:, 1, :, None], self.motions[:, 2, None]
+        features[:, :6] = self.motions[:, :, 0]
+        U, V = self.motions[:, :, 1, None], self.motions[:, None, :, 2]
         np.multiply(U, V, out=features[:, 6:].reshape(count, 6, 6))
         return (features @ SLOTINE_LI).reshape(count, PARAMETERS_PER_BODY, 6)
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
-        wrenches = (phi[:, None] @ self.wrench_maps) @ self.placement.wrenches.transpose(0, 2, 1)
+        wrenches = (phi[:, None] @ self.wrench_maps) @ self.placement.transforms
         total = self.tree.moves.T @ wrenches[:, 0]
         return np.einsum("ij,ij->i", self.placement.subspace, total)
 
     def covector(self, r: Array) -> Array:
         """Yᵀ r (nb, 10) for r (nv,), from spatial velocities alone."""
         along = self.tree.moves @ (self.placement.subspace * r[:, None])
-        R = along[:, None] @ self.placement.wrenches
-        return (self.wrench_maps @ R.transpose(0, 2, 1))[:, :, 0]
+        return (self.wrench_maps @ (self.placement.transforms @ along[:, :, None]))[:, :, 0]
 
     @cached_property
     def regressor(self) -> Array:
@@ -92,8 +92,8 @@ class RigidSample:
     def momentum_regressors(self) -> tuple[Array, Array]:
         """Regressors (nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g, that is Σ Jᵀ G V and Σ J̇ᵀ G V + τ_g."""
         # (All products at once: the cost is in the number of calls. One of the four is not needed.)
-        V, S = self.motions[:, 2], self.placement.subspace
-        reaction = (self.tree.reaction[:, None] @ self.placement.wrenches)[:, 0]
+        V, S = self.motions[:, :, 2], self.placement.subspace
+        reaction = (self.placement.transforms @ self.tree.reaction[:, :, None])[:, :, 0]
         maps = (np.concatenate((V, reaction)) @ MOMENTUM).reshape(2, -1, PARAMETERS_PER_BODY, 6)
         product = np.concatenate((S, self.subspace_rate)) @ self._in_world(maps).T
         moves, (nv, n) = self.tree.moves_columns, self.tree.moves_columns.shape
@@ -108,7 +108,7 @@ class RigidSample:
         """C(q, q̇) (nv, nv) for φ (nb, 10), with Ṁ − 2 C skew symmetric."""
         J, J_rate = (self._jacobian(x) for x in (self.placement.subspace, self.subspace_rate))
         G = (phi @ INERTIA).reshape(-1, 6, 6)
-        V = self.motions[:, 2]
+        V = self.motions[:, :, 2]
         turned = G @ motion_cross(V)
         pushed = np.einsum("kij,ni->njk", MOTION_CROSS.reshape(6, 6, 6), (V[:, None] @ G)[:, 0])
         B = -0.5 * (turned + turned.transpose(0, 2, 1) + pushed)
@@ -116,11 +116,12 @@ class RigidSample:
 
     def _in_world(self, maps: Array) -> Array:
         """Wrenches of unit parameters (k nb 10, 6) in W about Wo, from maps (k, nb, 10, 6) in B."""
-        return (maps @ self.placement.wrenches.transpose(0, 2, 1)).reshape(-1, 6)
+        return (maps @ self.placement.transforms).reshape(-1, 6)
 
     def _jacobian(self, subspace: Array) -> Array:
         """Rows (nb, nv, 6) of the bodies' velocities in B, from directions (nv, 6) in W."""
-        return (self.tree.moves[:, :, None] * subspace) @ self.placement.wrenches
+        along = self.tree.moves[:, :, None] * subspace
+        return along @ self.placement.transforms.transpose(0, 2, 1)
 
 
 def _sum_of_products(J: Array, F: Array) -> Array:

@@ -50,12 +50,12 @@ def skew(p: Array) -> Array:
     return (p @ _SKEW).reshape(*p.shape, 3)
 
 
-def wrench_transform(R: Array, p: Array) -> Array:
-    """The matrix (6, 6) that takes wrenches about Bo in B to A, for the pose R (3, 3), p (3,)."""
-    D = np.zeros((6, 6))
-    D[:3, :3] = D[3:, 3:] = R
-    D[:3, 3:] = skew(p) @ R
-    return D
+def motion_transform(R: Array, p: Array) -> Array:
+    """The matrix (6, 6) that takes motions about Ao in A to Bo in B, B at R (3, 3), p (3,) in A."""
+    X = np.zeros((6, 6))
+    X[:3, :3] = X[3:, 3:] = R.T
+    X[3:, :3] = -R.T @ skew(p)
+    return X
 
 
 def _slotine_li_tensor() -> Array:
