@@ -57,14 +57,14 @@ class _Group:
         """The coordinates (..., k, n) among those of the product (..., N)."""
         if self._span is None:
             return x[..., self.places]
-        return x[..., self._span].reshape(*x.shape[:-1], *self.places.shape)
+        return x[..., self._span].reshape(x.shape[:-1] + self.places.shape)
 
     def put(self, values: Array, x: Array) -> None:
         """Writes coordinates (..., k, n) to their places in those of the product (..., N)."""
         if self._span is None:
             x[..., self.places] = values
         else:
-            x[..., self._span] = values.reshape(*x.shape[:-1], self.places.size)
+            x[..., self._span] = values.reshape(x.shape[:-1] + (-1,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,19 +166,23 @@ class BatchedProduct(Product):
         """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
         whole = [np.asarray(vector, float) for vector in vectors]
         # (What has fewer leading axes than the rest is not repeated: the functions broadcast.)
-        filled = np.empty(max((x.shape for x in whole), key=len))
+        same = whole[0].shape == whole[-1].shape
+        filled = np.empty(
+            whole[0].shape if same else np.broadcast_shapes(*[x.shape for x in whole])
+        )
         for group in self._groups:
-            group.put(function(group, *(group.part(x) for x in whole)), filled)
+            group.put(function(group, *[group.part(x) for x in whole]), filled)
         return filled
 
 
 def _matrices(vectors: Array, basis: Array) -> Array:
-    return (vectors.reshape(-1, PARAMETERS_PER_BODY) @ basis).reshape(*vectors.shape[:-1], 4, 4)
+    flat = vectors.reshape(-1, PARAMETERS_PER_BODY) @ basis
+    return flat.reshape(vectors.shape[:-1] + (4, 4))
 
 
 def _parameters(matrices: Array) -> Array:
     flat = matrices.reshape(-1, 16) @ _FROM_MATRIX
-    return flat.reshape(*matrices.shape[:-2], PARAMETERS_PER_BODY)
+    return flat.reshape(matrices.shape[:-2] + (PARAMETERS_PER_BODY,))
 
 
 def _body_step(phi: Array, b: Array, time: float) -> Array:
@@ -219,12 +223,13 @@ def _short_step(P: Array, X: Array, time: float) -> Array | None:
 
 
 def _well_inside(P: Array) -> bool:
-    """Whether P (..., 4, 4) are so far from the edge that rounding does not matter."""
-    diagonal = P.reshape(-1, 16)[:, ::5]
-    if not diagonal.min(initial=1.0) > 1 / _GREATEST:
-        return False
-    # det P over the product of its diagonal does not depend on units. (Both overflow together.)
-    least = _WELL_INSIDE * diagonal.prod(-1)
+    """Whether P (..., 4, 4) are so far from the edge that rounding does not matter.
+
+    P is what a positive-definite matrix was turned into, up to rounding. Where det P is not small
+    beside the product of its diagonal, no eigenvalue is, in units that make the diagonal one: then
+    rounding has not changed a sign of any. (Where both overflow, the answer is no.)
+    """
+    least = _WELL_INSIDE * np.multiply.reduce(P.reshape(-1, 16)[:, ::5], 1)
     return bool((np.linalg.det(P).ravel() > least).all())
 
 

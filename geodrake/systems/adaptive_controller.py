@@ -28,7 +28,7 @@ from geodrake.systems.requirements import (
     manifold_of,
     require_single_joints,
 )
-from geodrake.systems.safeguards import Safeguards, Seen, Watch
+from geodrake.systems.safeguards import Safeguards, Seen, Watch, usable
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
@@ -193,7 +193,7 @@ class AdaptiveController(LeafSystem):
             effort = applied = result.effort
         except (GeodrakeError, np.linalg.LinAlgError):
             return None
-        if not np.isfinite(effort).all():
+        if not usable(effort):
             return None
         if self._limits is not None:
             applied = np.clip(effort, -self._limits, self._limits)
@@ -222,7 +222,7 @@ class AdaptiveController(LeafSystem):
             following = p if b is None else self.law.step(p, b, self._time_step)
         except (GeodrakeError, np.linalg.LinAlgError):
             return p
-        return following if np.isfinite(following).all() else p
+        return following if usable(following) else p
 
     @_QUIETLY
     def _update(self, context: Context, state: DiscreteValues) -> None:

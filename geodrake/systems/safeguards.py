@@ -122,7 +122,7 @@ class Watch:
             state: (2 n,) measured positions and velocities.
         """
         n, count = self.size, float(memory[2 * self.size])
-        if not _usable(state):
+        if not usable(state):
             return False, False, count
         if state[n] != memory[n] or not np.array_equal(state, memory[: 2 * n]):
             return True, True, 0.0
@@ -144,23 +144,23 @@ class Watch:
         n, following = self.size, memory.copy()
         measured, new, count = self.fresh(memory, state)
         following[2 * n] = count
-        if measured:
+        if new:
             following[: 2 * n] = state
-        asked = _usable(desired) and _usable(acceleration)
+        asked = usable(desired) and usable(acceleration)
         if asked:
             q_d, v_d, a_d = desired[:n], desired[n:], acceleration
         else:
             q_d = memory[2 * n + 1 :]
-            q_d = state[:n] if measured and not _usable(q_d) else q_d
+            q_d = state[:n] if measured and not usable(q_d) else q_d
             v_d = a_d = np.zeros(n)
-        known = asked or _usable(q_d)
+        known = asked or usable(q_d)
         if known:
             following[2 * n + 1 :] = q_d
         q, qd = (state[:n], state[n:]) if measured else (q_d, v_d)
-        usable = measured and asked
-        return Seen(q, qd, q_d, v_d, a_d, usable and new, usable and not new, known), following
+        both = measured and asked
+        return Seen(q, qd, q_d, v_d, a_d, both and new, both and not new, known), following
 
 
-def _usable(x: Array) -> bool:
+def usable(x: Array) -> bool:
     """Whether all of x (n,) are numbers, and not absurdly large ones."""
     return math.isfinite(x @ x)
