@@ -57,14 +57,14 @@ class _Group:
         """The coordinates (..., k, n) among those of the product (..., N)."""
         if self._span is None:
             return x[..., self.places]
-        return x[..., self._span].reshape(x.shape[:-1] + self.places.shape)
+        return x[..., self._span].reshape((*x.shape[:-1], *self.places.shape))
 
     def put(self, values: Array, x: Array) -> None:
         """Writes coordinates (..., k, n) to their places in those of the product (..., N)."""
         if self._span is None:
             x[..., self.places] = values
         else:
-            x[..., self._span] = values.reshape(x.shape[:-1] + (-1,))
+            x[..., self._span] = values.reshape((*x.shape[:-1], -1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +126,23 @@ class BatchedProduct(Product):
 
         return self._filled(solved, x, b)
 
+    def squared_length(self, x: ArrayLike, rows: ArrayLike) -> float:
+        """tr(A g(x)⁻¹ Aᵀ) of covectors A (k, n), at x (n,)."""
+        x, rows = np.asarray(x, float), np.asarray(rows, float)
+        total = 0.0
+        for group in self._groups:
+            p, b = group.part(x), group.part(rows)
+            if isinstance(group.manifold, PhysicalInertia):
+                Z = _matrices(p, _TO_MATRIX) @ _matrices(b, _TO_DUAL)
+                square = np.vdot(Z, Z.swapaxes(-1, -2))
+            elif group.lower is not None:
+                pulled = (p - group.lower) * b
+                square = np.vdot(pulled, pulled)
+            else:
+                square = np.vdot(b, group.manifold.inverse_metric_times(p, b))
+            total += float(square) / group.weight
+        return total
+
     def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
         x, y = np.asarray(x, float), np.asarray(y, float)
@@ -149,18 +166,13 @@ class BatchedProduct(Product):
 
         P⁺ = L exp(−time/w Lᵀ X(b) L) Lᵀ with P = L Lᵀ, the geodesic of [Lee2019] Eq. (2.2.9).
         """
-
-        def stepped(group: _Group, x: Array, b: Array) -> Array:
-            if isinstance(group.manifold, PhysicalInertia):
-                return _body_step(x, b, time / group.weight)
-            if group.lower is not None:
-                return _positive_step(x, b, time / group.weight, lower=group.lower)
-            step = group.manifold.inverse_metric_times(x, b) * (-time / group.weight)
-            return group.manifold.retract(x, step)
-
-        if np.shape(x) != np.shape(b):
+        x, b = np.asarray(x, float), np.asarray(b, float)
+        if x.shape != b.shape:
             x, b = np.broadcast_arrays(x, b)
-        return self._filled(stepped, x, b)
+        following = np.empty(x.shape)
+        for group in self._groups:
+            group.put(_natural_step(group, group.part(x), group.part(b), time), following)
+        return following
 
     def _filled(self, function: Callable[..., Array], *vectors: ArrayLike) -> Array:
         """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
@@ -177,12 +189,21 @@ class BatchedProduct(Product):
 
 def _matrices(vectors: Array, basis: Array) -> Array:
     flat = vectors.reshape(-1, PARAMETERS_PER_BODY) @ basis
-    return flat.reshape(vectors.shape[:-1] + (4, 4))
+    return flat.reshape((*vectors.shape[:-1], 4, 4))
 
 
 def _parameters(matrices: Array) -> Array:
     flat = matrices.reshape(-1, 16) @ _FROM_MATRIX
-    return flat.reshape(matrices.shape[:-2] + (PARAMETERS_PER_BODY,))
+    return flat.reshape((*matrices.shape[:-2], PARAMETERS_PER_BODY))
+
+
+def _natural_step(group: _Group, x: Array, b: Array, time: float) -> Array:
+    time = time / group.weight
+    if isinstance(group.manifold, PhysicalInertia):
+        return _body_step(x, b, time)
+    if group.lower is not None:
+        return _positive_step(x, b, time, lower=group.lower)
+    return group.manifold.retract(x, -time * group.manifold.inverse_metric_times(x, b))
 
 
 def _body_step(phi: Array, b: Array, time: float) -> Array:

@@ -86,6 +86,14 @@ class AdaptationLaw(UpdateLaw):
             return self.manifold.natural_step(parameters, b, dt / self.gamma)
         return self.manifold.retract(parameters, dt * self.rate(parameters, b))
 
+    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+        """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n): no |Y p̂|² falls faster along −Yᵀ Y p̂."""
+        if isinstance(self.manifold, BatchedProduct):
+            return self.manifold.squared_length(parameters, rows) / self.gamma
+        rows = np.asarray(rows, float)
+        pulls = self.manifold.inverse_metric_times(parameters, rows)
+        return float(np.vdot(rows, pulls)) / self.gamma
+
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
         """γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
         return np.asarray(self.gamma * self.manifold.divergence(truth, parameters))

@@ -242,11 +242,12 @@ class ControlSample:
         momentum, drift = self.rigid.momentum_regressors
         if not self.model.effects:
             return momentum, drift
-        columns, qd = self.model._columns, self._motion[1]
-        still = self._seen(np.zeros(len(qd)), qd)
-        rest = columns.columns(still, self._body_columns(-drift))
-        moved = np.zeros_like(rest)
-        if columns.uses_acceleration or columns.sees_bodies:
+        columns, (_, qd, v, _) = self.model._columns, self._motion
+        if v is qd and columns.sees_velocity_only:
+            rest, moved = self._effect_columns, np.zeros(self._effect_columns.shape)
+        else:
+            still = self._seen(np.zeros(len(qd)), qd)
+            rest = columns.columns(still, self._body_columns(-drift))
             turning = replace(still, vd=qd)
             moved = columns.columns(turning, self._body_columns(momentum))
             moved -= columns.columns(still, _no_columns(momentum))

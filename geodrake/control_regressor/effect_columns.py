@@ -140,6 +140,11 @@ class EffectColumns:
         """Whether an effect may see more than the motion of its own joint."""
         return bool(self._alone)
 
+    @property
+    def sees_velocity_only(self) -> bool:
+        """Whether columns depend on positions and velocities of their own joints alone."""
+        return not (self._alone or self.uses_load or self.uses_acceleration)
+
     def direction(self, v: Array) -> Array:
         """Smoothed signs (nv,) of velocities (nv,)."""
         if self._smooth:

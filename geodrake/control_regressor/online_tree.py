@@ -25,8 +25,8 @@ class Placement:
     """Where a tree is at one q.
 
     Attributes:
-        transforms: (nb, 6, 6) matrices X that take a motion about Wo in W to one about Bo in B, as a
-            column. Wrenches F go the other way as rows: Fᵀ X is about Wo in W.
+        transforms: (nb, 6, 6) matrices X that take a motion about Wo in W to one about Bo in B, as
+            a column. Wrenches F go the other way as rows: Fᵀ X is about Wo in W.
         subspace: (nv, 6) motion of each velocity in W, about Wo.
         inboard: (nv, 6, 6) the same matrices for the body inboard of each velocity.
     """

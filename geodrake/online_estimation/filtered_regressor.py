@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 
 import numpy as np
 
@@ -91,7 +92,7 @@ class FilteredRegressor:
             repeated: Whether positions and velocities are no new measurement but the last one: then
                 the effort alone is new.
         """
-        if not np.isfinite(np.concatenate([q, qd, effort])).all():
+        if not (_finite(q) and _finite(qd) and _finite(effort)):
             return self.skipped(memory)
         if sample is None:
             sample = self.control.at(q, qd, qd, np.zeros_like(qd))
@@ -99,7 +100,7 @@ class FilteredRegressor:
             now, following = self._ends(sample, effort)
         except GeodrakeError:  # of an effect that has no finite columns
             return self.skipped(memory)
-        if not np.isfinite(now).all():
+        if not _finite(now):
             return self.skipped(memory)
         after = memory.copy()
         stack = after[1:].reshape(self.order + 1, *self.shape)
@@ -116,8 +117,9 @@ class FilteredRegressor:
                 rows /= periods
                 share = 1.0 - (1.0 - share) ** periods
             for i in range(self.order):
-                stack[i] += share * (rows - stack[i])
-                rows = stack[i]
+                step = np.subtract(rows, stack[i])
+                step *= share
+                rows = np.add(stack[i], step, out=stack[i])
         stack[-1], after[0] = following, 1.0
         return after
 
@@ -144,3 +146,8 @@ class FilteredRegressor:
         now[:, -1] = effort if self.held_effort else 0.5 * effort
         following[:, -1] = 0.0 if self.held_effort else -0.5 * effort
         return now, following
+
+
+def _finite(x: Array) -> bool:
+    """Whether all of x are numbers, and not absurdly large ones: by their sum of squares."""
+    return isfinite(np.vdot(x, x))

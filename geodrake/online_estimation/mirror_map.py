@@ -31,13 +31,22 @@ class Point:
 
     Attributes:
         P: (nb, 4, 4) pseudo inertias.
-        P_inverse: (nb, 4, 4) their inverses.
         x: (m,) the other parameters.
     """
 
     P: Array
-    P_inverse: Array
     x: Array
+    _known_inverse: Array | None = None
+
+    @cached_property
+    def P_inverse(self) -> Array:
+        """(nb, 4, 4) inverses of the pseudo inertias.
+
+        Raises:
+            numpy.linalg.LinAlgError: A pseudo inertia is singular.
+        """
+        known = self._known_inverse
+        return np.asarray(np.linalg.inv(self.P)) if known is None else known
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +130,9 @@ class MirrorMap:
         return float(weights.min(initial=1.0))
 
     def point(self, p: Array) -> Point:
-        """A parameter vector (n,) as a point.
-
-        Raises:
-            numpy.linalg.LinAlgError: A body's pseudo inertia is singular.
-        """
-        P = (p[self.bodies] @ _TO_MATRIX).reshape(-1, 4, 4)
-        return Point(P, np.asarray(np.linalg.inv(P)), p[self.others])
+        """A parameter vector (n,) as a point."""
+        P = (p.take(self.bodies) @ _TO_MATRIX).reshape(-1, 4, 4)
+        return Point(P, p.take(self.others))
 
     def parameters(self, point: Point) -> Array:
         """The parameter vector (n,) of a point."""
@@ -138,9 +143,21 @@ class MirrorMap:
 
     def covectors(self, rows: Array) -> Covectors:
         """Rows (k, n) as covectors."""
-        X = (rows[:, self.bodies] @ _TO_DUAL).reshape(len(rows), -1, 4, 4)
-        a = rows[:, self.others]
+        bodies = rows.take(self.bodies, axis=1).reshape(-1, PARAMETERS_PER_BODY)
+        X = (bodies @ _TO_DUAL).reshape(len(rows), -1, 4, 4)
+        a = rows.take(self.others, axis=1)
+        if self._unweighted:
+            return Covectors(X, X, a, a)
         return Covectors(X, X / self.body_weights[:, None, None], a, a / self.other_weights)
+
+    @cached_property
+    def _unweighted(self) -> bool:
+        return bool((self.body_weights == 1.0).all() and (self.other_weights == 1.0).all())
+
+    @cached_property
+    def _all_above(self) -> bool:
+        """Whether all other parameters have a lower bound and no upper one."""
+        return bool(np.isfinite(self.lower).all() and np.isinf(self.upper).all())
 
     def moved(self, point: Point, rows: Covectors, multipliers: Array) -> Point | None:
         """The point y with ∇h(y) = ∇h(x) − Σ λ a; None if there is none."""
@@ -154,7 +171,7 @@ class MirrorMap:
         x = self._moved_others(point.x, multipliers @ rows.a_light)
         if x is None:
             return None
-        return Point(root.swapaxes(-1, -2) @ root, P_inverse, x)
+        return Point(root.swapaxes(-1, -2) @ root, x, P_inverse)
 
     def moved_a_little(self, point: Point, rows: Covectors, multipliers: Array) -> Array | None:
         """Parameters (n,) of the point y of `moved`, where one is known to exist.
@@ -165,9 +182,11 @@ class MirrorMap:
         x = self._moved_others(point.x, multipliers @ rows.a_light)
         if x is None:
             return None
+        # (P⁻¹ + X)⁻¹ = (𝟙 + P X)⁻¹ P
+        turned = point.P @ push.reshape(point.P.shape)
+        turned.reshape(-1, 16)[:, ::5] += 1.0
         p = np.empty(self.bodies.size + self.others.size)
-        P = np.linalg.inv(point.P_inverse + push.reshape(point.P.shape))
-        p[self.bodies] = P.reshape(-1, 16) @ _FROM_MATRIX
+        p[self.bodies] = np.linalg.solve(turned, point.P).reshape(-1, 16) @ _FROM_MATRIX
         p[self.others] = x
         return p
 
@@ -175,24 +194,24 @@ class MirrorMap:
         """The point y with ∇h(y) = (1 − s) ∇h(x) + s ∇h(x') for a share s in [0, 1]."""
         P_inverse = point.P_inverse + share * (other.P_inverse - point.P_inverse)
         x = self._moved_others(point.x, share * (self._slope(point.x) - self._slope(other.x)))
-        return None if x is None else Point(np.asarray(np.linalg.inv(P_inverse)), P_inverse, x)
+        return None if x is None else Point(np.asarray(np.linalg.inv(P_inverse)), x, P_inverse)
 
     def clearly_inside(self, p: Array) -> bool:
         """Whether a parameter vector (n,) is inside for sure: a cheap test that may say no."""
-        if not np.isfinite(p).all():
+        if not np.vdot(p, p) < _GREATEST:
             return False
-        P, x = (p[self.bodies] @ _TO_MATRIX).reshape(-1, 4, 4), p[self.others]
-        diagonal = np.diagonal(P, axis1=-2, axis2=-1)
-        if not 1 / _GREATEST < diagonal.min(initial=1.0) <= diagonal.max(initial=1.0) < _GREATEST:
+        point = self.point(p)
+        diagonal = point.P.reshape(-1, 16)[:, ::5]
+        if not diagonal.min(initial=1.0) > 1 / _GREATEST:
             return False
         try:
-            L = np.linalg.cholesky(P)
+            L = np.linalg.cholesky(point.P)
         except np.linalg.LinAlgError:
             return False
         # det P over the product of its diagonal, which does not depend on units.
-        shape = (np.diagonal(L, axis1=-2, axis2=-1) ** 2 / diagonal).prod(-1)
-        inside = bool(((x > self.lower) & (x < self.upper)).all())
-        return inside and bool(shape.min(initial=1.0) > _CLEAR)
+        shape = np.multiply.reduce(L.reshape(-1, 16)[:, ::5] ** 2 / diagonal, 1)
+        inside = bool(((point.x > self.lower) & (point.x < self.upper)).all())
+        return inside and bool((shape > _CLEAR).all())
 
     def values(self, point: Point, rows: Covectors) -> Array:
         """aᵀ y (k,)."""
@@ -203,12 +222,18 @@ class MirrorMap:
         """A g(y)⁻¹ Aᵀ (k, k): how fast the values fall with the multipliers."""
         k = len(rows.X)
         S = point.P @ rows.X
-        light = point.P @ rows.X_light
+        light = S if rows.X_light is rows.X else point.P @ rows.X_light
         bodies = S.reshape(k, -1) @ light.swapaxes(-1, -2).reshape(k, -1).T
-        below, above = point.x - self.lower, self.upper - point.x
+        others = (rows.a * self._softness(point.x)) @ rows.a_light.T
+        return np.asarray(bodies + others)
+
+    def _softness(self, x: Array) -> Array:
+        """The inverse second derivative of each other parameter's barrier."""
+        below = x - self.lower
+        if self._all_above:
+            return below * below
         flat = np.isinf(self.lower) & np.isinf(self.upper)
-        softness = 1.0 / np.where(flat, 1.0, below**-2.0 + above**-2.0)
-        return np.asarray(bodies + (rows.a * softness) @ rows.a_light.T)
+        return 1.0 / np.where(flat, 1.0, below**-2.0 + (self.upper - x) ** -2.0)
 
     def _slope(self, x: Array) -> Array:
         """∇h of each other parameter, less its weight."""
@@ -219,10 +244,10 @@ class MirrorMap:
         """Each other parameter by itself."""
         if not len(x):
             return x
-        has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
-        if has_lower.all() and not has_upper.any():
+        if self._all_above:
             inverse = 1.0 / (x - self.lower) + b
             return self.lower + 1.0 / inverse if (inverse > 0).all() else None
+        has_lower, has_upper = np.isfinite(self.lower), np.isfinite(self.upper)
         lower, upper = np.where(has_lower, self.lower, 0.0), np.where(has_upper, self.upper, 0.0)
         y = x - b
         only = has_lower & ~has_upper

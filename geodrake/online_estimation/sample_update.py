@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -72,6 +73,10 @@ class SampleUpdate:
         _ = self._map, self._limited
 
     @cached_property
+    def _tolerances(self) -> Array:
+        return np.asarray(self.tolerance, float)
+
+    @cached_property
     def _slabs(self) -> SlabProjection:
         return SlabProjection(self.manifold)
 
@@ -102,13 +107,14 @@ class SampleUpdate:
             earlier: Regressor and efforts of an earlier sample, which are to hold as well: what one
                 sample says of the parameters is little, and soon forgotten without.
         """
-        if not (np.isfinite(Y).all() and np.isfinite(effort).all()):
+        if not (isfinite(np.vdot(Y, Y)) and isfinite(np.vdot(effort, effort))):
             return p
         following = self._forgotten(p, dt) if self.forgetting > 0 else p
-        epsilon = np.broadcast_to(np.asarray(self.tolerance, float), effort.shape)
+        epsilon = self._tolerances
         if earlier is not None:
-            Y, effort = np.vstack([Y, earlier[0]]), np.concatenate([effort, earlier[1]])
-            epsilon = np.concatenate([epsilon, epsilon])
+            Y, effort = np.concatenate((Y, earlier[0])), np.concatenate((effort, earlier[1]))
+            epsilon = np.concatenate((epsilon, epsilon)) if epsilon.ndim else epsilon
+        epsilon = epsilon if epsilon.ndim else np.full(len(effort), epsilon)
         try:
             moved = self._slabs.nudged(following, Y, effort, epsilon, relaxation=self.relaxation)
         except np.linalg.LinAlgError:

@@ -17,6 +17,7 @@ _MOST_STEPS = 50  # of Newton's method, on one set of rows
 _SHRUNK = 0.7  # share of the error that a full step may leave
 _ROUNDING = 1e-5  # error that is left where rounding ends Newton's method
 _SHARING = 1e-2  # of a row's squared length, added to it
+_NOTHING = 1e-300  # squared length of a row that says nothing
 _EDGE = 1e-6  # of the tolerance, outside of which a row is not yet outside
 
 
@@ -151,7 +152,7 @@ class SlabProjection:
                 multipliers[kept] = found
                 break
             kept = kept[right]
-            own, outside = products[np.ix_(kept, kept)], error[kept]
+            own, outside = products[kept[:, None], kept], error[kept]
         length = np.sqrt(max(float(error @ multipliers) / self._map.lightest, 0.0))
         multipliers *= relaxation / (1.0 + length)
         return self._map.moved_a_little(point, rows, multipliers)
@@ -191,12 +192,16 @@ class SlabProjection:
 
 
 def _solve_scaled(products: Array, error: Array, softness: float = 1e-12) -> NDArray[np.float64]:
-    """Newton's direction, with rows of unit length so that dependent ones do no harm."""
-    lengths = np.sqrt(np.maximum(np.diagonal(products), 1e-300))
-    scaled = products / (lengths * lengths[:, None])
-    scaled.flat[:: len(scaled) + 1] += softness
+    """Newton's direction, a share of each row's squared length added to it.
+
+    Rows of any length do no harm: Cholesky's decomposition does not depend on their units.
+    """
+    softened = products.copy()
+    squares = softened.ravel()[:: len(softened) + 1]
+    squares *= 1.0 + softness
+    squares += _NOTHING
     # (LAPACK itself: at so few unknowns the checks of numpy.linalg.solve cost more than solving.)
-    _, solution, failed = dposv(scaled, error / lengths)
+    _, solution, failed = dposv(softened, error)
     if failed:
-        solution = np.linalg.solve(scaled, error / lengths)
-    return np.asarray(solution / lengths)
+        solution = np.linalg.solve(softened, error)
+    return np.asarray(solution)

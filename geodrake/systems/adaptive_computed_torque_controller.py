@@ -167,10 +167,8 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         law = self.law.law if isinstance(self.law, ProjectedLaw) else self.law
         if not isinstance(law, AdaptationLaw):
             return b
-        pulls = law.manifold.inverse_metric_times(p, Y)
         # The greatest eigenvalue of Y g⁻¹ Yᵀ is at most its trace.
-        reach = self._time_step / law.gamma * float(np.einsum("ij,ij->", Y, pulls))
-        return b / (1.0 + reach)
+        return b / (1.0 + self._time_step * law.reach(p, Y))
 
     def _tracking_energy(self, truth: Array, seen: Seen) -> float:
         if self._filter is not None:

@@ -15,7 +15,7 @@ from geodrake.systems.requirements import (
     require_same_robot,
     require_single_joints,
 )
-from geodrake.systems.safeguards import Watch
+from geodrake.systems.safeguards import Watch, usable
 
 _SLOTS = 24  # samples in memory
 
@@ -139,9 +139,9 @@ class BregmanProjectionEstimator(LeafSystem):
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         watched = context.get_discrete_state(self._seen).value()
         measured, new, count = self._watch.fresh(watched, x)
-        state.set_value(self._seen, np.concatenate([x if new else watched[:-1], [count]]))
+        state.set_value(self._seen, np.concatenate((x if new else watched[:-1], (count,))))
         memory = context.get_discrete_state(self._memory).value()
-        if not (measured and np.isfinite(effort).all()):
+        if not (measured and usable(effort)):
             state.set_value(self._memory, self._filter.skipped(memory))
             return
         with np.errstate(all="ignore"):
@@ -157,21 +157,22 @@ class BregmanProjectionEstimator(LeafSystem):
             state.set_value(self._count, [count + 1])
             if count % self._every:
                 return
-            rows = np.column_stack([Y, known])
-            earlier = self._earlier(context, state, rows, count // self._every)
+            earlier = self._earlier(context, state, (Y, known), count // self._every)
             since = self._time_step * self._every
             following = self._sample_update.updated(p, Y, known, since, earlier=earlier)
             state.set_value(self._estimate, following)
 
     def _earlier(
-        self, context: Context, state: DiscreteValues, rows: Array, count: int
+        self, context: Context, state: DiscreteValues, rows: Rows, count: int
     ) -> Rows | None:
         """The samples in memory, one after the other; now and then the present one goes there."""
         if not self._slots:
             return None
         kept, rest = divmod(count, self._spacing)
-        if rest == 0 and np.isfinite(rows).all():
-            state.set_value(self._slots[kept % _SLOTS], rows.ravel())
+        if rest == 0:
+            both = np.column_stack(rows)
+            if np.isfinite(both).all():
+                state.set_value(self._slots[kept % _SLOTS], both.ravel())
         if kept == 0:
             return None
         slot = self._slots[count % min(kept, _SLOTS)]
