@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, State
 
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
@@ -18,6 +21,35 @@ from geodrake.systems.requirements import (
 from geodrake.systems.safeguards import Watch, usable
 
 _SLOTS = 24  # samples in memory
+
+
+@dataclass
+class _Remembered:
+    """Samples that are seen again.
+
+    Attributes:
+        rows: (slots, nv, p + 1) filtered rows, and their efforts as the last column.
+        kept: How many have been put there.
+        count: Number of samples when the last one was.
+    """
+
+    rows: Array
+    kept: int = 0
+    count: int = 0
+
+    def turn(self, number: int, kept: int) -> Rows | None:
+        """One of the first `kept` samples, turn by turn; None if there are none."""
+        kept = min(kept, self.kept, len(self.rows))
+        if kept == 0:
+            return None
+        both = self.rows[number % kept]
+        return both[:, :-1], both[:, -1]
+
+    def put(self, rows: Rows, count: int) -> None:
+        """In place of the oldest one."""
+        slot = self.rows[self.kept % len(self.rows)]
+        slot[:, :-1], slot[:, -1] = rows
+        self.kept, self.count = self.kept + 1, count
 
 
 class BregmanProjectionEstimator(LeafSystem):
@@ -114,9 +146,13 @@ class BregmanProjectionEstimator(LeafSystem):
             self.DeclareDiscreteState(value)
             for value in (start, filtered.start(), self._watch.start()[: 2 * nv + 1], np.zeros(nv))
         )
-        rows = np.zeros(filtered.shape).ravel()
-        slots = _SLOTS if memory > 0 else 0
-        self._slots = [self.DeclareDiscreteState(rows) for _ in range(slots)]
+        # (Not discrete state, all of which Drake copies at every update.)
+        samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)))
+        self._samples = self.DeclareAbstractState(AbstractValue.Make(samples))
+        if memory > 0:
+            # A step late, as such events come before discrete updates.
+            period = time_step * update_every * self._spacing
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, time_step, self._remember)
         self._count = self.DeclareDiscreteState(np.zeros(1))
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0.0, self._update)
         self.DeclareStateOutputPort("parameters", self._estimate)
@@ -157,24 +193,17 @@ class BregmanProjectionEstimator(LeafSystem):
             state.set_value(self._count, [count + 1])
             if count % self._every:
                 return
-            earlier = self._earlier(context, state, (Y, known), count // self._every)
+            samples: _Remembered = context.get_abstract_state(self._samples).get_value()
+            number = count // self._every
+            earlier = samples.turn(number, number // self._spacing)
             since = self._time_step * self._every
             following = self._sample_update.updated(p, Y, known, since, earlier=earlier)
             state.set_value(self._estimate, following)
 
-    def _earlier(
-        self, context: Context, state: DiscreteValues, rows: Rows, count: int
-    ) -> Rows | None:
-        """The samples in memory, one after the other; now and then the present one goes there."""
-        if not self._slots:
-            return None
-        kept, rest = divmod(count, self._spacing)
-        if rest == 0:
-            both = np.column_stack(rows)
-            if np.isfinite(both).all():
-                state.set_value(self._slots[kept % _SLOTS], both.ravel())
-        if kept == 0:
-            return None
-        slot = self._slots[count % min(kept, _SLOTS)]
-        values = context.get_discrete_state(slot).value().reshape(self._filter.shape)
-        return values[:, :-1], values[:, -1]
+    def _remember(self, context: Context, state: State) -> None:
+        """Puts the last sample into memory, if there is a new one."""
+        samples: _Remembered = state.get_mutable_abstract_state(self._samples).get_mutable_value()
+        count = int(context.get_discrete_state(self._count).value()[0])
+        rows = self._filter.rows(context.get_discrete_state(self._memory).value())
+        if count > samples.count and all(np.isfinite(part).all() for part in rows):
+            samples.put(rows, count)
