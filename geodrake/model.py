@@ -95,6 +95,16 @@ class RobotModel:
         return self.tree.bodies
 
     @cached_property
+    def last_bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that carry no other one: hands, feet."""
+        inboard = {mobilizer.parent for mobilizer in self.tree.mobilizers}
+        return tuple(
+            self.bodies[mobilizer.body]
+            for index, mobilizer in enumerate(self.tree.mobilizers)
+            if index not in inboard and mobilizer.body >= 0
+        )
+
+    @cached_property
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
         single = set(self._single_joints[0])

@@ -98,8 +98,10 @@ def test_what_is_there_is_not_offered():
 def test_refinements_need_what_they_refine():
     stribeck = StribeckFriction("elbow", 0.1)
     assert offered([stribeck]) == {}
-    assert offered([stribeck], present=[*COULOMB]) == {}
-    assert ("stribeck_friction",) in offered([stribeck], present=[*COULOMB, *VISCOUS])
+    assert ("stribeck_friction",) in offered([stribeck], present=[*COULOMB])
+    root = NonlinearViscousFriction("elbow", 0.5)
+    assert offered([root], present=[*COULOMB]) == {}
+    assert ("nonlinear_viscous_friction",) in offered([root], present=[*COULOMB, *VISCOUS])
 
 
 def test_bodies_and_pairs_are_named_one_at_a_time():

@@ -9,11 +9,9 @@ import numpy as np
 
 from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain
-from geodrake.diagnosis.hypothesis import Hypothesis, settle
+from geodrake.diagnosis.hypothesis import HELD, Hypothesis, settle
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.inertia import PARAMETERS_PER_BODY
-
-_HELD = 1e-3  # width of the prior, as a share of that assumed, at which a body stays as it is
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ def gains_of_bodies(
 def _alone(refitted: Hypothesis, index: int, bodies: int) -> Hypothesis:
     """The hypothesis with the inertial parameters of all bodies but one held."""
     scale = np.ones(len(refitted.unknowns.columns))
-    scale[: bodies * PARAMETERS_PER_BODY] = 1.0 / _HELD
+    scale[: bodies * PARAMETERS_PER_BODY] = 1.0 / HELD
     scale[index * PARAMETERS_PER_BODY : (index + 1) * PARAMETERS_PER_BODY] = 1.0
     information = refitted.unknowns.information * scale[:, None] * scale
     return settle(replace(refitted, unknowns=replace(refitted.unknowns, information=information)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from geodrake.effects.base import Effect
 
@@ -114,6 +115,27 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
     ]
 
 
+def pairs_at(
+    effects: Sequence[Effect], present: Sequence[Effect], place: tuple[str, ...]
+) -> tuple[Package, ...]:
+    """All pairs of simple effects of one parameter at a place: each may hide the other.
+
+    Args:
+        effects: Every effect that has columns in the dataset.
+        present: Effects of the hypothesis.
+        place: A joint.
+    """
+    simple = [
+        effect
+        for effect in effects
+        if effect.where == place
+        and effect not in present
+        and kind_complexity((effect.name,)) <= 1
+        and Package((effect,), place).parameters == 1
+    ]
+    return tuple(Package(pair, place) for pair in combinations(simple, 2))
+
+
 def is_refinement(effect: Effect) -> bool:
     """Whether an effect refines dry and viscous friction, and alone is a compromise of the two.
 
@@ -129,5 +151,7 @@ def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> 
     """Whether the frictions that an effect refines are among those taken, by name and place."""
     if not is_refinement(effect) or ("asymmetric_friction", effect.where) in taken:
         return True
-    present = [(name, effect.where) in taken for name in DRY_AND_VISCOUS]
-    return any(present) if effect.name == "friction_drift" else all(present)
+    dry, viscous = ((name, effect.where) in taken for name in DRY_AND_VISCOUS)
+    if effect.name == "friction_drift":
+        return dry or viscous
+    return dry and (viscous or effect.name == "stribeck_friction")

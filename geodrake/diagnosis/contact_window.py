@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from geodrake.diagnosis.evidence import effective_samples
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import Contact
 from geodrake.filtering import ZeroPhaseFilter
@@ -41,7 +42,6 @@ class Window:
         outputs: (K,) instants of the filtered samples.
         residual: (K, nv) their residuals over `size`; NaN where left out.
         size: (nv,) what is typical of each joint, and of what a contact leaves unexplained.
-        effective: (nv,) independent samples for each one.
         filter: The log's filter.
     """
 
@@ -53,7 +53,6 @@ class Window:
     outputs: Array
     residual: Array
     size: Array
-    effective: Array
     filter: ZeroPhaseFilter
 
 
@@ -122,13 +121,17 @@ def evidence(window: Window, contact: Contact) -> tuple[float, float, int]:
     piece = np.floor(PIECES * since).astype(int)
     known, odd = np.isfinite(window.residual), piece % 2 == 1
     before, after = np.zeros((2, window.residual.shape[1]))
+    rest = np.full_like(window.residual, np.nan)
     for held in (odd, ~odd):
         fit, seen = (known & (inside & part)[:, None] for part in (~held, held))
         wrench = _wrench(A[fit], window.residual[fit])
         error = window.residual - A @ wrench
+        rest = np.where(seen, error, rest)
         before += np.where(seen, np.square(window.residual), 0.0).sum(0)
         after += np.where(seen, np.square(error), 0.0).sum(0)
-    samples = (known & inside[:, None]).sum(0) * window.effective
+    left = [column[np.isfinite(column)] for column in rest.T]
+    # The right contact leaves noise, whatever the residual is like where it was not known.
+    samples = np.array([effective_samples([joint]) if len(joint) else 0.0 for joint in left])
     floor = np.maximum(1e-3 * before, np.finfo(float).tiny)
     gain = samples * np.log(np.maximum(before, floor) / np.maximum(after, floor))
     unit = np.repeat([1.0, _LEVER], 3)

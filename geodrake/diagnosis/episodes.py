@@ -18,7 +18,6 @@ from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.contact_window import SHORTEST, Window, evidence, refined, with_point
-from geodrake.diagnosis.evidence import effective_samples
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects.base import Effect
@@ -28,7 +27,6 @@ from geodrake.motion import Segment
 
 Array = NDArray[np.float64]
 
-_USUAL = 3.0  # typical sizes
 _AVERAGE = 0.3  # s, over which squared residuals are averaged
 _HIGH, _LOW = 12.0, 4.0  # of their typical size: within an episode, and at its ends
 _LEAST_JOINTS = 2
@@ -46,7 +44,6 @@ class _Scale:
     """Residuals of all joints on one grid of time for each log, over their typical size."""
 
     size: Array
-    effective: Array
     grids: list[Array]
     period: float
 
@@ -105,9 +102,6 @@ def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = (
     period = case.trajectories[0].filter.output_period
     sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
     size = np.maximum(sizes, np.finfo(float).tiny)
-    # What an episode does to the correlation is none of it.
-    usual = [np.clip(j.residual / s, -_USUAL, _USUAL) for j, s in zip(joints, size, strict=True)]
-    effective = np.array([effective_samples([u]) / len(u) for u in usual])
     grids = []
     for log in range(len(case.trajectories)):
         period = case.trajectories[log].filter.output_period
@@ -118,7 +112,7 @@ def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = (
         for k, (joint, place) in enumerate(zip(kept, places, strict=True)):
             grid[place, k] = joint.residual / size[k]
         grids.append(grid)
-    return _Scale(size, effective, grids, period)
+    return _Scale(size, grids, period)
 
 
 def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float, float]]:
@@ -161,7 +155,8 @@ def _cut_out(
                 case.model.tree, case.model.positions(here.position), case.model.total_phi
             )
             within = residual[(outputs >= start) & (outputs <= end)]
-            power = np.nan_to_num(np.nanmean(np.square(within), 0)) if len(within) else 0.0
+            known = np.maximum((~np.isnan(within)).sum(0), 1)
+            power = np.nansum(np.square(within), 0) / known
             size = np.sqrt(1.0 + _MODEL**2 * power)
             return Window(
                 log,
@@ -172,7 +167,6 @@ def _cut_out(
                 outputs,
                 residual / size,
                 size * scale.size,
-                scale.effective,
                 low_pass,
             )
     return None

@@ -162,7 +162,7 @@ def with_exact_shapes(
     for effect in chosen(end):
         before = was[effect.name, effect.where]
         if is_round(before, grid):
-            coarse = end.without([effect]).with_effects([before])
+            coarse = end.exchanged(effect, [before])
             end = coarse if gain_of(coarse, end) <= PENALTY else end
     return case, replace(trail, end=end)
 

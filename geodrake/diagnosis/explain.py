@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from geodrake.diagnosis.absorbed import Absorbed, absorbed
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact import searched
 from geodrake.diagnosis.final_fit import companion_notes, final_fit
-from geodrake.diagnosis.forward import Progress
+from geodrake.diagnosis.forward import Progress, Trail
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import refit_step, steps_of
 from geodrake.effects.base import Effect
-from geodrake.identification.model_fit import effects_of, model_unknowns
+from geodrake.identification.model_fit import ModelFit, effects_of, model_unknowns
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 
@@ -78,10 +79,12 @@ def investigate(
     before = comparison(case)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     tune = model.information is None
-    case, trail = searched(case, start, effects_of(model), criteria, tune=tune, progress=progress)
-    after_case, fit, end = final_fit(case, trail.end, criteria=criteria)
-    trail = replace(trail, end=end)
-    steps = steps_of(case, trail, fit) or refit_step(case, start, fit, criteria)
+    fixed = effects_of(model)
+    case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
+    hidden = absorbed(case, trail, fixed, criteria) if tune else Absorbed()
+    after_case, fit, trail = _finished(case, (*hidden.trails, trail), criteria)
+    steps = steps_of(case, trail, fit)
+    steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if steps else before.errors
     explanation = Explanation(
@@ -95,7 +98,20 @@ def investigate(
         after if steps else before,
         (*case.notes, *(companion_notes(trail.end.unknowns, fit) if steps else ())),
     )
-    return Investigation(explanation, after_case, end.moved(after_case.dataset, delay=0))
+    return Investigation(explanation, after_case, trail.end.moved(after_case.dataset, delay=0))
+
+
+def _finished(
+    case: Case, trails: Sequence[Trail], criteria: Criteria
+) -> tuple[Case, ModelFit, Trail]:
+    """The final fit of the first trail that, physically consistent, does as well as the last."""
+    most = (1.0 + criteria.reduction) * trails[-1].end.loss().sum()
+    for trail in trails:
+        after, fit, end = final_fit(case, trail.end, criteria=criteria, kept=trail.kept)
+        left = (fit.held_out.sse / case.dataset.effort_std**2).sum()
+        if left <= most:  # a body that lost mass is no payload
+            break
+    return after, fit, replace(trail, end=end)
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:

@@ -10,9 +10,11 @@ import numpy as np
 from geodrake.diagnosis.case import Case, reopen
 from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.forward import TIGHTER_PRIORS
 from geodrake.diagnosis.hypothesis import Hypothesis, settle
 from geodrake.diagnosis.refine import prune
 from geodrake.effects import Contact, CoulombFriction, EffortDelay, ViscousFriction
+from geodrake.effects.base import Effect
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import ModelFit, effects_of, fit_model
 from geodrake.identification.unknowns import Unknowns, effect_prior
@@ -23,7 +25,11 @@ _MOST_ITERATIONS = 10
 
 
 def final_fit(
-    case: Case, end: Hypothesis, *, criteria: Criteria | None = None
+    case: Case,
+    end: Hypothesis,
+    *,
+    criteria: Criteria | None = None,
+    kept: Sequence[Effect] = (),
 ) -> tuple[Case, ModelFit, Hypothesis]:
     """The physically consistent fit of what was found, loads and delay brought up to date.
 
@@ -33,6 +39,7 @@ def final_fit(
         criteria: Drop effects that do not meet these once the loads are those of the fitted model,
             and fit viscous friction beside dry friction (`with_companions`); None to fit exactly
             what is given.
+        kept: Effects that are not dropped.
 
     Returns:
         The case with the columns of the fit, the fit, and `end` less the effects dropped.
@@ -45,9 +52,9 @@ def final_fit(
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     if criteria is not None:
         episodes = [e for e in settled.unknowns.effects if isinstance(e, Contact)]
-        settled = prune(settled, [*effects_of(case.model), *episodes], criteria)
-        kept = settled.unknowns.effects
-        end = end.without([e for e in end.unknowns.effects if e not in kept])
+        settled = prune(settled, [*effects_of(case.model), *episodes, *kept], criteria)
+        left = settled.unknowns.effects
+        end = end.without([e for e in end.unknowns.effects if e not in left])
         settled = replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))
         settled = settle(settled, iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
@@ -55,7 +62,11 @@ def final_fit(
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    fit = fit_model(base, reopened.dataset, settled.unknowns, weights, delays=delays)
+    unknowns = settled.unknowns
+    if settled.looseness < TIGHTER_PRIORS[0]:  # to hold the inertias does not make them known
+        factor = TIGHTER_PRIORS[0] / settled.looseness
+        unknowns = unknowns.loosened(factor, case.model.phi.size)
+    fit = fit_model(base, reopened.dataset, unknowns, weights, delays=delays)
     return reopened, fit, end
 
 

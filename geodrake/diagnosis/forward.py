@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.evidence import Criteria
@@ -27,11 +27,13 @@ class Trail:
         start: The first hypothesis: the model refitted within its prior.
         end: The last one.
         rivals: Effect name -> names that tied with it when it was chosen.
+        kept: Effects that stay though inertias could take them in.
     """
 
     start: Hypothesis
     end: Hypothesis
-    rivals: dict[str, tuple[str, ...]]
+    rivals: Mapping[str, tuple[str, ...]]
+    kept: tuple[Effect, ...] = ()
 
 
 def search(
@@ -60,16 +62,44 @@ def search(
         step = next_step(hypothesis, fixed, criteria)
         if step is None:
             break
-        hypothesis = tuned(step.after) if tune else step.after
         names = step.chosen.names
         tied = {name for r in step.ranked if r.tied for name in r.names}
         for name in names:
             rivals.setdefault(name, tuple(sorted(tied.difference(names))))
+        rivals |= rivals_of_swapped(rivals, hypothesis, step.after, names)
+        hypothesis = tuned(step.after) if tune else step.after
         if progress is not None:
             progress(" and ".join(names), hypothesis.nrms)
         if pause is not None and pause(hypothesis):
             return Trail(start, hypothesis, rivals)
-    return Trail(start, _settled(hypothesis, fixed, criteria, tune=tune), rivals)
+    settled = _settled(hypothesis, fixed, criteria, tune=tune)
+    return Trail(start, settled, rivals | rivals_of_swapped(rivals, hypothesis, settled))
+
+
+def rivals_of_swapped(
+    rivals: Mapping[str, tuple[str, ...]],
+    before: Hypothesis,
+    after: Hypothesis,
+    chosen: Sequence[str] = (),
+) -> dict[str, tuple[str, ...]]:
+    """Rivals of effects that took the place of others, which the data cannot tell from them.
+
+    Args:
+        rivals: Those known so far.
+        before: The hypothesis before.
+        after: The hypothesis after swaps for simpler effects.
+        chosen: Names of effects that were added first, and may have been swapped since.
+    """
+    had, has = before.unknowns.effects, after.unknowns.effects
+    kept = {effect.name for effect in has}
+    lost = {e.name for e in had if e not in has}.union(chosen).difference(kept)
+    if not lost:
+        return {}
+    heirs = {name for one in lost for name in rivals.get(one, ())} | lost
+    came = {effect.name for effect in has if effect not in had}.difference(chosen)
+    return {
+        name: tuple(sorted(heirs.union(rivals.get(name, ())).difference({name}))) for name in came
+    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,14 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+HELD = 1e-3
+"""Width of the inertial prior, as a share of that assumed, at which inertias stay as they are."""
+
 _SETTLED = 0.3
 """Relative change of the weights below which they count as settled."""
+_MOST_REFITS = 8
+_FIRST_SHARE = 0.05
+"""Effective samples that a fit begins with, as a share of all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +81,18 @@ class Hypothesis:
         for effect in effects:
             unknowns = unknowns.without_effect(effect)
         return settle(replace(self, unknowns=unknowns))
+
+    def exchanged(self, gone: Effect, come: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis with effects in the place of one, refitted.
+
+        The weights begin with those of this hypothesis, so that both are compared fairly.
+
+        Args:
+            gone: One of the effects.
+            come: Effects that replace it.
+        """
+        unknowns = self.unknowns.without_effect(gone)
+        return replace(self, unknowns=unknowns).with_effects(come)
 
     def loosened(self, factor: float) -> Hypothesis:
         """This hypothesis with the inertial prior `factor` times as wide, refitted."""
@@ -155,27 +173,56 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
 
     Args:
         hypothesis: The hypothesis.
-        iterations: Most refits; fewer where the weights stay. Two will do to rank hypotheses; a
-            fit that takes away most of an error needs more.
+        iterations: How often effective samples are counted at most, each time with weights that
+            agree with the errors; fewer where the weights stay.
     """
     dataset, weights = hypothesis.dataset, hypothesis.weights
+    samples, effective = dataset.samples.sum(0), hypothesis.effective
     for _ in range(iterations):
-        cv = CrossValidation(dataset, hypothesis.unknowns, weights, delay=hypothesis.delay)
+        cv, weights = _refitted(hypothesis, weights, effective / samples)
         effective = effective_per_joint(
             dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
         )
-        mse = np.maximum(cv.held_out.mse, 1e-12 * dataset.effort_std**2)
-        relative = np.mean(mse / dataset.effort_std**2)
-        expected = np.sqrt(mse * relative * dataset.effort_std**2)
-        before, weights = weights, effective / cv.held_out.samples.sum(0) / expected
-        if np.all(np.abs(np.log(weights / before)) < _SETTLED):
+        before, weights = weights, deserved_weights(dataset, cv.held_out, effective / samples)
+        if _alike(weights, before):
             break
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
 
 
+def _refitted(
+    hypothesis: Hypothesis, weights: Array, share: Array
+) -> tuple[CrossValidation, Array]:
+    """The fits with weights (nv,) that agree with their errors, at effective shares (nv,)."""
+    for _ in range(_MOST_REFITS):
+        cv = CrossValidation(
+            hypothesis.dataset, hypothesis.unknowns, weights, delay=hypothesis.delay
+        )
+        before, weights = weights, deserved_weights(hypothesis.dataset, cv.held_out, share)
+        if _alike(weights, before):
+            break
+    return cv, weights
+
+
+def deserved_weights(dataset: Dataset, held_out: HeldOut, share: Array) -> Array:
+    """(nv,) weights of squared residuals that held-out errors deserve; see `settle`.
+
+    Args:
+        dataset: The reduced logs.
+        held_out: Errors.
+        share: (nv,) effective samples, as a share of all.
+    """
+    mse = np.maximum(held_out.mse, 1e-12 * dataset.effort_std**2)
+    relative = np.mean(mse / dataset.effort_std**2)
+    return np.asarray(share / np.sqrt(mse * relative * dataset.effort_std**2))
+
+
+def _alike(weights: Array, before: Array) -> bool:
+    return bool(np.all(np.abs(np.log(weights / before)) < _SETTLED))
+
+
 def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: int = 0) -> Hypothesis:
     """The model as it came, its parameters refitted within their prior."""
-    weights = 0.05 / dataset.effort_std**2
+    weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
-    effective = np.ones(len(dataset.joints))
+    effective = _FIRST_SHARE * dataset.samples.sum(0)
     return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective), iterations=3)

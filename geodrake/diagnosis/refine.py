@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from geodrake.diagnosis.candidates import (
     DRY_AND_VISCOUS,
@@ -12,6 +13,7 @@ from geodrake.diagnosis.candidates import (
     is_refinement,
     kind_complexity,
     kinds,
+    pairs_at,
 )
 from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
@@ -29,6 +31,7 @@ from geodrake.effects.base import Effect
 
 _BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
+_THREE_DEVIATIONS = float(chi2.sf(9.0, 1))
 
 
 def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
@@ -89,10 +92,11 @@ def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
 
 
 def stands_out(hypothesis: Hypothesis, effect: Effect) -> bool:
-    """Whether a parameter of an effect is three deviations or more away from zero."""
+    """Whether the parameters of an effect are together as unlikely as three deviations of one."""
     span = hypothesis.unknowns.span(effect)
-    x, deviations = hypothesis.cv.fit_all(), hypothesis.cv.deviations()
-    return bool(np.any(np.abs(x[span]) > 3.0 * deviations[span]))
+    x, covariance = hypothesis.cv.fit_all()[span], hypothesis.cv.covariance()[span, span]
+    distance = x @ np.linalg.solve(covariance, x)
+    return bool(distance > chi2.isf(_THREE_DEVIATIONS, len(x)))
 
 
 def reshape(
@@ -110,8 +114,7 @@ def reshape(
             other for other in variants(effect, hypothesis.dataset.effects) if other != effect
         ]
         if effect not in fixed and shapes:
-            reduced = hypothesis.without([effect])
-            others = [reduced.with_effects([shape]) for shape in shapes]
+            others = [hypothesis.exchanged(effect, [shape]) for shape in shapes]
             best = max(others, key=lambda other: gain_of(hypothesis, other))
             if gain_of(hypothesis, best) > least:
                 hypothesis = best
@@ -119,24 +122,61 @@ def reshape(
 
 
 def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
-    """Swap complex effects for simpler ones at the same place where the data cannot tell."""
+    """Swap effects for simpler ones at their place that do as well, or for pairs that do better."""
     for effect in hypothesis.unknowns.effects:
         if effect in fixed or effect not in hypothesis.unknowns.effects:
             continue
         others = [other for other in hypothesis.unknowns.effects if other != effect]
-        simpler = [
-            package
-            for kind in kinds(hypothesis.dataset.effects, others)
-            if kind.complexity < kind_complexity((effect.name,)) and effect.where in kind.options
-            for package in kind.options[effect.where]
-        ]
-        if simpler:
-            reduced = hypothesis.without([effect])
-            trials = [try_package(reduced, package, len(simpler)) for package in simpler]
-            swapped = reduced.with_effects(best_trial(reduced, trials).package.effects)
-            if not _worth_it(swapped, hypothesis, effect, criteria):
-                hypothesis = swapped
+        effects, reduced = hypothesis.dataset.effects, hypothesis.without([effect])
+        pair = _best_instead(hypothesis, reduced, effect, _pairs(effects, others, effect))
+        if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
+            hypothesis = pair
+            continue
+        simple = _best_instead(hypothesis, reduced, effect, _simpler(effects, others, effect))
+        if simple is not None and not _worth_it(simple, hypothesis, effect, criteria):
+            hypothesis = simple
     return hypothesis
+
+
+def _best_instead(
+    hypothesis: Hypothesis, reduced: Hypothesis, effect: Effect, packages: Sequence[Package]
+) -> Hypothesis | None:
+    """The hypothesis with the best of some packages in the place of an effect, if there are any.
+
+    Args:
+        hypothesis: The hypothesis with the effect.
+        reduced: The one without.
+        effect: The effect.
+        packages: What may take its place.
+    """
+    if not packages:
+        return None
+    trials = [try_package(reduced, package, len(packages)) for package in packages]
+    return hypothesis.exchanged(effect, best_trial(reduced, trials).package.effects)
+
+
+def _simpler(
+    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
+) -> Sequence[Package]:
+    """Packages of less complexity at the place of an effect."""
+    return [
+        package
+        for kind in kinds(effects, present)
+        if kind.complexity < kind_complexity((effect.name,)) and effect.where in kind.options
+        for package in kind.options[effect.where]
+    ]
+
+
+def _pairs(
+    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
+) -> Sequence[Package]:
+    """Pairs of simple effects at the joint of an effect of more parameters.
+
+    An effect with bounds, such as friction that brakes, may stand for what two others do better.
+    """
+    own = Package((effect,), effect.where).parameters
+    pairs = pairs_at(effects, present, effect.where) if effect.places == "joint" else ()
+    return [pair for pair in pairs if pair.parameters < own]
 
 
 def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:

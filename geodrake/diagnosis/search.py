@@ -14,7 +14,7 @@ from geodrake.diagnosis.evidence import (
     fold_agreement,
     tie_probability,
 )
-from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.trials import PENALTY, Trial, gain_of, try_package
 from geodrake.effects.base import Effect
 from geodrake.identification.dataset import is_payload
@@ -149,7 +149,7 @@ def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    if hypothesis.looseness > 1.0:
+    if hypothesis.looseness > 1.0 or hypothesis.looseness <= HELD:
         return []
     others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
     bodies = hypothesis.dataset.bodies

@@ -86,10 +86,10 @@ def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tupl
     at = tried.index(effect)
     if not 0 < at < len(tried) - 1:
         return effect, 0.0
-    near, reduced = tried[at - 1 : at + 2], hypothesis.without([effect])
+    near = tried[at - 1 : at + 2]
     place = np.log([getattr(e, name) for e in near])
     weight = hypothesis.effective / hypothesis.held_out.mse
-    errors = [reduced.with_effects([e]).held_out.mse @ weight for e in near]
+    errors = [hypothesis.exchanged(effect, [e]).held_out.mse @ weight for e in near]
     curvature, slope, _ = np.polyfit(place - place[1], errors, 2)
     if curvature <= 0.0:
         return effect, 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,6 @@ from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
-from geodrake.effects.effort_delay import EffortDelay
 from geodrake.identification.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric, to_mass_com_inertia
 from geodrake.model import FittedEffect
@@ -103,7 +102,12 @@ def _parameters(case: Case, group: _Group) -> int:
 
 
 def refit_step(
-    case: Case, start: Hypothesis, fit: ModelFit, criteria: Criteria
+    case: Case,
+    start: Hypothesis,
+    fit: ModelFit,
+    criteria: Criteria,
+    *,
+    rivals: Sequence[str] = (),
 ) -> tuple[Step, ...]:
     """A step `wrong_inertia` if refitting the inertias alone takes convincingly much error away.
 
@@ -112,6 +116,7 @@ def refit_step(
         start: The model refitted within its prior.
         fit: The final fit, with no effect added.
         criteria: When a step counts.
+        rivals: Effects that it cannot be told from.
     """
     evidence = refit_evidence(case, start, criteria)
     if evidence is None:
@@ -135,7 +140,7 @@ def refit_step(
             now.nrms,
             values,
             {},
-            (),
+            tuple(rivals),
             evidence[1],
             was.by_joint(),
             now.by_joint(),
@@ -220,9 +225,8 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
     if group.looseness is not None:
         return _inertias(moved_bodies(case, fit.model.phi), fit), deviations
     if group.delay is not None:
-        delay = next(f.effect for f in fit.model.effects if isinstance(f.effect, EffortDelay))
         _, deviation = fine_delay(trail.end)
-        return {"all joints": {"delay": delay.delay}}, {"all joints": {"delay": deviation}}
+        return {"all joints": {"delay": fit.model.delay}}, {"all joints": {"delay": deviation}}
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
             place = fitted.effect.place

@@ -21,6 +21,7 @@ from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import effect_prior
 
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 PENALTY = 6.0
 """Gain that a parameter must bring before a hypothesis with it is preferred."""
@@ -77,20 +78,26 @@ def try_package(
             its gain is then given as zero.
     """
     dataset, before = hypothesis.dataset, hypothesis.held_out
-    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
-    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
-    parameters = [p for effect in package.effects for p in effect.parameters]
-    lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
-    after = hypothesis.cv.with_candidate(columns, information, lower, upper)
+    after = quick_fit(hypothesis, package)
     errors, joints = (before, after), acted_upon(dataset, package)
     reduction, agreement = improvement(errors, joints)
     if least and (reduction < least.reduction or agreement < least.agreement):
         return Trial(package, 0.0, reduction, agreement, 1.0)
-    both = np.concatenate([hypothesis.unknowns.columns, columns])
+    both = np.concatenate([hypothesis.unknowns.columns, columns_of(dataset, package)])
     effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
     gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
     alarm = false_alarm_probability(gain, package.parameters, tried)
     return Trial(package, gain, reduction, agreement, alarm)
+
+
+def quick_fit(hypothesis: Hypothesis, package: Package) -> HeldOut:
+    """Held-out errors with a package, everything refitted with the weights of the hypothesis."""
+    dataset = hypothesis.dataset
+    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
+    parameters = [p for effect in package.effects for p in effect.parameters]
+    lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
+    columns = columns_of(dataset, package)
+    return hypothesis.cv.with_candidate(columns, information, lower, upper)
 
 
 def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:
@@ -109,8 +116,13 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
 
 def acted_upon(dataset: Dataset, package: Package) -> Mask:
     """(nv,) whether the effects of a package act on a joint."""
-    columns = np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
+    columns = columns_of(dataset, package)
     return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
+
+
+def columns_of(dataset: Dataset, package: Package) -> Indices:
+    """(k,) columns of a package."""
+    return np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
 
 
 def improvement(errors: tuple[HeldOut, HeldOut], joints: Mask) -> tuple[float, float]:

@@ -130,19 +130,23 @@ class CrossValidation:
         """(p,) parameters fitted to all folds."""
         return self._whole.x
 
+    def covariance(self) -> Array:
+        """(p, p) covariance of `fit_all`, bounds left aside."""
+        return self._covariance
+
     def deviations(self) -> Array:
         """(p,) standard deviations of `fit_all`, bounds left aside."""
-        return self._deviations
+        return np.sqrt(np.diag(self._covariance))
 
     @cached_property
     def _whole(self) -> _Fit:
         return self._solve(self._gram, self._rhs)
 
     @cached_property
-    def _deviations(self) -> Array:
+    def _covariance(self) -> Array:
         scale = 1.0 / np.sqrt(np.diag(self._gram))
         matrix = self._gram * scale[:, None] * scale + _ridge(len(scale))
-        return scale * np.sqrt(np.diag(np.linalg.inv(matrix)))
+        return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
 
     @cached_property
     def _residuals(self) -> list[tuple[Array, Indices, Array]]:

@@ -1,0 +1,152 @@
+"""Effects that the inertias take in: logs explained with every body as the model has it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.candidates import Package, kinds
+from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
+from geodrake.diagnosis.forward import Trail, search
+from geodrake.diagnosis.hypothesis import HELD, Hypothesis, settle
+from geodrake.diagnosis.steps import refit_evidence
+from geodrake.diagnosis.trials import PENALTY, gain_of, quick_fit
+from geodrake.effects.base import Effect
+from geodrake.identification.dataset import is_payload
+
+Array = NDArray[np.float64]
+
+INERTIAS = "wrong_inertia"
+_MOST_KINDS = 2
+_ITERATIONS = 6
+_REST = 0.01
+"""Share of what moved bodies explain that effects may leave to them."""
+_WIDTHS = (HELD, 10.0 * HELD, 100.0 * HELD)
+
+
+@dataclass(frozen=True, eq=False)
+class Absorbed:
+    """What the inertias may have taken in.
+
+    Attributes:
+        trails: Searches that explain the logs as well as moved inertias do, best first.
+        rivals: Names of effects that moved inertias cannot be told from.
+    """
+
+    trails: tuple[Trail, ...] = ()
+    rivals: tuple[str, ...] = ()
+
+
+def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criteria) -> Absorbed:
+    """Explanations in which no body moves, or moves less, where moved inertias explain the logs.
+
+    A prior that is weak lets a payload, a rotor or a compensator pass into the inertias, and then
+    nothing is left to find. Effects that explain the logs as well while every body stays as the
+    model has it are the simpler answer; moved inertias are what they cannot be told from. Where
+    bodies must move, an effect is the better answer still if it spares them a way that is
+    improbable by the prior.
+
+    Args:
+        case: The case.
+        trail: A search that has come to its end.
+        fixed: Effects that stay.
+        criteria: When an effect counts as found.
+    """
+    end, start = trail.end, trail.start
+    found = _added(end, start.unknowns.effects)
+    moved = found or refit_evidence(case, end, criteria) is not None
+    if not moved or end.released or end.delay != start.delay or len(found) > _MOST_KINDS:
+        return Absorbed()
+    most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
+    other = _unmoved(trail, fixed, criteria, most)
+    if other is not None:
+        rivals = found.union({INERTIAS}, *(trail.rivals.get(name, ()) for name in found))
+        return _answer(case, [other], fixed, rivals)
+    if found:
+        return Absorbed()
+    sparing = [Trail(start, after, {}) for after in _sparing(end, criteria, most)]
+    return _answer(case, sparing, fixed, {INERTIAS})
+
+
+def _unmoved(
+    trail: Trail, fixed: Sequence[Effect], criteria: Criteria, most: float
+) -> Trail | None:
+    """A search with the inertias held, if they would have to move and it explains as much.
+
+    Args:
+        trail: The search where they may move.
+        fixed: Effects that stay.
+        criteria: When an effect counts as found.
+        most: Held-out squared error that counts as explained.
+    """
+    end, start = trail.end, trail.start
+    rest = _REST * (_widened(end, HELD).loss().sum() - most)
+    if rest <= 0.0:
+        return None
+    steps = max(1, len(_added(end, start.unknowns.effects)))
+    held = start.loosened(HELD / start.looseness)
+    other = search(held, fixed, criteria, max_steps=steps)
+    if other.end.loss().sum() > most + rest or len(_added(other.end, fixed)) > steps:
+        return None
+    enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)
+    return other if enough else None
+
+
+def _added(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> set[str]:
+    """Names of the effects that were added."""
+    return {effect.name for effect in hypothesis.unknowns.effects if effect not in fixed}
+
+
+def _answer(
+    case: Case, trails: Sequence[Trail], fixed: Sequence[Effect], rivals: Collection[str]
+) -> Absorbed:
+    """The best of some trails, unless it says rather that one body is wrong; all their names."""
+    added = [[e for e in t.end.unknowns.effects if e not in fixed] for t in trails]
+    names = tuple(sorted({effect.name for effects in added for effect in effects}))
+    if not trails or (len(added[0]) == 1 and _is_within(case, added[0][0])):
+        return Absorbed((), names)
+    best, effects = trails[0], tuple(added[0])
+    also = {
+        e.name: tuple(sorted({*rivals, *best.rivals.get(e.name, ())} - {e.name})) for e in effects
+    }
+    return Absorbed((replace(best, rivals={**best.rivals, **also}, kept=effects),), names)
+
+
+def _is_within(case: Case, effect: Effect) -> bool:
+    """Whether an effect is a mass on a body that carries others: rather a wrong body."""
+    return is_payload(effect) and effect.where[0] not in case.model.last_bodies
+
+
+def _widened(hypothesis: Hypothesis, looseness: float) -> Hypothesis:
+    """The hypothesis with the inertial prior so wide, as a share of that assumed, settled."""
+    return settle(hypothesis.loosened(looseness / hypothesis.looseness), iterations=_ITERATIONS)
+
+
+def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> Iterator[Hypothesis]:
+    """The hypothesis with one effect that spares the inertias an improbable way, best first."""
+    offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
+    packages = [p for kind in offered for place in kind.options.values() for p in place]
+    way = _way(hypothesis)
+    scores: list[tuple[float, Package]] = []
+    for package in packages:
+        spared = way - _way(hypothesis, quick_fit(hypothesis, package).x.mean(0))
+        if false_alarm_probability(spared, package.parameters, len(packages)) <= criteria.alarm:
+            scores.append((spared - PENALTY * package.parameters, package))
+    for _, package in sorted(scores, key=lambda scored: -scored[0]):
+        after = hypothesis.with_effects(package.effects)
+        gain = gain_of(hypothesis, after) + way - _way(after)
+        alarm = false_alarm_probability(gain, package.parameters, len(packages))
+        if alarm <= criteria.alarm and after.loss().sum() <= most:
+            yield after
+
+
+def _way(hypothesis: Hypothesis, x: Array | None = None) -> float:
+    """How improbable inertial parameters are: squared distance from the model's by its prior."""
+    n = 10 * len(hypothesis.dataset.bodies)
+    known = hypothesis.unknowns.information[:n, :n]
+    step = (hypothesis.cv.fit_all() if x is None else x)[:n] - hypothesis.unknowns.mean[:n]
+    return float(step @ known @ step)
