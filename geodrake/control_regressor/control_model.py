@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -80,13 +80,12 @@ class ControlModel:
                 positions[velocity] = mobilizer.positions.start if single[velocity] else 0
         rng = np.random.default_rng(0)
         some = rng.normal(size=(len(bodies), len(joints), PARAMETERS_PER_BODY))
-        width = _checked_width(sign_width, len(joints))
         total_phi = model.total_phi
         q = rng.normal(size=(1, model.tree.num_positions))
         columns = EffectColumns.of(
             joints,
             [fitted.effect for fitted in model.effects],
-            sign_width=width,
+            sign_width=_checked_width(sign_width, len(joints)),
             single=single,
             body_columns=lambda body: some[None, bodies.index(body)],
             bodies=RobotBodies(model.tree, q, total_phi),
@@ -159,25 +158,24 @@ def _checked_width(sign_width: ArrayLike, nv: int) -> Array:
     return np.broadcast_to(width, (nv,))
 
 
+def _parts(model: RobotModel) -> Iterator[tuple[Effect, slice]]:
+    """Every effect, and its place in the parameter vector."""
+    start = model.phi.size
+    for fitted in model.effects:
+        yield fitted.effect, slice(start, start + len(fitted.effect.parameters))
+        start += len(fitted.effect.parameters)
+
+
 def _scales(model: RobotModel) -> tuple[tuple[int, int], ...]:
     """Velocity and place in the parameter vector of every scale of efforts."""
-    found, start = [], model.phi.size
-    for fitted in model.effects:
-        if isinstance(fitted.effect, EffortScale):
-            found.append((model.joints.index(fitted.effect.joint), start))
-        start += len(fitted.effect.parameters)
-    return tuple(found)
+    found = [(e.joint, part.start) for e, part in _parts(model) if isinstance(e, EffortScale)]
+    return tuple((model.joints.index(joint), place) for joint, place in found)
 
 
 def _payloads(model: RobotModel) -> tuple[tuple[int, slice], ...]:
     """Body and place in the parameter vector of every payload."""
-    found, start = [], model.phi.size
-    for fitted in model.effects:
-        stop = start + len(fitted.effect.parameters)
-        if fitted.effect.name == "payload":
-            found.append((model.bodies.index(fitted.effect.where[0]), slice(start, stop)))
-        start = stop
-    return tuple(found)
+    found = [(e, part) for e, part in _parts(model) if e.name == "payload"]
+    return tuple((model.bodies.index(effect.where[0]), part) for effect, part in found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,30 +227,32 @@ class ControlSample:
         return M
 
     @cached_property
-    def momentum_regressors(self) -> tuple[Array, Array]:
-        """Y_p and Y_c (nv, p) with effort = d/dt (Y_p p) − Y_c p along a motion; they need q̇ only.
+    def momentum_regressors(self) -> Array:
+        """(Y_p, Y_c) (2, nv, p): effort = d/dt (Y_p p) − Y_c p along a motion; they need q̇ only.
 
         Y_p p = M q̇ and Y_c p = Cᵀ q̇ + τ_g − effects at q̇. Filtering both sides of this equation
         gives a filtered regressor of inverse dynamics without accelerations: for the low-pass
         filter λ / (s + λ), it is λ (Y_p − [Y_p]) − [Y_c] with [·] filtered.
 
-        Where effects have an inertia, it must be constant, as that of a rotor is. Load-dependent
-        friction has the load of this sample, without accelerations if it was made without.
+        The inertia of effects must be constant, as that of a rotor is. Load-dependent friction has
+        the load of this sample, without accelerations if it was made without.
         """
-        momentum, drift = self.rigid.momentum_regressors
+        rigid = self.rigid.momentum_regressors
         if not self.model.effects:
-            return momentum, drift
-        columns, (_, qd, v, _) = self.model._columns, self._motion
+            return rigid
+        columns, (_, qd, v, _), n = self.model._columns, self._motion, rigid.shape[-1]
+        both = np.zeros((*rigid.shape[:-1], n + columns.count))
+        both[..., :n] = rigid
+        moved, rest = both[..., n:]
         if v is qd and columns.sees_velocity_only:
-            rest, moved = self._effect_columns, np.zeros(self._effect_columns.shape)
+            rest -= self._effect_columns
         else:
             still = self._seen(np.zeros(len(qd)), qd)
-            rest = columns.columns(still, self._body_columns(-drift))
+            rest -= columns.columns(still, self._body_columns(-rigid[1]))
             turning = replace(still, vd=qd)
-            moved = columns.columns(turning, self._body_columns(momentum))
-            moved -= columns.columns(still, _no_columns(momentum))
-        both = np.concatenate((momentum, moved), axis=1), np.concatenate((drift, -rest), axis=1)
-        return self._scaled(both[0]), self._scaled(both[1])
+            moved += columns.columns(turning, self._body_columns(rigid[0]))
+            moved -= columns.columns(still, _no_columns(rigid[0]))
+        return np.array([self._scaled(part) for part in both]) if self.model._scales else both
 
     def _scaled(self, regressor: Array) -> Array:
         """A regressor (nv, p), whose columns of scales are now the efforts of the robot model."""
@@ -282,9 +282,8 @@ class ControlSample:
         q_joint = q.take(model._positions)
         if not model._all_single:
             q_joint = np.where(model._single, q_joint, np.nan)
-        bodies = None
-        if columns.sees_bodies:
-            bodies = RobotBodies(model._kinematics, q[None], model._total_phi)
+        seen = columns.sees_bodies
+        bodies = RobotBodies(model._kinematics, q[None], model._total_phi) if seen else None
         return OnlineMotion(q_joint, v, a, load, columns.direction(v), bodies)
 
     def _body_columns(self, regressor: Array) -> Callable[[str], Array]:

@@ -89,15 +89,16 @@ class RigidSample:
         return product
 
     @cached_property
-    def momentum_regressors(self) -> tuple[Array, Array]:
-        """Regressors (nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g, that is Σ Jᵀ G V and Σ J̇ᵀ G V + τ_g."""
+    def momentum_regressors(self) -> Array:
+        """Regressors (2, nv, 10 nb) of M q̇ = Σ Jᵀ G V and of Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g."""
         # (All products at once: the cost is in the number of calls. One of the four is not needed.)
         V, S = self.motions[:, :, 2], self.placement.subspace
         reaction = (self.placement.transforms @ self.tree.reaction[:, :, None])[:, :, 0]
         maps = (np.concatenate((V, reaction)) @ MOMENTUM).reshape(2, -1, PARAMETERS_PER_BODY, 6)
         product = np.concatenate((S, self.subspace_rate)) @ self._in_world(maps).T
         moves, (nv, n) = self.tree.moves_columns, self.tree.moves_columns.shape
-        return product[:nv, :n] * moves, (product[nv:, :n] - product[:nv, n:]) * moves
+        product[nv:, :n] -= product[:nv, n:]
+        return product[:, :n].reshape(2, nv, n) * moves
 
     def mass_matrix(self, phi: Array) -> Array:
         """M (nv, nv) for φ (nb, 10)."""

@@ -53,14 +53,25 @@ class FilteredRegressor:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Shape (nv, p + 1) of the rows: the regressor, and the effort as its last column."""
-        return len(self.control.joints), len(self.control.prior) + 1
+        """Shape (nv, p) of the regressor."""
+        return len(self.control.joints), len(self.control.prior)
 
     @property
     def size(self) -> int:
-        """Length of the memory."""
+        """Length of the memory: a number, and for every filter a regressor and its efforts."""
+        return 1 + (self.order + 1) * (self._entries + len(self.control.joints))
+
+    @cached_property
+    def _entries(self) -> int:
         rows, columns = self.shape
-        return 1 + (self.order + 1) * rows * columns
+        return rows * columns
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array]:
+        """Factors of (Y_p, Y_c), and of the effort, in what `_ends` gives."""
+        of_effort = [1.0, 0.0] if self.held_effort else [0.5, -0.5]
+        h = self.period
+        return np.array([[1 / h, -0.5], [1 / h, 0.5]]), np.array(of_effort)[:, None]
 
     @cached_property
     def _pass(self) -> float:
@@ -103,7 +114,7 @@ class FilteredRegressor:
         if not _finite(now):
             return self.skipped(memory)
         after = memory.copy()
-        stack = after[1:].reshape(self.order + 1, *self.shape)
+        stack = after[1:].reshape(self.order + 1, -1)
         periods = float(memory[0])
         if repeated and periods:
             stack[-1] += following - now
@@ -131,21 +142,17 @@ class FilteredRegressor:
 
     def rows(self, memory: Array) -> tuple[Array, Array]:
         """Filtered regressor Y (nv, p) and efforts (nv,), N·m or N: Y p = effort."""
-        rows, columns = self.shape
-        start = 1 + (self.order - 1) * rows * columns
-        both = memory[start : start + rows * columns].reshape(rows, columns)
-        return both[:, :-1], both[:, -1]
+        last = memory[1:].reshape(self.order + 1, -1)[self.order - 1]
+        return last[: self._entries].reshape(self.shape), last[self._entries :]
 
     def _ends(self, sample: ControlSample, effort: Array) -> tuple[Array, Array]:
         """What a sample adds to the interval that it ends, and takes off the one it begins."""
-        momentum, drift = sample.momentum_regressors
-        now, following = np.empty(self.shape), np.empty(self.shape)
-        moved, half = momentum / self.period, 0.5 * drift
-        np.subtract(moved, half, out=now[:, :-1])
-        np.add(moved, half, out=following[:, :-1])
-        now[:, -1] = effort if self.held_effort else 0.5 * effort
-        following[:, -1] = 0.0 if self.held_effort else -0.5 * effort
-        return now, following
+        of_regressors, of_effort = self._weights
+        ends = np.empty((2, self._entries + len(effort)))
+        both = sample.momentum_regressors.reshape(2, -1)
+        np.matmul(of_regressors, both, out=ends[:, : self._entries])
+        np.multiply(of_effort, effort, out=ends[:, self._entries :])
+        return ends[0], ends[1]
 
 
 def _finite(x: Array) -> bool:

@@ -28,27 +28,26 @@ class _Remembered:
     """Samples that are seen again.
 
     Attributes:
-        rows: (slots, nv, p + 1) filtered rows, and their efforts as the last column.
+        regressors: (slots, nv, p) filtered regressors.
+        efforts: (slots, nv) their efforts.
         kept: How many have been put there.
         count: Number of samples when the last one was.
     """
 
-    rows: Array
+    regressors: Array
+    efforts: Array
     kept: int = 0
     count: int = 0
 
     def turn(self, number: int, kept: int) -> Rows | None:
         """One of the first `kept` samples, turn by turn; None if there are none."""
-        kept = min(kept, self.kept, len(self.rows))
-        if kept == 0:
-            return None
-        both = self.rows[number % kept]
-        return both[:, :-1], both[:, -1]
+        kept = min(kept, self.kept, _SLOTS)
+        return (self.regressors[number % kept], self.efforts[number % kept]) if kept else None
 
     def put(self, rows: Rows, count: int) -> None:
         """In place of the oldest one."""
-        slot = self.rows[self.kept % len(self.rows)]
-        slot[:, :-1], slot[:, -1] = rows
+        slot = self.kept % _SLOTS
+        self.regressors[slot], self.efforts[slot] = rows
         self.kept, self.count = self.kept + 1, count
 
 
@@ -147,7 +146,7 @@ class BregmanProjectionEstimator(LeafSystem):
             for value in (start, filtered.start(), self._watch.start()[: 2 * nv + 1], np.zeros(nv))
         )
         # (Not discrete state, all of which Drake copies at every update.)
-        samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)))
+        samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
         self._samples = self.DeclareAbstractState(AbstractValue.Make(samples))
         if memory > 0:
             # A step late, as such events come before discrete updates.
