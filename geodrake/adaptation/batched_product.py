@@ -263,9 +263,12 @@ def _careful_step(phi: Array, b: Array, time: float) -> Array:
 def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
     """The natural step of parameters x (..., n) that have a lower bound only."""
     slack = x - lower
-    growth = slack * b * -time
+    growth = slack * b
+    growth *= -time
     if np.vdot(growth, growth) <= _USUAL_GROWTH**2:
-        stepped = x + slack * np.expm1(growth)
+        stepped = np.expm1(growth)
+        stepped *= slack
+        stepped += x
         if (stepped > lower).all() and np.vdot(stepped, stepped) < _GREATEST:
             return np.asarray(stepped)
     above = Interval(tuple(lower.tolist()), (np.inf,) * len(lower))

@@ -22,11 +22,13 @@ class DirectEffects:
         columns: Their columns.
         parameters: (k,) their parameters μ.
         positions: (nv,) position of each velocity, −1 for joints of several degrees of freedom.
+        several: Velocities of joints of several degrees of freedom; None for none.
     """
 
     columns: EffectColumns
     parameters: Array
     positions: NDArray[np.intp]
+    several: NDArray[np.intp] | None
 
     @classmethod
     def of(
@@ -46,7 +48,8 @@ class DirectEffects:
             body_columns=lambda _: some,
         )
         parameters = np.concatenate([np.zeros(0), *(mu for _, mu in effects)])
-        return cls(columns, parameters, positions)
+        several = np.flatnonzero(positions < 0)
+        return cls(columns, parameters, positions, several if len(several) else None)
 
     def effort(self, q: Array, v: Array, body_columns: Callable[[str], Array]) -> Array:
         """Effort (nv,) at positions q (nq,) and velocities v (nv,).
@@ -59,6 +62,8 @@ class DirectEffects:
         rest = np.zeros(len(v))
         if not len(self.parameters):
             return rest
-        q_joint = np.where(self.positions >= 0, q[self.positions], np.nan)
+        q_joint = q.take(self.positions)
+        if self.several is not None:
+            q_joint[self.several] = np.nan
         motion = OnlineMotion(q_joint, v, rest, rest, self.columns.direction(v))
         return np.asarray(self.columns.columns(motion, body_columns) @ self.parameters)

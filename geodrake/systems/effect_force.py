@@ -135,15 +135,14 @@ class EffectForce(LeafSystem):
             derivatives.SetFromVector(self._law.state_rates(self._effects, q, v, hidden))
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        state = self._state_port.Eval(context)
-        u = np.zeros(output.size())
-        if self._effects.coupled and self._effort_port.HasValue(context):
+        state, effects = self._state_port.Eval(context), self._effects
+        q, v, time = state[: self._nq], state[self._nq :], context.get_time()
+        hidden = _hidden(context) if effects.states else None
+        u = np.zeros(len(v))
+        if effects.coupled and self._effort_port.HasValue(context):
             u = self._effort_port.Eval(context)
-        applied = u / self._effects.gain
-        q, v = state[: self._nq], state[self._nq :]
-        effort = self._law.effort(
-            self._effects, q, v, applied, time=context.get_time(), states=_hidden(context)
-        )
+        applied = u / effects.gain
+        effort = self._law.effort(effects, q, v, applied, time=time, states=hidden)
         output.SetFromVector(applied - u - effort)
 
 

@@ -48,17 +48,17 @@ class SortedEffects:
                 free += effect.state_count
         return found
 
-    @property
+    @cached_property
     def timed(self) -> bool:
         """Whether the time must be known."""
         return any(effect.sees_time for effect, _ in self.apart)
 
-    @property
+    @cached_property
     def implicit(self) -> bool:
         """Whether v̇ must be known."""
         return bool(self.accelerated or self.loaded)
 
-    @property
+    @cached_property
     def coupled(self) -> bool:
         """Whether the applied effort must be known."""
         return self.implicit or bool((self.gain != 1.0).any())
