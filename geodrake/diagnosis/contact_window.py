@@ -108,13 +108,27 @@ def _wrench(A: Array, b: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A * unit, b, rcond=_SINGULAR)[0] * unit)
 
 
-def evidence(window: Window, contact: Contact) -> tuple[float, float, int]:
+@dataclass(frozen=True, eq=False)
+class Predicted:
     """What the wrench of every other piece of a window predicts of the rest.
 
-    Returns:
-        The share of the squared residual, twice the log-likelihood ratio, and how many directions
-        of the wrench the joints feel.
+    Attributes:
+        before: (nv,) mean squared residual of each joint, 0 where it is not known.
+        after: (nv,) what is left of it.
+        share: Share of the squared residuals that is predicted.
+        gain: Twice the log-likelihood ratio.
+        felt: How many directions of the wrench the joints feel.
     """
+
+    before: Array
+    after: Array
+    share: float
+    gain: float
+    felt: int
+
+
+def evidence(window: Window, contact: Contact) -> Predicted:
+    """What the wrench of every other piece of a window predicts of the rest."""
     A = columns(window, contact)
     inside = (window.outputs >= contact.start) & (window.outputs <= contact.end)
     since = (window.outputs - contact.start) / (contact.end - contact.start)
@@ -136,4 +150,6 @@ def evidence(window: Window, contact: Contact) -> tuple[float, float, int]:
     gain = samples * np.log(np.maximum(before, floor) / np.maximum(after, floor))
     unit = np.repeat([1.0, _LEVER], 3)
     felt = int(np.linalg.matrix_rank(A[known] * unit, rtol=_SINGULAR))
-    return float(1.0 - after.sum() / max(before.sum(), 1e-300)), float(gain.sum()), felt
+    share = float(1.0 - after.sum() / max(before.sum(), 1e-300))
+    count = np.maximum((known & inside[:, None]).sum(0), 1)
+    return Predicted(before / count, after / count, share, float(gain.sum()), felt)

@@ -178,12 +178,15 @@ def _contact(case: Case, window: Window, tried: int) -> Contact | None:
     number = log_number(case.trajectories[window.log].name)
     guesses = [Contact(b, window.start, window.end, _RISE, number) for b in bodies]
     shapes = [refined(window, with_point(window, guess)) for guess in guesses]
-    shares = [evidence(window, shape)[0] for shape in shapes]
+    shares = [evidence(window, shape).share for shape in shapes]
     best = max(shares)
     if best < 0.5 * _LEAST_SHARE:
         return None
     contact = next(c for c, s in zip(shapes, shares, strict=True) if s >= _AS_GOOD * best)
     contact = refined(window, contact)
-    share, gain, felt = evidence(window, contact)
-    alarm = min(1.0, tried * float(chi2.sf(gain, felt + 3)))
-    return contact if share >= _LEAST_SHARE and alarm <= _ALARM else None
+    found = evidence(window, contact)
+    alarm = min(1.0, tried * float(chi2.sf(found.gain, found.felt + 3)))
+    # It is to explain whatever is unusual, and not in one joint, which friction could as well.
+    explained = (found.before > _LOW) & (found.after < 0.5 * found.before)
+    all_of_it = explained.sum() >= _LEAST_JOINTS and bool(np.all(found.after <= _LOW))
+    return contact if found.share >= _LEAST_SHARE and all_of_it and alarm <= _ALARM else None

@@ -127,30 +127,24 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
         if effect in fixed or effect not in hypothesis.unknowns.effects:
             continue
         others = [other for other in hypothesis.unknowns.effects if other != effect]
-        effects, reduced = hypothesis.dataset.effects, hypothesis.without([effect])
-        pair = _best_instead(hypothesis, reduced, effect, _pairs(effects, others, effect))
+        effects = hypothesis.dataset.effects
+        pair = _best_instead(hypothesis, effect, _pairs(effects, others, effect))
         if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
             hypothesis = pair
             continue
-        simple = _best_instead(hypothesis, reduced, effect, _simpler(effects, others, effect))
+        simple = _best_instead(hypothesis, effect, _simpler(effects, others, effect))
         if simple is not None and not _worth_it(simple, hypothesis, effect, criteria):
             hypothesis = simple
     return hypothesis
 
 
 def _best_instead(
-    hypothesis: Hypothesis, reduced: Hypothesis, effect: Effect, packages: Sequence[Package]
+    hypothesis: Hypothesis, effect: Effect, packages: Sequence[Package]
 ) -> Hypothesis | None:
-    """The hypothesis with the best of some packages in the place of an effect, if there are any.
-
-    Args:
-        hypothesis: The hypothesis with the effect.
-        reduced: The one without.
-        effect: The effect.
-        packages: What may take its place.
-    """
+    """The hypothesis with the best of some packages in the place of an effect, if there are any."""
     if not packages:
         return None
+    reduced = hypothesis.without([effect])
     trials = [try_package(reduced, package, len(packages)) for package in packages]
     return hypothesis.exchanged(effect, best_trial(reduced, trials).package.effects)
 
