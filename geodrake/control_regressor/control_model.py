@@ -223,7 +223,8 @@ class ControlSample:
         columns = self.model._columns
         if columns.uses_acceleration:
             motion = self._seen(self._motion[3], self._motion[1])
-            M += columns.added_mass(motion, parameters[self.model.num_inertial :], _no_columns(M))
+            nothing = self._body_columns(np.zeros((len(M), phi.size)))
+            M += columns.added_mass(motion, parameters[self.model.num_inertial :], nothing)
         return M
 
     @cached_property
@@ -251,7 +252,7 @@ class ControlSample:
             rest -= columns.columns(still, self._body_columns(-rigid[1]))
             turning = replace(still, vd=qd)
             moved += columns.columns(turning, self._body_columns(rigid[0]))
-            moved -= columns.columns(still, _no_columns(rigid[0]))
+            moved -= columns.columns(still, self._body_columns(np.zeros_like(rigid[0])))
         return np.array([self._scaled(part) for part in both]) if self.model._scales else both
 
     def _scaled(self, regressor: Array) -> Array:
@@ -269,7 +270,7 @@ class ControlSample:
     def _effect_columns(self) -> Array:
         _, qd, v, a = self._motion
         motion = self._seen(a, qd if self.model.measured_friction else v)
-        return self.model._columns.columns(motion, self._body_columns(self.rigid.regressor))
+        return self.model._columns.columns(motion, self._body_columns(None))
 
     def _seen(self, a: Array, v: Array) -> OnlineMotion:
         """The motion as effects see it, at accelerations a and velocities v (nv,)."""
@@ -282,19 +283,16 @@ class ControlSample:
         q_joint = q.take(model._positions)
         if not model._all_single:
             q_joint = np.where(model._single, q_joint, np.nan)
-        seen = columns.sees_bodies
-        bodies = RobotBodies(model._kinematics, q[None], model._total_phi) if seen else None
+        alone = not columns.sees_bodies
+        bodies = None if alone else RobotBodies(model._kinematics, q[None], model._total_phi)
         return OnlineMotion(q_joint, v, a, load, columns.direction(v), bodies)
 
-    def _body_columns(self, regressor: Array) -> Callable[[str], Array]:
-        """The columns (1, nv, 10) of a body, by name."""
+    def _body_columns(self, regressor: Array | None) -> Callable[[str], Array]:
+        """The columns (1, nv, 10) of a body, by name; of Y, formed when asked for, if None."""
 
         def columns(name: str) -> Array:
             first = PARAMETERS_PER_BODY * self.model.bodies.index(name)
-            return regressor[None, :, first : first + PARAMETERS_PER_BODY]
+            Y = self.rigid.regressor if regressor is None else regressor
+            return Y[None, :, first : first + PARAMETERS_PER_BODY]
 
         return columns
-
-
-def _no_columns(like: Array) -> Callable[[str], Array]:
-    return lambda body: np.zeros((1, len(like), PARAMETERS_PER_BODY))

@@ -210,7 +210,7 @@ class MirrorMap:
             return False
         # det P over the product of its diagonal, which does not depend on units.
         shape = np.multiply.reduce(L.reshape(-1, 16)[:, ::5] ** 2 / diagonal, 1)
-        inside = bool(((point.x > self.lower) & (point.x < self.upper)).all())
+        inside = bool((point.x > self.lower).all() and (point.x < self.upper).all())
         return inside and bool((shape > _CLEAR).all())
 
     def values(self, point: Point, rows: Covectors) -> Array:

@@ -136,18 +136,18 @@ class SlabProjection:
             The estimate (n,); itself if it is in all slabs, None if rounding leaves none.
         """
         error = Y @ p - effort
-        bound = np.flatnonzero(np.abs(error) > tolerance)
+        error -= np.minimum(np.maximum(error, -tolerance), tolerance)  # zero in the slab
+        bound = np.flatnonzero(error)
         if not len(bound):
             return p
-        side = np.sign(error[bound])
-        error = error[bound] - side * tolerance[bound]
+        error = error[bound]
         rows, point = self._map.covectors(Y[bound]), self._map.point(p)
         products = self._map.products(point, rows)
         multipliers, kept = np.zeros(len(bound)), np.arange(len(bound))
         own, outside = products, error
         while len(kept):
             found = _solve_scaled(own, outside, _SHARING)
-            right = found * side[kept] >= 0
+            right = found * outside >= 0
             if right.all():
                 multipliers[kept] = found
                 break
