@@ -125,6 +125,19 @@ def test_the_batched_product_is_the_product(seed):
 
 
 @properties
+@given(seeds)
+def test_covectors_of_one_point_are_taken_together(seed):
+    rng = np.random.default_rng(seed)
+    x, rows = random_point(MIXED, rng), rng.normal(size=(3, SIZE))
+    pulls = np.array([PLAIN.inverse_metric_times(x, row) for row in rows])
+    np.testing.assert_allclose(MIXED.inverse_metric_times(x, rows), pulls, rtol=1e-8, atol=1e-12)
+    assert MIXED.squared_length(x, rows) == pytest.approx((rows * pulls).sum(), rel=1e-9)
+    for manifold in (MIXED, PLAIN):
+        reach = natural_adaptation(manifold, 2.0).reach(x, rows)
+        assert reach == pytest.approx(0.5 * (rows * pulls).sum(), rel=1e-9)
+
+
+@properties
 @given(seeds, st.floats(-12, 3))
 def test_a_natural_step_is_the_retraction_along_the_rate(seed, size):
     rng = np.random.default_rng(seed)
