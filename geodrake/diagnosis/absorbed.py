@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import Package, kinds
-from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
 from geodrake.diagnosis.forward import Trail, search
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis, settle
@@ -58,7 +58,8 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
     """
     end, start = trail.end, trail.start
     found = _added(end, start.unknowns.effects)
-    moved = found or refit_evidence(case, end, criteria) is not None
+    explained = error_table(case.dataset, end.held_out).is_noise
+    moved = explained if found else refit_evidence(case, end, criteria) is not None
     if not moved or end.released or end.delay != start.delay or len(found) > _MOST_KINDS:
         return Absorbed()
     most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)

@@ -17,7 +17,14 @@ from scipy.ndimage import label, uniform_filter1d
 from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case
-from geodrake.diagnosis.contact_window import SHORTEST, Window, evidence, refined, with_point
+from geodrake.diagnosis.contact_window import (
+    SHORTEST,
+    Predicted,
+    Window,
+    evidence,
+    refined,
+    with_point,
+)
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects.base import Effect
@@ -178,15 +185,20 @@ def _contact(case: Case, window: Window, tried: int) -> Contact | None:
     number = log_number(case.trajectories[window.log].name)
     guesses = [Contact(b, window.start, window.end, _RISE, number) for b in bodies]
     shapes = [refined(window, with_point(window, guess)) for guess in guesses]
-    shares = [evidence(window, shape).share for shape in shapes]
-    best = max(shares)
+    tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
+    best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:
         return None
-    contact = next(c for c, s in zip(shapes, shares, strict=True) if s >= _AS_GOOD * best)
+    good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
+    contact = next((shape for shape, found in good if _explains_all(found)), good[0][0])
     contact = refined(window, contact)
     found = evidence(window, contact)
     alarm = min(1.0, tried * float(chi2.sf(found.gain, found.felt + 3)))
-    # It is to explain whatever is unusual, and not in one joint, which friction could as well.
+    convinces = found.share >= _LEAST_SHARE and alarm <= _ALARM and _explains_all(found)
+    return contact if convinces else None
+
+
+def _explains_all(found: Predicted) -> bool:
+    """Whether nothing unusual is left at any joint, and not at one only, as friction could do."""
     explained = (found.before > _LOW) & (found.after < 0.5 * found.before)
-    all_of_it = explained.sum() >= _LEAST_JOINTS and bool(np.all(found.after <= _LOW))
-    return contact if found.share >= _LEAST_SHARE and all_of_it and alarm <= _ALARM else None
+    return bool(explained.sum() >= _LEAST_JOINTS and np.all(found.after <= _LOW))

@@ -21,9 +21,6 @@ from geodrake.identification.model_fit import ModelFit, effects_of, model_unknow
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 
-NOISE_MARGIN = 1.25
-"""Errors up to this many times the noise floor count as noise."""
-
 
 @dataclass(frozen=True, eq=False)
 class Investigation:
@@ -116,6 +113,6 @@ def _finished(
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:
     """What an end result amounts to."""
-    if errors.nrms > NOISE_MARGIN * errors.floor_nrms:
+    if not errors.is_noise:
         return "unexplained"
     return "explained" if found else "adequate"

@@ -14,6 +14,9 @@ from geodrake.model import RobotModel
 Array = NDArray[np.float64]
 Verdict = Literal["adequate", "explained", "unexplained"]
 
+NOISE_MARGIN = 1.25
+"""Errors up to this many times the noise floor count as noise."""
+
 
 @dataclass(frozen=True)
 class JointError:
@@ -61,6 +64,11 @@ class ErrorTable:
     def floor_nrms(self) -> float:
         """The nrms of the noise floor."""
         return float(np.sqrt(np.mean([(joint.floor / joint.std) ** 2 for joint in self.joints])))
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no more than sensor noise is left."""
+        return self.nrms <= NOISE_MARGIN * self.floor_nrms
 
     @property
     def pooled_rms(self) -> float:

@@ -9,11 +9,11 @@ import numpy as np
 
 from geodrake.diagnosis.case import error_table, open_case
 from geodrake.diagnosis.evidence import Criteria
-from geodrake.diagnosis.explain import NOISE_MARGIN, Investigation, investigate
+from geodrake.diagnosis.explain import Investigation, investigate
 from geodrake.diagnosis.forward import Progress
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.refine import prune
-from geodrake.diagnosis.results import Explanation
+from geodrake.diagnosis.results import NOISE_MARGIN, Explanation
 from geodrake.drafting.results import Array, Correlate, Draft, DraftedEffect
 from geodrake.drafting.search import Found, JointSearch
 from geodrake.drafting.term_columns import TermColumns
