@@ -38,6 +38,7 @@ LAYERS = (
     "kinematics",
     "recursion",
     "regressor",
+    "effort_slopes",
     "reduction",
     "base_parameters",
     "floating_base",

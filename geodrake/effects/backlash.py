@@ -16,7 +16,6 @@ from geodrake.effects.base import (
     require_positive,
 )
 from geodrake.effects.deflection import effort_of_deflection
-from geodrake.regressor import inverse_dynamics
 
 _SUBSTEPS = 4
 _HALF_WIDTHS = (3e-4, 1e-3, 3e-3, 1e-2)
@@ -66,14 +65,8 @@ class Backlash(JointEffect):
         if time is None or len(time) < 3:
             lag, rates = self.half_width * np.sign(load), None
         else:
-            bodies = motion.body_motions(self.name)
-            unit, none = np.zeros_like(motion.v), np.zeros_like(motion.v)
-            unit[:, at] = 1.0
-            inertia, weight = (
-                inverse_dynamics(bodies.tree, bodies.q, none, vd, bodies.phi)[:, at]
-                for vd in (unit, none)
-            )
-            lag = self.lag(load / np.maximum(inertia - weight, 1e-9), time)
+            inertia = motion.effort_slopes(self.name).acceleration[:, at, at]
+            lag = self.lag(load / np.maximum(inertia, 1e-9), time)
             speed = np.gradient(lag, time)
             bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
             rates = speed, bend / float(np.median(np.diff(time))) ** 2

@@ -6,10 +6,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from geodrake.effects.base import Array, RobotMotion
-from geodrake.regressor import inverse_dynamics
 
 _DEGREE = 5
-_STEP = 1e-4  # rad or m, of differences
 
 
 def rate_and_acceleration(signal: Array, time: Array | None) -> tuple[Array, Array]:
@@ -40,16 +38,9 @@ def effort_of_deflection(
             is that of an infinitely small lag, scaled.
         rates: (N,) its first and second time derivative; by default those of its spline.
     """
-    bodies, at = motion.body_motions(name), motion.index(joint)
-    mobilizer = next(m for m in bodies.tree.mobilizers if m.velocities.start == at)
+    slopes, at = motion.effort_slopes(name), motion.index(joint)
     rate, acceleration = rate_and_acceleration(lag, motion.time) if rates is None else rates
-    scale = _STEP / max(float(np.abs(lag).max(initial=0.0)), np.finfo(float).tiny)
-
-    def effort(sign: float) -> Array:
-        q, v, vd = bodies.q.copy(), motion.v.copy(), motion.vd.copy()
-        q[:, mobilizer.positions.start] -= sign * scale * lag
-        v[:, at] -= sign * scale * rate
-        vd[:, at] -= sign * scale * acceleration
-        return inverse_dynamics(bodies.tree, q, v, vd, bodies.phi)
-
-    return np.asarray((effort(1.0) - effort(-1.0)) / (2.0 * scale))
+    change = slopes.position[:, :, at] * lag[:, None]
+    change += slopes.velocity[:, :, at] * rate[:, None]
+    change += slopes.acceleration[:, :, at] * acceleration[:, None]
+    return np.asarray(-change)
