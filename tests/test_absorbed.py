@@ -62,6 +62,18 @@ def test_small_payload(seed):
     assert "wrong_inertia" in step.indistinguishable_from
 
 
+def test_compensator_beside_bodies_that_are_off():
+    """Bodies must move, but not as improbably far as a compensator would push them."""
+
+    def compensator(seen):
+        return {1: 4.0 * np.sin(seen.q[:, 1] - 0.7)}
+
+    log = effort_log("arm7", 4, compensator, off=0.2, duration=16.0, share=0.02).log
+    step = explain(model_file("arm7"), [log]).steps[0]
+    assert (step.effect, step.where) == ("gravity_compensator", (model_file("arm7").joints[1],))
+    assert "wrong_inertia" in step.indistinguishable_from
+
+
 def test_lighter_link_is_no_payload():
     log = effort_log("arm7", 3, with_last_link(lighter(0.7)), duration=16.0, share=0.02).log
     (step,) = explain(model_file("arm7"), [log]).steps

@@ -125,6 +125,10 @@ def test_pairs_follow_the_tree(arm):
     assert arm.joint_pairs == tuple(zip(arm.joints, arm.joints[1:], strict=False))
 
 
+def test_last_bodies_carry_no_other(arm):
+    assert arm.last_bodies == (arm.bodies[-1],)
+
+
 def test_floating_base_has_no_single_positions():
     floating = load_model(MODELS / "double_pendulum.urdf", floating=True)
     assert set(floating.single_joints) == {"shoulder", "elbow"}

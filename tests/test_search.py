@@ -224,6 +224,28 @@ def test_simple_effect_takes_the_place_of_a_complex_one(with_friction):
     assert simplify(full, [asymmetric], CRITERIA).unknowns.effects == full.unknowns.effects
 
 
+def test_pair_takes_the_place_of_an_effect_whose_bounds_hide_it(model):
+    """An offset pushes as well as it brakes, which friction with one law a direction may not."""
+    start = start_of(model, lambda q, v, a, load: np.array([0.0, 0.1]) * v + np.array([0.0, 0.3]))
+    asymmetric = next(
+        e
+        for e in start.dataset.effects
+        if e.name == "asymmetric_friction" and e.where == ("elbow",)
+    )
+    full = start.with_effects([asymmetric])
+    simple = simplify(full, [], CRITERIA)
+    assert set(simple.unknowns.effects) == {VISCOUS[1], EffortOffset("elbow")}
+    assert gain_of(full, simple) > 100.0
+
+
+def test_exchange_begins_with_the_weights_of_what_it_replaces(with_friction):
+    """Fitted through a hypothesis that errs much, the same effects would be weighed otherwise."""
+    full = with_friction.with_effects([*COULOMB, *VISCOUS])
+    exchanged = full.exchanged(VISCOUS[0], [VISCOUS[0]])
+    assert exchanged.nrms == pytest.approx(full.nrms, rel=1e-3)
+    assert np.log(exchanged.weights / full.weights) == pytest.approx(0.0, abs=0.3)
+
+
 def test_search_finds_what_is_missing(with_friction):
     told = []
     trail = search(

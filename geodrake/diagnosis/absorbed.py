@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import Package, kinds
 from geodrake.diagnosis.case import Case, error_table
+from geodrake.diagnosis.columns import with_columns
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
 from geodrake.diagnosis.forward import Trail, search
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis, settle
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.trials import PENALTY, gain_of, quick_fit
+from geodrake.effects import JointElasticity
 from geodrake.effects.base import Effect
 from geodrake.identification.dataset import is_payload
 
@@ -33,10 +35,12 @@ class Absorbed:
     """What the inertias may have taken in.
 
     Attributes:
+        case: The case that the searches are on.
         trails: Searches that explain the logs as well as moved inertias do, best first.
         rivals: Names of effects that moved inertias cannot be told from.
     """
 
+    case: Case
     trails: tuple[Trail, ...] = ()
     rivals: tuple[str, ...] = ()
 
@@ -61,16 +65,27 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
     explained = error_table(case.dataset, end.held_out).is_noise
     moved = explained if found else refit_evidence(case, end, criteria) is not None
     if not moved or end.released or end.delay != start.delay or len(found) > _MOST_KINDS:
-        return Absorbed()
+        return Absorbed(case)
+    if not found:
+        case, trail = with_soft_joints(case, trail)
+        end, start = trail.end, trail.start
     most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
     other = _unmoved(trail, fixed, criteria, most)
     if other is not None:
         rivals = found.union({INERTIAS}, *(trail.rivals.get(name, ()) for name in found))
         return _answer(case, [other], fixed, rivals)
     if found:
-        return Absorbed()
+        return Absorbed(case)
+    end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable
     sparing = [Trail(start, after, {}) for after in _sparing(end, criteria, most)]
     return _answer(case, sparing, fixed, {INERTIAS})
+
+
+def with_soft_joints(case: Case, trail: Trail) -> tuple[Case, Trail]:
+    """The case with columns for the elasticity of every joint, which inertias easily take in."""
+    soft = [JointElasticity(joint) for joint in case.model.single_joints]
+    new = [effect for effect in soft if effect not in case.dataset.effects]
+    return with_columns(case, trail, [*case.dataset.effects, *new]) if new else (case, trail)
 
 
 def _unmoved(
@@ -109,12 +124,12 @@ def _answer(
     added = [[e for e in t.end.unknowns.effects if e not in fixed] for t in trails]
     names = tuple(sorted({effect.name for effects in added for effect in effects}))
     if not trails or (len(added[0]) == 1 and _is_within(case, added[0][0])):
-        return Absorbed((), names)
+        return Absorbed(case, (), names)
     best, effects = trails[0], tuple(added[0])
     also = {
         e.name: tuple(sorted({*rivals, *best.rivals.get(e.name, ())} - {e.name})) for e in effects
     }
-    return Absorbed((replace(best, rivals={**best.rivals, **also}, kept=effects),), names)
+    return Absorbed(case, (replace(best, rivals={**best.rivals, **also}, kept=effects),), names)
 
 
 def _is_within(case: Case, effect: Effect) -> bool:

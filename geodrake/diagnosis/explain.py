@@ -78,8 +78,8 @@ def investigate(
     tune = model.information is None
     fixed = effects_of(model)
     case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
-    hidden = absorbed(case, trail, fixed, criteria) if tune else Absorbed()
-    after_case, fit, trail = _finished(case, (*hidden.trails, trail), criteria)
+    hidden = absorbed(case, trail, fixed, criteria) if tune else Absorbed(case)
+    after_case, fit, trail = _finished(hidden.case, (*hidden.trails, trail), criteria)
     steps = steps_of(case, trail, fit)
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
     after = comparison(after_case, fit.unknowns, fit.held_out)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.elastic import elastic_joints, loose_joints
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import highest_peak
@@ -19,7 +19,7 @@ from geodrake.diagnosis.residuals import (
     full_motion,
     joint_residuals,
 )
-from geodrake.effects import FrictionDrift, Hysteresis, TorqueRipple
+from geodrake.effects import FrictionDrift, Hysteresis, JointElasticity, TorqueRipple
 from geodrake.effects.base import Effect
 from geodrake.motion import Segment
 
@@ -49,10 +49,13 @@ def suggested(
         least_share: Share of the squared error at its joint that an effect must explain.
     """
     taken = {(e.name, e.where) for e in (*known, *hypothesis.unknowns.effects)}
+    last = least_share == 0.0 and not error_table(case.dataset, hypothesis.held_out).is_noise
     return tuple(
         effect
         for proposal in proposals(case, hypothesis)
-        if proposal.alarm <= _ALARM and proposal.share >= least_share
+        if (proposal.alarm <= _ALARM and proposal.share >= least_share)
+        # What soft joints do may be hidden by inertias, which only a fit with both tells.
+        or (last and isinstance(proposal.effects[0], JointElasticity))
         for effect in proposal.effects
         if (effect.name, effect.where) not in taken
     )
