@@ -18,7 +18,7 @@ from scipy.interpolate import make_interp_spline
 from geodrake import load_model
 from geodrake.diagnosis import add, explain
 from geodrake.effects import JointElasticity
-from geodrake.effects.deflection import effort_of_deflection
+from geodrake.effects.deflection import Deflection, slopes_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.model import FittedEffect
@@ -80,7 +80,7 @@ def test_at_rest_the_posture_changes():
     q, none = rng.normal(size=(5, 6)), np.zeros((5, 6))
     seen = ARM.motion(Motion(q, none, none))
     lag = rng.normal(size=5)
-    change = effort_of_deflection(seen, "test", "elbow_pitch", lag)
+    change = Deflection.along(lag, seen.time).effort(slopes_of(seen, "test"), 2)
     ends = []
     for step in (1e-5, -1e-5):
         moved = q.copy()

@@ -14,7 +14,9 @@ from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import JointResidual, filtered_columns
 from geodrake.effects import Backlash, JointElasticity
 from geodrake.effects.base import Effect
+from geodrake.effects.deflection import DeflectionEffect, slopes_of
 from geodrake.effects.robot_motion import RobotMotion
+from geodrake.effort_slopes import EffortSlopes
 from geodrake.motion import Motion, Segment
 
 Array = NDArray[np.float64]
@@ -111,13 +113,17 @@ def _motions(case: Case, segments: Sequence[Segment]) -> list[RobotMotion]:
 
 def _motion(case: Case, segment: Segment) -> RobotMotion:
     q, time = case.model.positions(segment.position), segment.time
-    return case.model.motion(Motion(q, segment.velocity, segment.acceleration, time))
+    return case.load_model.motion(Motion(q, segment.velocity, segment.acceleration, time))
 
 
-def _columns(case: Case, effect: Effect, segments: Sequence[Segment]) -> dict[int, Array]:
+def _columns(case: Case, effect: DeflectionEffect, segments: Sequence[Segment]) -> dict[int, Array]:
     """By the segment's identity, the effect's column at every joint (N, nv, 1), once a case."""
+    motions = _motions(case, segments)
+    if EffortSlopes not in case.kept:
+        case.kept[EffortSlopes] = [slopes_of(each, effect.name) for each in motions]
     if effect not in case.kept:
-        case.kept[effect] = [effect.regressor(each) for each in _motions(case, segments)]
+        both = zip(motions, case.kept[EffortSlopes], strict=True)
+        case.kept[effect] = [effect.column(each, slopes)[..., None] for each, slopes in both]
     return dict(zip(map(id, segments), case.kept[effect], strict=True))
 
 

@@ -2,27 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects.base import (
-    Array,
-    JointEffect,
-    JointMotion,
-    Parameter,
-    RobotMotion,
-    require_positive,
-)
-from geodrake.effects.deflection import effort_of_deflection
+from geodrake.effects.base import Array, Parameter, RobotMotion, require_positive
+from geodrake.effects.deflection import Deflection, DeflectionEffect
+from geodrake.effort_slopes import EffortSlopes
 
 _SUBSTEPS = 4
 _HALF_WIDTHS = (3e-4, 1e-3, 3e-3, 1e-2)
 
 
 @dataclass(frozen=True)
-class Backlash(JointEffect):
+class Backlash(DeflectionEffect):
     """Dead band between a motor, whose position is measured, and its link.
 
     effort = −g (∂τ/∂q s + ∂τ/∂v ṡ + M s̈), with the lag s(t) of the link; g is 1 where the gap is
@@ -46,32 +39,21 @@ class Backlash(JointEffect):
     parameters = (Parameter("gap_share", "1", lower=0.0),)
     signature = "no load for a moment where the load changes its sign, and then a blow"
     confused_with = ("joint_elasticity", "hysteresis", "coulomb_friction")
-    from_residual = True
-    sees_bodies = True
-    sees_time = True
-    is_force = False
 
     def __post_init__(self) -> None:
         require_positive(self, "half_width")
 
-    def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Nothing that the joint's own motion says."""
-        return [np.zeros_like(joint.v)]
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
+    def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:
+        """At the side to which the load pushes the link, or loose between both sides."""
         at, time = motion.index(self.joint), motion.time
         load = motion.load[:, at]
         if time is None or len(time) < 3:
-            lag, rates = self.half_width * np.sign(load), None
-        else:
-            inertia = motion.effort_slopes(self.name).acceleration[:, at, at]
-            lag = self.lag(load / np.maximum(inertia, 1e-9), time)
-            speed = np.gradient(lag, time)
-            bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
-            rates = speed, bend / float(np.median(np.diff(time))) ** 2
-        change = effort_of_deflection(motion, self.name, self.joint, lag, rates=rates)
-        return {joint: change[:, i, None] for i, joint in enumerate(motion.joints)}
+            return Deflection.along(self.half_width * np.sign(load), time)
+        inertia = slopes.acceleration[:, at, at]
+        lag = self.lag(load / np.maximum(inertia, 1e-9), time)
+        bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
+        period = float(np.median(np.diff(time)))
+        return Deflection(lag, np.gradient(lag, time), bend / period**2)
 
     def lag(self, acceleration: Array, time: Array) -> Array:
         """The lag s (N,) of a link.

@@ -2,45 +2,97 @@
 
 from __future__ import annotations
 
+import abc
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from geodrake.effects.base import Array, RobotMotion
+from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion
+from geodrake.effort_slopes import EffortSlopes, effort_slopes
 
 _DEGREE = 5
 
 
-def rate_and_acceleration(signal: Array, time: Array | None) -> tuple[Array, Array]:
-    """First and second time derivatives (N,) of a signal (N,); zero where it is no series."""
-    if time is None or len(signal) <= _DEGREE:
-        return np.zeros_like(signal), np.zeros_like(signal)
-    spline = make_interp_spline(time, signal, k=_DEGREE)
-    return np.asarray(spline(time, 1)), np.asarray(spline(time, 2))
+@dataclass(frozen=True, eq=False)
+class Deflection:
+    """How far a link lags behind its motor, over N samples.
+
+    Attributes:
+        lag: (N,) s, position of the motor less that of the link, rad or m.
+        rate: (N,) ṡ.
+        acceleration: (N,) s̈.
+    """
+
+    lag: Array
+    rate: Array
+    acceleration: Array
+
+    @classmethod
+    def along(cls, lag: Array, time: Array | None) -> Deflection:
+        """With rates (N,) of a lag (N,) that changes smoothly; zero where it is no series."""
+        if time is None or len(lag) <= _DEGREE:
+            return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
+        spline = make_interp_spline(time, lag, k=_DEGREE)
+        return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
+
+    def effort(self, slopes: EffortSlopes, joint: int) -> Array:
+        """Change of the needed effort (N, nv), to first order in the lag.
+
+        −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇).
+
+        Args:
+            slopes: Slopes of the effort with the motion of the motors.
+            joint: Index of the joint's velocity.
+        """
+        change = slopes.position[:, :, joint] * self.lag[:, None]
+        change += slopes.velocity[:, :, joint] * self.rate[:, None]
+        change += slopes.acceleration[:, :, joint] * self.acceleration[:, None]
+        return np.asarray(-change)
 
 
-def effort_of_deflection(
-    motion: RobotMotion,
-    name: str,
-    joint: str,
-    lag: Array,
-    *,
-    rates: tuple[Array, Array] | None = None,
-) -> Array:
-    """Change of the needed effort (N, nv), to first order, where a link lags behind its motor.
-
-    −(∂τ/∂q_j s + ∂τ/∂v_j ṡ + M_{·j} s̈), with the bodies' effort τ(q, v, v̇) and the lag s(t).
+def slopes_of(motion: RobotMotion, effect: str) -> EffortSlopes:
+    """Slopes of the bodies' effort with a motion.
 
     Args:
-        motion: The motion of the motors.
-        name: The effect that needs it, for messages.
-        joint: The joint.
-        lag: (N,) position of the motor less that of the link, rad or m; of any size, as the change
-            is that of an infinitely small lag, scaled.
-        rates: (N,) its first and second time derivative; by default those of its spline.
+        motion: The motion.
+        effect: Name of the effect that needs them, for messages.
+
+    Raises:
+        ArgumentError: Nobody knows the bodies here.
     """
-    slopes, at = motion.effort_slopes(name), motion.index(joint)
-    rate, acceleration = rate_and_acceleration(lag, motion.time) if rates is None else rates
-    change = slopes.position[:, :, at] * lag[:, None]
-    change += slopes.velocity[:, :, at] * rate[:, None]
-    change += slopes.acceleration[:, :, at] * acceleration[:, None]
-    return np.asarray(-change)
+    bodies = motion.body_motions(effect)
+    return effort_slopes(bodies.tree, bodies.q, motion.v, motion.vd, bodies.phi)
+
+
+@dataclass(frozen=True)
+class DeflectionEffect(JointEffect):
+    """A joint whose link lags behind its motor. Subclasses define `deflection`."""
+
+    from_residual = True
+    sees_bodies = True
+    sees_time = True
+    is_force = False
+
+    @abc.abstractmethod
+    def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:
+        """How far the link lags behind, for a parameter of one.
+
+        Args:
+            motion: The motion of the motors.
+            slopes: Slopes of the bodies' effort with it.
+        """
+
+    def columns(self, joint: JointMotion) -> Sequence[Array]:
+        """Nothing that the joint's own motion says."""
+        return [np.zeros_like(joint.v)]
+
+    def column(self, motion: RobotMotion, slopes: EffortSlopes) -> Array:
+        """The column (N, nv) at all joints, from slopes that many effects may share."""
+        return self.deflection(motion, slopes).effort(slopes, motion.index(self.joint))
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
+        column = self.column(motion, slopes_of(motion, self.name))
+        return {joint: column[:, i, None] for i, joint in enumerate(motion.joints)}

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, RobotMotion
-from geodrake.effects.deflection import effort_of_deflection
+from geodrake.effects.base import Parameter, RobotMotion
+from geodrake.effects.deflection import Deflection, DeflectionEffect
+from geodrake.effort_slopes import EffortSlopes
 
 
 @dataclass(frozen=True)
-class JointElasticity(JointEffect):
+class JointElasticity(DeflectionEffect):
     """Elastic joint between a motor, whose position is measured, and its link: two masses.
 
     effort = −c (∂τ/∂q τ_j + ∂τ/∂v τ̇_j + M τ̈_j), with the compliance c = 1/k ≥ 0 in rad/(N·m).
@@ -31,17 +29,8 @@ class JointElasticity(JointEffect):
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
     signature = "follows what moving the joint on by its own load would change, at all joints"
     confused_with = ("rotor_inertia", "effort_delay", "wrong_inertia", "joint_spring")
-    from_residual = True
-    sees_bodies = True
-    sees_time = True
-    is_force = False
 
-    def columns(self, joint: JointMotion) -> Sequence[Array]:
-        """Nothing that the joint's own motion says."""
-        return [np.zeros_like(joint.v)]
-
-    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
-        """[−(∂τ/∂q τ_j + ∂τ/∂v τ̇_j + M τ̈_j)] at all joints."""
-        lag = motion.load[:, motion.index(self.joint)]
-        change = effort_of_deflection(motion, self.name, self.joint, lag)
-        return {joint: change[:, i, None] for i, joint in enumerate(motion.joints)}
+    def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:
+        """The load of the joint, as a spring of unit stiffness gives way to it."""
+        del slopes
+        return Deflection.along(motion.load[:, motion.index(self.joint)], motion.time)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effort_slopes import EffortSlopes, effort_slopes
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -107,23 +105,6 @@ class RobotMotion:
                 advice="Leave it out of the model here.",
             )
         return self.bodies
-
-    def effort_slopes(self, effect: str) -> EffortSlopes:
-        """Slopes of the rigid bodies' effort with respect to the motion, computed once.
-
-        Args:
-            effect: Name of the effect that needs them, for the message.
-
-        Raises:
-            ArgumentError: Nobody knows the bodies here.
-        """
-        self.body_motions(effect)
-        return self._effort_slopes
-
-    @cached_property
-    def _effort_slopes(self) -> EffortSlopes:
-        bodies = self.body_motions("This")
-        return effort_slopes(bodies.tree, bodies.q, self.v, self.vd, bodies.phi)
 
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:
