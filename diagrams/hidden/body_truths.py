@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from hidden.engines import GRAVITY, congruent, pseudo
 from hidden.truths import Array, Hidden, Seen, Site
+
+_SOFTEST = 0.05  # rad, to which a gear gives way at most
+_DENT = 0.05  # of the gap, that a flank gives way under the largest load
 
 
 def with_bodies(seen: Seen, bodies: Array) -> Array:
@@ -92,21 +93,65 @@ def touch(site: Site) -> Hidden:
 
 def soft_gear(site: Site) -> Hidden:
     """A gear that gives way: the link lags behind the logged motor by compliance times load."""
-    return _lagging_link(site, lambda load: load)
+
+    def effort(seen: Seen, size: float) -> Array:
+        load = seen.load[:, site.joint]
+        lag = min(size, _SOFTEST / float(np.abs(load).max())) * load
+        rate = np.gradient(lag, seen.time)
+        return _with_lag(seen, site.joint, lag, rate, np.gradient(rate, seen.time))
+
+    return Hidden(effort)
 
 
 def loose_gear(site: Site) -> Hidden:
-    """A gear with play: the link is half of it ahead or behind, as the load pushes."""
-    return _lagging_link(site, lambda load: np.tanh(load / (0.1 * load.std())))
+    """A gear with play: between its stiff and damped flanks, the link moves by its load alone."""
 
-
-def _lagging_link(site: Site, lag: Callable[[Array], Array]) -> Hidden:
     def effort(seen: Seen, size: float) -> Array:
-        motion = [seen.q.copy(), seen.v.copy(), seen.a.copy()]
-        behind = size * lag(seen.load[:, site.joint])
-        for signal in motion:
-            signal[:, site.joint] -= behind
-            behind = np.gradient(behind, seen.time)
-        return seen.engine.efforts(*motion) - seen.load
+        j = site.joint
+        unit, still = np.zeros_like(seen.a), np.zeros_like(seen.v)
+        unit[:, j] = 1.0
+        weight = seen.engine.efforts(seen.q, still, still)
+        inertia = (seen.engine.efforts(seen.q, still, unit) - weight)[:, j]
+        return _with_lag(seen, j, *_play(seen.load[:, j], inertia, size, seen.time))
 
     return Hidden(effort)
+
+
+def _play(load: Array, inertia: Array, gap: float, time: Array) -> tuple[Array, Array, Array]:
+    """Lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
+
+    M s̈ = τ − F(s, ṡ), F the force of the flank, by semi-implicit Euler. What sensors see are means
+    over their period.
+    """
+    period = float(np.median(np.diff(time)))
+    stiffness = float(np.abs(load).max()) / (_DENT * gap)
+    damping = 1.4 * np.sqrt(stiffness * inertia.min())
+    steps = int(np.ceil(period * np.sqrt(stiffness / inertia.min()) / 0.2))
+    fine = time[0] + period / steps * np.arange(steps * len(time))
+    pulls, masses = np.interp(fine, time, load), np.interp(fine, time, inertia)
+    s, rate, dt = float(np.copysign(gap, load[0])), 0.0, period / steps
+    lags, rates, accelerations = [], [], []
+    for pull, mass in zip(pulls.tolist(), masses.tolist(), strict=True):
+        dent = s - gap if s > gap else s + gap if s < -gap else 0.0
+        flank = stiffness * dent + damping * rate if dent else 0.0
+        if flank * dent < 0.0:  # a flank does not hold back
+            flank = 0.0
+        acceleration = (pull - flank) / mass
+        rate += dt * acceleration
+        s += dt * rate
+        lags.append(s)
+        rates.append(rate)
+        accelerations.append(acceleration)
+    window = np.full(steps, 1.0 / steps)
+    lag, speed, push = (
+        np.convolve(signal, window, "same")[::steps] for signal in (lags, rates, accelerations)
+    )
+    return lag, speed, push
+
+
+def _with_lag(seen: Seen, joint: int, lag: Array, rate: Array, acceleration: Array) -> Array:
+    """(N, n) effort that it makes a difference of that a link lags behind its motor."""
+    motion = [seen.q.copy(), seen.v.copy(), seen.a.copy()]
+    for signal, behind in zip(motion, (lag, rate, acceleration), strict=True):
+        signal[:, joint] -= behind
+    return seen.engine.efforts(*motion) - seen.load

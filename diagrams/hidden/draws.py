@@ -10,7 +10,7 @@ import numpy as np
 
 from hidden.engines import ENGINES
 from hidden.motions import FAST, MOTIONS
-from hidden.robots import robot_names
+from hidden.robots import PLANAR, robot_names
 from hidden.table import OUTSIDE, TRUTHS
 
 ONE, TWO, NONE, UNKNOWN = "one", "two", "none", "outside"
@@ -66,9 +66,12 @@ def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: obje
     """A random draw of a case; `fixed` has the fields that are not left to chance."""
     rng = np.random.default_rng([seed, crc32(f"{case} {' '.join(hidden)}".encode()), number])
     least = _LEAST_OF_TWO if len(hidden) > 1 else LEAST_SHARE
+    robots = robot_names()
+    if any(name in OUTSIDE and OUTSIDE[name].in_space for name in hidden):
+        robots = tuple(name for name in robots if name not in PLANAR)
     shares = np.exp(rng.uniform(np.log(least), np.log(MOST_SHARE), len(hidden)))
     chosen = {
-        "robot": str(rng.choice(robot_names())),
+        "robot": str(rng.choice(robots)),
         "engine": str(rng.choice(ENGINES)),
         "motion": str(rng.choice(MOTIONS, p=_MOTION_ODDS)),
         "noise": float(rng.choice(NOISES)),

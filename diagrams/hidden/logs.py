@@ -21,6 +21,7 @@ _ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
 _COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
 _CLOSE = 0.03
 _ACTED_UPON = 0.5
+_TURNS = 6  # changes of the load's sign
 _RUBBING = 0.08
 
 
@@ -85,7 +86,7 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
         sizes = _RUBBING * before.load.std(0)
         known = _measured(draw, before, before.load + _rubbing(before, sizes), on_noise)
         seen = replace(seen, load=seen.load + _rubbing(seen, sizes))
-    sites = _sites(kinds, len(bodies), on_site)
+    sites = _sites(kinds, seen.load, on_site)
     total, secrets = seen.load.copy(), []
     for kind, site, share in zip(kinds, sites, draw.shares, strict=True):
         effort, secret = _hide(kind, site, share, seen, bodies)
@@ -128,16 +129,20 @@ def _measured(draw: Draw, seen: Seen, effort: Array, rng: np.random.Generator) -
     )
 
 
-def _sites(kinds: list[Truth | Outside], n: int, rng: np.random.Generator) -> list[Site]:
+def _sites(kinds: list[Truth | Outside], load: Array, rng: np.random.Generator) -> list[Site]:
     """Where effects act; two on joints share one in half of the logs."""
     found: list[Site] = []
+    n, turns = load.shape[1], (np.diff(np.sign(load), axis=0) != 0).sum(0)
+    turning = np.flatnonzero(turns >= min(_TURNS, turns.max()))
     for kind in kinds:
         own = rng.spawn(1)[0]
         joint = int(rng.integers(n))
         if found and rng.random() < 0.5:
             joint = found[0].joint
         other = int(rng.choice([j for j in range(n) if j != joint]))
-        if isinstance(kind, Truth) and kind.places == PAIR:
+        if isinstance(kind, Truth) and kind.reverses:
+            joint = int(turning[joint % len(turning)])
+        elif isinstance(kind, Truth) and kind.places == PAIR:
             joint = min(joint, n - 2)
             other = joint + 1
         elif isinstance(kind, Truth) and kind.places == BODY and kind.name != "wrong_inertia":

@@ -22,12 +22,14 @@ class Outside:
         follows: What a correlate is to name: pairs of a joint (its own, the other, any) and one of
             its signals, "position" or "speed"; or the time.
         in_link: Whether it sits in a link, and acts on all joints up to it.
+        in_space: Whether a planar robot does not feel it.
     """
 
     name: str
     make: Callable[[Site], Hidden]
     follows: tuple[tuple[str, str], ...]
     in_link: bool = False
+    in_space: bool = False
 
 
 def _brake(site: Site) -> Hidden:
@@ -105,7 +107,7 @@ OUTSIDE = {
         Outside("spring past an angle", _end_stop, ((OWN, "position"),)),
         Outside("friction of a neighbour's speed", _neighbour, ((OTHER, "speed"),)),
         Outside("oscillation in time", _clock, ((TIME, TIME),)),
-        Outside("spinning wheel in a link", _wheel, ((ANY, "speed"),), True),
+        Outside("spinning wheel in a link", _wheel, ((ANY, "speed"),), True, True),
         Outside("hose on the sum of two angles", _hose, ((OTHER, "position"),)),
         Outside("damper that another joint opens", _damper, ((OTHER, "position"),)),
     )

@@ -35,6 +35,9 @@ class RobotFile:
     text: str
 
 
+PLANAR = ("double_pendulum",)
+
+
 def robot_names() -> tuple[str, ...]:
     """The robots that are installed."""
     folder = _public_folder()

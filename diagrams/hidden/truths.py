@@ -80,6 +80,7 @@ class Truth:
         largest: Largest size, where formulas or geodrake's range end.
         needs_known_inertia: Whether the model must have been fitted to another log first.
         alone: Whether it is left out of pairs.
+        reverses: Whether it shows only at a joint whose load changes its sign.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Truth:
     largest: float = np.inf
     needs_known_inertia: bool = False
     alone: bool = False
+    reverses: bool = False
 
 
 def smooth_sign(v: Array) -> Array:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
@@ -27,6 +28,8 @@ from geodrake.plant import effort_limits
 from geodrake.preparation import prepare_logs
 from geodrake.unit_hints import effort_unit_hint, position_unit_hint
 
+Array = NDArray[np.float64]
+
 
 @dataclass(frozen=True, eq=False)
 class Case:
@@ -40,6 +43,8 @@ class Case:
         fingerprints: Fingerprints of the logs.
         notes: What was done to the logs and noticed about the model.
         kept: What was computed of model and motion alone, and serves again.
+        loads: (nb, 10) inertial parameters that efforts of bodies are computed with, which
+            columns of effects may depend on; the model's if None.
     """
 
     model: RobotModel
@@ -49,6 +54,12 @@ class Case:
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+    loads: Array | None = None
+
+    @property
+    def load_model(self) -> RobotModel:
+        """The model that gives the load of every joint."""
+        return self.model if self.loads is None else replace(self.model, phi=self.loads)
 
 
 def open_case(
@@ -122,7 +133,7 @@ def open_case(
 def reopen(case: Case, model: RobotModel) -> Case:
     """The case with a model fitted to it, whose effects alone get columns."""
     dataset = reduce_logs(model, case.trajectories, case.folds, effects=effects_of(model))
-    return replace(case, model=model, dataset=dataset, kept={})
+    return replace(case, model=model, dataset=dataset, kept={}, loads=None)
 
 
 def reduced(
@@ -136,7 +147,7 @@ def reduced(
         delays: Delays to try on top of the model's, s; by default those of the case.
     """
     return reduce_logs(
-        case.model,
+        case.load_model,
         case.trajectories,
         case.folds,
         effects=effects,

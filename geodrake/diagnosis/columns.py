@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.case import Case, reduced
@@ -22,9 +23,14 @@ from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import log_number
 from geodrake.folds import dealt_out
+from geodrake.identification.dataset import Dataset
 from geodrake.model import RobotModel
 
+Array = NDArray[np.float64]
+
 _MOST_EXPANSIONS = 3
+_OTHER_LOADS = 0.02
+"""Change of a load, as a share of the effort's deviation, from which columns are made anew."""
 
 
 def with_suggestions(
@@ -83,6 +89,36 @@ def with_columns(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[C
     dataset = reduced(case, effects)
     start, end = (h.moved(dataset, delay=h.delay) for h in (trail.start, trail.end))
     return replace(case, dataset=dataset), replace(trail, start=start, end=end)
+
+
+def with_fitted_loads(case: Case, trail: Trail) -> tuple[Case, Trail]:
+    """The case with loads by the inertias of a trail's end, where they differ from the model's.
+
+    Friction that grows with the load, gears that give way or have play: what they do is told at the
+    right instants only if the load is.
+
+    Args:
+        case: The case.
+        trail: A search.
+    """
+    was = case.load_model.phi
+    phi = trail.end.cv.fit_all()[: was.size]
+    if _change_of_load(case.dataset, phi - was.ravel()) < _OTHER_LOADS:
+        return case, trail
+    case = replace(case, loads=phi.reshape(was.shape), kept={})
+    return with_columns(case, trail, case.dataset.effects)
+
+
+def _change_of_load(dataset: Dataset, step: Array) -> float:
+    """What a step of all inertial parameters changes at most of a joint's effort, by its RMS."""
+    shares = []
+    for j, data in enumerate(dataset.data):
+        local = data.local(np.arange(len(step)))
+        seen = local >= 0
+        gram = data.grams[:, local[seen][:, None], local[seen]].sum(0)
+        power = float(step[seen] @ gram @ step[seen]) / max(int(data.samples.sum()), 1)
+        shares.append(np.sqrt(max(power, 0.0)) / dataset.effort_std[j])
+    return float(max(shares))
 
 
 def to_expand(

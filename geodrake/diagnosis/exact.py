@@ -19,6 +19,7 @@ from geodrake.diagnosis.columns import (
     with_episodes,
     with_exact_episodes,
     with_exact_expansions,
+    with_fitted_loads,
     with_suggestions,
 )
 from geodrake.diagnosis.delay import fine_delay
@@ -94,6 +95,7 @@ def searched(
             if found:
                 held = (*fixed, *(e for e in trail.end.unknowns.effects if isinstance(e, Contact)))
                 continue
+            case, trail = with_fitted_loads(case, trail)
             had = case.dataset.effects
             case, trail = with_suggestions(case, trail, criteria, known=grid)
             if case.dataset.effects == had:

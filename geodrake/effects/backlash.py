@@ -11,7 +11,7 @@ from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.effort_slopes import EffortSlopes
 
 _SUBSTEPS = 4
-_HALF_WIDTHS = (3e-4, 1e-3, 3e-3, 1e-2)
+_HALF_WIDTHS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
 @dataclass(frozen=True)
@@ -79,6 +79,6 @@ class Backlash(DeflectionEffect):
 
     @classmethod
     def candidates(cls, joint: str, peak_speed: float) -> tuple[Backlash, ...]:
-        """Half widths from 0.3 to 10 mrad."""
+        """Half widths from 0.1 to 10 mrad."""
         del peak_speed
         return tuple(cls(joint, h) for h in _HALF_WIDTHS)
