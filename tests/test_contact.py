@@ -18,9 +18,12 @@ from test_effects import hand_robot, random_motion
 
 from geodrake import load_model
 from geodrake.diagnosis import compare, diagnose, explain
+from geodrake.diagnosis.contact_window import Window, WrenchColumns, columns
 from geodrake.effects import Contact
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import log_number
 from geodrake.errors import ArgumentError
+from geodrake.filtering import design_filter
 from geodrake.folds import dealt_out, validation_blocks
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.saved_model import save_model
@@ -138,6 +141,24 @@ def test_windows_are_dealt_out_to_two_folds():
     within = [sample for sample in before if 8.0 <= time[sample] < 9.5]
     assert 0.3 < len(changed) / len(within) < 0.7
     assert all(list(fold.blocks) == sorted(fold.blocks, key=lambda b: b.start) for fold in dealt)
+
+
+def test_columns_of_a_search():
+    """Weighted in time and moved to the point after the filter's sums are prepared, not before."""
+    rng, low_pass = np.random.default_rng(3), design_filter(0.01, 6.0)
+    time = np.arange(0.0, 4.0, 0.01)
+    outputs = time[low_pass.output_indices(len(time))]
+    residual = rng.normal(size=(len(outputs), 6))
+    residual[rng.random(residual.shape) < 0.1] = np.nan
+    bodies = RobotBodies(ARM.tree, np.cumsum(0.02 * rng.normal(size=(len(time), 6)), 0), ARM.phi)
+    size = rng.uniform(0.5, 2.0, 6)
+    window = Window(0, 1.5, 2.4, time, bodies, outputs, residual, size, low_pass)
+    for body in ARM.bodies:
+        contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3)
+        dofs = list(bodies.motion(body).dofs)
+        expected = columns(window, contact)[:, dofs][np.isfinite(residual[:, dofs])]
+        found = WrenchColumns.of(window, body).columns(contact)
+        np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 
 class TestDiagnosis:

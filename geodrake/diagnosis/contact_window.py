@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
@@ -62,10 +63,59 @@ def columns(window: Window, contact: Contact) -> Array:
     return np.asarray(window.filter.apply(values) / window.size[:, None])
 
 
+@dataclass(frozen=True, eq=False)
+class WrenchColumns:
+    """What the d joints that move a body feel of it, for a search among contacts of that body.
+
+    Columns are linear in the weights in time and in the point, so that these come last.
+
+    Attributes:
+        near: (K, T, 15 d) what a constant wrench takes, over `size`, at the T instants that the
+            filter sees for each output: forces at Bo, their arms along x, y and z, and moments.
+        time: (N,) instants at the full rate.
+        filter: The log's filter, whose kernel has T weights.
+        rows: (K, d) which residuals are known.
+    """
+
+    near: Array
+    time: Array
+    filter: ZeroPhaseFilter
+    rows: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, window: Window, body: str) -> WrenchColumns:
+        """Those of a body in a window."""
+        motion, low_pass = window.bodies.motion(body), window.filter
+        dofs, R = list(motion.dofs), motion.rotation.transpose(0, 2, 1)
+        angular, linear = (
+            J[:, :, dofs].transpose(0, 2, 1) for J in (motion.angular, motion.linear)
+        )
+        arms = np.cross(angular[:, None], R[:, :, None])  # axis of the body, joint, force
+        parts = np.concatenate([linear[:, None], arms, angular[:, None]], 1)
+        values = (parts / window.size[dofs, None]).reshape(len(parts), -1)
+        width, step = len(low_pass.kernel), low_pass.decimation
+        near = sliding_window_view(values, width, axis=0)[::step].swapaxes(1, 2)
+        rows = np.isfinite(window.residual[:, dofs])
+        return cls(near, window.time, low_pass, rows)
+
+    def columns(self, contact: Contact) -> Array:
+        """The known rows of `columns` at the joints that move the body."""
+        edges = ((self.time - edge) / contact.rise for edge in (contact.start, contact.end))
+        after, before = map(np.tanh, edges)
+        kernel, step = self.filter.kernel, self.filter.decimation
+        weights = sliding_window_view(0.5 * (after - before), len(kernel))[::step] * kernel
+        count, joints = self.rows.shape
+        parts = (weights[:, None] @ self.near).reshape(count, 5, joints, 3)
+        force = parts[:, 0] + np.tensordot(contact.point, parts[:, 1:4], (0, 1))
+        return np.concatenate([force, parts[:, 4]], -1)[self.rows]
+
+
 def refined(window: Window, contact: Contact) -> Contact:
     """The contact with the times and the point at which it leaves least of the squared residual."""
-    rows = np.isfinite(window.residual)
-    b = window.residual[rows]
+    felt = WrenchColumns.of(window, contact.body)
+    dofs = list(window.bodies.motion(contact.body).dofs)
+    b = window.residual[:, dofs][felt.rows]
+    unit = np.repeat([1.0, _LEVER], 3)
 
     def moved(step: Array) -> Contact | None:
         start, end, rise, x, y, z = step.tolist()
@@ -77,16 +127,20 @@ def refined(window: Window, contact: Contact) -> Contact:
             return None
         return Contact(contact.body, start, end, rise, contact.log, *point)
 
-    def left(step: Array) -> float:
+    def explained(step: Array) -> float:
+        """By the wrench of least squares, less the directions that the joints hardly feel."""
         other = moved(step)
         if other is None:
-            return float(b @ b)
-        A = columns(window, other)[rows]
-        return float(np.square(b - A @ _wrench(A, b)).sum())
+            return 0.0
+        A = felt.columns(other) * unit
+        values, vectors = np.linalg.eigh(A.T @ A)
+        clear = values > max(_SINGULAR**2 * values[-1], np.finfo(float).tiny)
+        return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
     simplex = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
     options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-3, "fatol": 1e-2}
-    found = minimize(left, np.zeros(len(_STEPS)), method="Nelder-Mead", options=options)
+    start = np.zeros(len(_STEPS))
+    found = minimize(lambda x: -explained(x), start, method="Nelder-Mead", options=options)
     return moved(found.x) or contact
 
 
