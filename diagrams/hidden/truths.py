@@ -117,10 +117,15 @@ def joint_law(
 
 
 def asymmetric(site: Site) -> Hidden:
-    """Friction of the mean height, and a constant effort on top: the same two levels."""
+    """Friction whose height and slope are larger by the same share in one direction."""
     skew = site.rng.uniform(0.25, 0.6) * site.rng.choice([-1.0, 1.0])
     levels = {"coulomb_positive": 1.0 + skew, "coulomb_negative": 1.0 - skew}
-    return joint_law(lambda q, v, a, load: smooth_sign(v) + skew, **levels)(site)
+
+    def law(q: Array, v: Array, a: Array, load: Array) -> Array:
+        direction = smooth_sign(v)
+        return (1.0 + skew * direction) * (direction + v / np.abs(v).max())
+
+    return joint_law(law, **levels)(site)
 
 
 def stribeck(site: Site) -> Hidden:
