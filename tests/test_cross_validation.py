@@ -20,7 +20,7 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.folds import validation_blocks
-from geodrake.identification.cross_validation import CrossValidation, hold_out
+from geodrake.identification.cross_validation import Candidate, CrossValidation, hold_out
 from geodrake.identification.model_fit import (
     as_it_stands,
     fit_problem,
@@ -189,6 +189,38 @@ def test_several_candidates_at_once(dataset, model):
     )
     full = CrossValidation(dataset, with_effects(dataset, base, *pair), WEIGHTS)
     np.testing.assert_allclose(shortcut.sse, full.held_out.sse, rtol=1e-6)
+
+
+@pytest.mark.parametrize("taken", [0, 2, 4])
+def test_candidates_together_are_as_one_by_one(dataset, model, taken):
+    """Single ones, pairs, payloads that share columns with the inertia, bounds that are met."""
+    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:taken])
+    cv = CrossValidation(dataset, base, WEIGHTS, delay=1)
+    packages = [(effect,) for effect in EFFECTS[taken:]]
+    packages += [(EFFECTS[5], EFFECTS[4]), (EFFECTS[8], EFFECTS[9], EFFECTS[7])]
+    candidates = [candidate(dataset, package, sign) for package in packages for sign in (1, -1)]
+    together = cv.with_candidates(candidates)
+    bounded = 0
+    for one, found in zip(candidates, together, strict=True):
+        alone = cv.with_candidate(one.columns, one.information, one.lower, one.upper)
+        np.testing.assert_allclose(found.sse, alone.sse, rtol=1e-10)
+        size = np.maximum(np.abs(alone.x).max(0), 1e-9)
+        np.testing.assert_allclose(found.x / size, alone.x / size, atol=1e-6)
+        np.testing.assert_array_equal(found.samples, alone.samples)
+        own = found.x[:, len(base.columns) :]
+        assert ((own >= one.lower) & (own <= one.upper)).all()
+        bounded += int(np.any((own == one.lower) | (own == one.upper)))
+    assert bounded > 3
+
+
+def candidate(dataset, effects, sign):
+    """Effects as they are, or with bounds that keep them negative."""
+    columns = np.concatenate([dataset.effect_columns(effect) for effect in effects])
+    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in effects])
+    free = np.full(len(columns), np.inf)
+    bounds = (-free, free) if effects[0].name == "payload" else (np.zeros(len(columns)), free)
+    lower, upper = bounds if sign > 0 else (-bounds[1], -bounds[0])
+    return Candidate(columns, information, lower, upper)
 
 
 def test_dropped_unknowns_are_as_a_refit_without(dataset, model):

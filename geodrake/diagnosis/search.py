@@ -15,7 +15,7 @@ from geodrake.diagnosis.evidence import (
     tie_probability,
 )
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis
-from geodrake.diagnosis.trials import PENALTY, Trial, gain_of, try_package
+from geodrake.diagnosis.trials import PENALTY, Trial, gain_of, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
@@ -67,9 +67,11 @@ class Ranked:
 
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
     """The best convincing package at every place of a kind; one place only if it cannot unite."""
+    packages = [package for options in kind.options.values() for package in options]
+    tried_ones = iter(try_packages(hypothesis, packages, tried, least=criteria))
     found = []
-    for packages in kind.options.values():
-        trials = [try_package(hypothesis, p, tried, least=criteria) for p in packages]
+    for options in kind.options.values():
+        trials = [next(tried_ones) for _ in options]
         good = [trial for trial in trials if trial.convinces(criteria)]
         if good:
             found.append(best_trial(hypothesis, good))

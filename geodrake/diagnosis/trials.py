@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from geodrake.diagnosis.evidence import (
     log_likelihood_gain,
 )
 from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
-from geodrake.identification.cross_validation import HeldOut
+from geodrake.identification.cross_validation import Candidate, HeldOut
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import effect_prior
 
@@ -77,10 +78,29 @@ def try_package(
         least: Spare the effective samples of a package that reduces too little by these criteria;
             its gain is then given as zero.
     """
+    return try_packages(hypothesis, [package], tried, least=least)[0]
+
+
+def try_packages(
+    hypothesis: Hypothesis,
+    packages: Sequence[Package],
+    tried: int,
+    *,
+    least: Criteria | None = None,
+) -> list[Trial]:
+    """Held-out evidence for each of several packages; see `try_package`."""
+    fits = _quick_fits(hypothesis, packages)
+    return [
+        _trial(hypothesis, package, after, tried, least)
+        for package, after in zip(packages, fits, strict=True)
+    ]
+
+
+def _trial(
+    hypothesis: Hypothesis, package: Package, after: HeldOut, tried: int, least: Criteria | None
+) -> Trial:
     dataset, before = hypothesis.dataset, hypothesis.held_out
-    after = quick_fit(hypothesis, package)
-    errors, joints = (before, after), acted_upon(dataset, package)
-    reduction, agreement = improvement(errors, joints)
+    reduction, agreement = improvement((before, after), acted_upon(dataset, package))
     if least and (reduction < least.reduction or agreement < least.agreement):
         return Trial(package, 0.0, reduction, agreement, 1.0)
     both = np.concatenate([hypothesis.unknowns.columns, columns_of(dataset, package)])
@@ -92,12 +112,19 @@ def try_package(
 
 def quick_fit(hypothesis: Hypothesis, package: Package) -> HeldOut:
     """Held-out errors with a package, everything refitted with the weights of the hypothesis."""
+    return _quick_fits(hypothesis, [package])[0]
+
+
+def _quick_fits(hypothesis: Hypothesis, packages: Sequence[Package]) -> list[HeldOut]:
     dataset = hypothesis.dataset
+    return hypothesis.cv.with_candidates([_candidate(dataset, package) for package in packages])
+
+
+def _candidate(dataset: Dataset, package: Package) -> Candidate:
     information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
     parameters = [p for effect in package.effects for p in effect.parameters]
     lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
-    columns = columns_of(dataset, package)
-    return hypothesis.cv.with_candidate(columns, information, lower, upper)
+    return Candidate(columns_of(dataset, package), information, lower, upper)
 
 
 def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:

@@ -6,6 +6,7 @@ fit costs one Cholesky factorization and a candidate effect one small Schur comp
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -44,6 +45,23 @@ class HeldOut:
     def rms(self) -> Array:
         """(nv,) RMS held-out error of each joint."""
         return np.sqrt(self.mse)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Columns that may come beside the unknowns.
+
+    Attributes:
+        columns: (k,) the candidate's columns.
+        information: (k, k) its prior information about zero.
+        lower: (k,) lower bounds.
+        upper: (k,) upper bounds.
+    """
+
+    columns: Indices
+    information: Array
+    lower: Array
+    upper: Array
 
 
 def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0) -> HeldOut:
@@ -164,34 +182,47 @@ class CrossValidation:
     def with_candidate(
         self, columns: Indices, information: Array, lower: Array, upper: Array
     ) -> HeldOut:
-        """Held-out errors with candidate columns beside the unknowns.
+        """Held-out errors with candidate columns beside the unknowns; see `Candidate`."""
+        return self.with_candidates([Candidate(columns, information, lower, upper)])[0]
 
-        Args:
-            columns: (k,) the candidate's columns.
-            information: (k, k) its prior information about zero.
-            lower: (k,) lower bounds.
-            upper: (k,) upper bounds.
+    def with_candidates(self, candidates: Sequence[Candidate]) -> list[HeldOut]:
+        """Held-out errors with each of some candidates beside the unknowns, one at a time.
+
+        What they share, the products and solutions of all their columns, is computed together.
         """
+        columns = np.unique(np.concatenate([candidate.columns for candidate in candidates]))
         cross, right = self._assemble(self.unknowns.columns, columns)
         own, _ = self._assemble(columns, columns)
-        cross, right = cross.sum(0) - cross, right.sum(0) - right
-        own = own.sum(0) - own + information
-        moved, y = np.empty_like(cross), np.empty_like(right)
-        for f, fit in enumerate(self._fits):
-            moved[f] = fit.solve(cross[f])
-            schur, pull = own[f] - cross[f].T @ moved[f], right[f] - cross[f].T @ fit.x
-            y[f] = _bounded_solve(schur, pull, lower, upper)
-        x = self.held_out.x - (moved @ y[:, :, None])[..., 0]
-        sse = np.empty_like(self.held_out.sse)
+        cross, right, own = (part.sum(0) - part for part in (cross, right, own))
+        moved = np.stack([fit.solve(part) for fit, part in zip(self._fits, cross, strict=True)])
+        turned = np.swapaxes(cross, 1, 2)
+        schur = own - turned @ moved
+        pull = right - (turned @ self.held_out.x[:, :, None])[..., 0]
+        y = np.zeros((len(cross), len(columns), len(candidates)))
+        for k, candidate in enumerate(candidates):
+            at = np.searchsorted(columns, candidate.columns)
+            block = schur[:, at[:, None], at] + candidate.information
+            y[:, at, k] = _bounded_solve(block, pull[:, at], candidate.lower, candidate.upper)
+        change = -(moved @ y)
+        sse = self._errors_after(columns, y, change)
+        found = []
+        for k, candidate in enumerate(candidates):
+            own_y = y[:, np.searchsorted(columns, candidate.columns), k]
+            x = np.hstack([self.held_out.x + change[:, :, k], own_y])
+            found.append(HeldOut(sse[..., k], self.dataset.samples, x))
+        return found
+
+    def _errors_after(self, columns: Indices, y: Array, change: Array) -> Array:
+        """(F, nv, n) squared errors with y (F, m, n) at columns (m,) and unknowns changed."""
+        sse = np.empty((*self.held_out.sse.shape, y.shape[2]))
         for j, (data, (factor, used, left)) in enumerate(
             zip(self.dataset.data, self._residuals, strict=True)
         ):
             local = data.local(columns)
             on = np.flatnonzero(local >= 0)
-            effect = data.factors[:, :, local[on]] @ y[:, on, None]
-            effect -= factor @ (moved[:, used] @ y[:, :, None])
-            sse[:, j] = np.square(left - effect[..., 0]).sum(1)
-        return HeldOut(sse, self.dataset.samples, np.hstack([x, y]))
+            effect = data.factors[:, :, local[on]] @ y[:, on] + factor @ change[:, used]
+            sse[:, j] = np.square(left[:, :, None] - effect).sum(1)
+        return sse
 
     def without_columns(self, places: Indices) -> HeldOut | None:
         """Held-out errors without some of the unknowns, all else refitted with the same weights.
@@ -238,14 +269,17 @@ def _ridge(size: int) -> Array:
 
 
 def _bounded_solve(schur: Array, rhs: Array, lower: Array, upper: Array) -> Array:
-    """Minimizer of ½ yᵀ S y − rᵀ y within bounds."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(schur), 1e-300))
+    """(F, k) minimizers of ½ yᵀ S y − rᵀ y within bounds, for S (F, k, k) and r (F, k)."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(schur, axis1=1, axis2=2), 1e-300))
     # Columns that say the same leave eigenvalues that rounding may make negative.
-    values, vectors = np.linalg.eigh(schur * scale[:, None] * scale)
+    values, vectors = np.linalg.eigh(schur * scale[:, :, None] * scale[:, None])
     roots = np.sqrt(np.maximum(values, 0.0) + 1e-9)
-    target = (vectors.T @ (scale * rhs)) / roots
-    y = scale * (vectors @ (target / roots))
-    if np.all((y >= lower) & (y <= upper)):
-        return y
-    box = (lower / scale, upper / scale)
-    return scale * lsq_linear(roots[:, None] * vectors.T, target, box, method="bvls").x
+    target = (np.swapaxes(vectors, 1, 2) @ (scale * rhs)[..., None])[..., 0] / roots
+    y = scale * (vectors @ (target / roots)[..., None])[..., 0]
+    if len(lower) == 1:
+        return np.asarray(np.clip(y, lower, upper))
+    for f in np.flatnonzero(np.any((y < lower) | (y > upper), axis=1)):
+        box = (lower / scale[f], upper / scale[f])
+        matrix = roots[f, :, None] * vectors[f].T
+        y[f] = scale[f] * lsq_linear(matrix, target[f], box, method="bvls").x
+    return np.asarray(y)
