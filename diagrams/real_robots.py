@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from geodrake import load_model, save_model
-from geodrake.diagnosis import Explanation, Step, explain
+from geodrake.diagnosis import Explanation, Step, add, compare, explain
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
@@ -54,6 +54,8 @@ STUDIES = (
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
 QUICK = ("double pendulum",)
+ELSEWHERE = {"ur10e free": ("ur10e_free_c.csv", "ur10e_ptp.csv")}
+"""Logs that took no part in a study, on which every one of its steps is to hold."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,35 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
     explanation = explain(load_model(path), logs, blocks=study.blocks)
     save_model(explanation.model, saved / f"{study.name}.yaml")
     return explanation
+
+
+def left_out(
+    study: Study, explanation: Explanation, shared: Path
+) -> list[tuple[str, dict[str, float]]]:
+    """What every step of a study is worth on other logs: the nrms there, unfitted, without it.
+
+    Args:
+        study: The study, of a model file.
+        explanation: What was found.
+        shared: Folder with `data` and `reference`.
+
+    Returns:
+        "none" and each effect left out, with the nrms by log.
+    """
+    logs = [shared / "data" / log for log in study.logs]
+    found = []
+    for out in (None, *explanation.steps):
+        model = load_model(shared / "reference" / study.model)
+        for step in explanation.steps:
+            if step is not out:
+                where = None if step.effect == "effort_delay" else step.where
+                model = add(step.effect, model, logs, where=where, blocks=study.blocks).model
+        errors = {
+            name: compare(model, [shared / "data" / name]).errors.nrms
+            for name in ELSEWHERE[study.name]
+        }
+        found.append(("none" if out is None else out.effect, errors))
+    return found
 
 
 def rows_of(study: Study, explanation: Explanation, seconds: float) -> list[Row]:
@@ -159,6 +190,11 @@ def main() -> None:
             begin = time.perf_counter()
             explanation = run(study, shared=options.shared, saved=Path(saved))
             rows += rows_of(study, explanation, time.perf_counter() - begin)
+            if study.name in ELSEWHERE:
+                worth = left_out(study, explanation, options.shared)
+                for effect, errors in worth:
+                    told = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
+                    console.print(f"{study.name}, left out {effect}: {told}")
             if options.figures:
                 write_figures(study, explanation, options.figures)
     show(rows, console)
