@@ -12,6 +12,7 @@ from geodrake.effects import (
     CoupledFriction,
     CoupledRotorInertia,
     EffortDelay,
+    EffortScale,
     JointSpring,
     LoadDependentFriction,
     Payload,
@@ -24,6 +25,7 @@ from geodrake.identification.coherent_bandwidth import (
     effort_ratio,
     prepare_for_model,
 )
+from geodrake.identification.log_slices import INERTIA, Layout, SharedRows
 from geodrake.identification.noise import noise_floor
 from geodrake.identification.reduce import peak_speeds, reduce_logs
 from geodrake.model import FittedEffect
@@ -326,3 +328,67 @@ def test_logs_are_what_they_say(model):
     q, v, vd = multisine(np.linspace(0, 5, 50), np.random.default_rng(0))
     effort = inverse_dynamics_regressor(model.plant, q, v, vd) @ model.phi.ravel()
     np.testing.assert_allclose(body_effort(q, v, vd), effort, atol=1e-12)
+
+
+class TestSharedRows:
+    """Reductions that share filtered rows are those that do not."""
+
+    def reductions(self, model, trajectories, folds, shared):
+        heavier = replace(model, phi=1.1 * model.phi)
+        late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
+        scaled = replace(model, effects=(FittedEffect(EFFECTS[0], np.array([0.3])),))
+        scale = EffortScale("elbow")
+        calls = [
+            (model, EFFECTS[:3], (0.0,)),
+            (model, EFFECTS, (0.0, 0.01)),
+            (model, EFFECTS[::-1], (0.0, -0.01)),
+            (heavier, EFFECTS, (0.0,)),
+            (late, EFFECTS, (0.0, 0.01)),
+            (model, (scale, *EFFECTS[:2]), (0.0,)),
+            (scaled, (scale, *EFFECTS[:2]), (0.0,)),
+        ]
+        for which, effects, delays in calls:
+            options = {} if shared is None else {"shared": shared}
+            yield reduce_logs(which, trajectories, folds, effects=effects, delays=delays, **options)
+
+    @pytest.mark.parametrize("room", [0, 3_000, 10**8])
+    def test_change_nothing(self, model, trajectories, folds, room, monkeypatch):
+        monkeypatch.setattr(reduce, "CHUNK", 1111)
+        alone = self.reductions(model, trajectories, folds, None)
+        together = self.reductions(model, trajectories, folds, SharedRows(room))
+        for one, other in zip(alone, together, strict=True):
+            assert one.effects == other.effects
+            np.testing.assert_array_equal(one.samples, other.samples)
+            for a, b in zip(one.data, other.data, strict=True):
+                np.testing.assert_array_equal(a.columns, b.columns)
+                for few, many in zip(a.rows, b.rows, strict=True):
+                    for x, y in zip(few, many, strict=True):
+                        np.testing.assert_array_equal(x.time, y.time)
+                        np.testing.assert_allclose(x.motion, y.motion, atol=1e-9)
+                        np.testing.assert_allclose(x.A, y.A, atol=1e-9)
+                        np.testing.assert_allclose(x.b, y.b, atol=1e-9)
+
+    def test_only_new_columns_are_evaluated(self, model, trajectories, folds, monkeypatch):
+        evaluated, evaluate = [], Layout.evaluate
+
+        def counted(self, motion, log, parts):
+            evaluated.extend(parts)
+            return evaluate(self, motion, log, parts)
+
+        monkeypatch.setattr(Layout, "evaluate", counted)
+        shared = SharedRows()
+        reduce_logs(model, trajectories, folds, effects=EFFECTS[:3], shared=shared)
+        assert set(evaluated) == {INERTIA, *EFFECTS[:2]}
+        evaluated.clear()
+        reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.02), shared=shared)
+        assert set(evaluated) == {*EFFECTS[3:]}
+        evaluated.clear()
+        reduce_logs(model, trajectories, folds[::-1], effects=EFFECTS[2:], shared=shared)
+        assert not evaluated
+
+    def test_room_is_not_exceeded(self):
+        shared = SharedRows(10)
+        shared.keep("a", {0: np.ones((2, 3))})
+        shared.keep("b", {0: np.ones((2, 3))})
+        shared.keep("c", {0: np.ones((2, 1)), 1: np.ones((2, 1))})
+        assert [shared.get(key) is not None for key in "abc"] == [True, False, True]

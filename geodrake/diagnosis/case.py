@@ -18,6 +18,7 @@ from geodrake.folds import Fold, validation_blocks
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import Dataset
+from geodrake.identification.log_slices import SharedRows
 from geodrake.identification.model_fit import effects_of
 from geodrake.identification.reduce import peak_speeds, reduce_logs
 from geodrake.identification.unknowns import Unknowns
@@ -43,6 +44,7 @@ class Case:
         fingerprints: Fingerprints of the logs.
         notes: What was done to the logs and noticed about the model.
         kept: What was computed of model and motion alone, and serves again.
+        shared: What reductions of the logs share.
         loads: (nb, 10) inertial parameters that efforts of bodies are computed with, which
             columns of effects may depend on; the model's if None.
     """
@@ -54,6 +56,7 @@ class Case:
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+    shared: SharedRows = field(default_factory=SharedRows, repr=False)
     loads: Array | None = None
 
     @property
@@ -109,7 +112,8 @@ def open_case(
         effects += candidate_effects(model, peak_speeds(trajectories), extra)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
-    dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays)
+    shared = SharedRows()
+    dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays, shared=shared)
     notes = [*model.notes, *hints]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     most = int(dataset.still.argmax())
@@ -120,19 +124,17 @@ def open_case(
             "most of all joints)"
         )
     notes.append(f"validated on {len(folds)} held-out folds")
+    notes += _trained_on(model, matched)
     fingerprints = tuple(log.fingerprint for log in matched)
-    notes += [
-        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
-        "and a fit counts it twice"
-        for log, fingerprint in zip(matched, fingerprints, strict=True)
-        if fingerprint in model.fitted_to
-    ]
-    return Case(model, trajectories, folds, dataset, fingerprints, tuple(dict.fromkeys(notes)))
+    said = tuple(dict.fromkeys(notes))
+    return Case(model, trajectories, folds, dataset, fingerprints, said, shared=shared)
 
 
 def reopen(case: Case, model: RobotModel) -> Case:
     """The case with a model fitted to it, whose effects alone get columns."""
-    dataset = reduce_logs(model, case.trajectories, case.folds, effects=effects_of(model))
+    dataset = reduce_logs(
+        model, case.trajectories, case.folds, effects=effects_of(model), shared=case.shared
+    )
     return replace(case, model=model, dataset=dataset, kept={}, loads=None)
 
 
@@ -153,6 +155,7 @@ def reduced(
         effects=effects,
         delays=case.dataset.delays if delays is None else delays,
         floor=case.dataset.noise_floor if delays is None else None,
+        shared=case.shared,
     )
 
 
@@ -195,6 +198,15 @@ def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
     return [
         replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
         for k, log in enumerate(logs)
+    ]
+
+
+def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
+    return [
+        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
+        "and a fit counts it twice"
+        for log in logs
+        if log.fingerprint in model.fitted_to
     ]
 
 

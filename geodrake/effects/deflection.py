@@ -94,5 +94,9 @@ class DeflectionEffect(JointEffect):
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
-        column = self.column(motion, slopes_of(motion, self.name))
+        return self.rows_from(motion, slopes_of(motion, self.name))
+
+    def rows_from(self, motion: RobotMotion, slopes: EffortSlopes) -> Mapping[str, Array]:
+        """The rows, from slopes that are known already."""
+        column = self.column(motion, slopes)
         return {joint: column[:, i, None] for i, joint in enumerate(motion.joints)}

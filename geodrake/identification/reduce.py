@@ -4,31 +4,23 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
-from geodrake.effects.contact import log_number
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.errors import LogError
 from geodrake.folds import Block, Fold
-from geodrake.identification.dataset import (
-    Dataset,
-    Indices,
-    JointData,
-    JointRows,
-    column_starts,
-    is_payload,
-)
+from geodrake.identification.dataset import Dataset, JointData, JointRows
+from geodrake.identification.log_slices import Layout, LogSlice, SharedRows
 from geodrake.identification.noise import noise_floor
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import LARGEST_REGRESSOR, RobotModel
-from geodrake.motion import MEMORY, Motion, Stretch, Trajectory
+from geodrake.motion import Trajectory
 from geodrake.reduction import triangular_factor
-from geodrake.regressor import inverse_dynamics_regressor
-from geodrake.smoothing import CHUNK, SPLINE_REACH
+from geodrake.smoothing import CHUNK
 
 Array = NDArray[np.float64]
 
@@ -46,10 +38,6 @@ LEAST_SPEED = 1e-4
 
 STILL_SPEED = 0.01
 """Share of its peak speed below which a joint counts as at rest."""
-
-MOSTLY_STILL = 0.3
-"""Share of a filter window at rest from which on a joint's sample is left out: dry friction can
-then be anything up to breakaway, and no model of the motion says what."""
 
 WORTHWHILE = 20
 """Rows over columns at which it pays to fold rows into a triangular factor."""
@@ -69,6 +57,7 @@ def reduce_logs(
     effects: Sequence[Effect],
     delays: Sequence[float] = (0.0,),
     floor: Array | None = None,
+    shared: SharedRows | None = None,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
@@ -79,20 +68,23 @@ def reduce_logs(
         effects: Effects that get columns: those of the model and those to try.
         delays: Delays to try on top of the model's, s; the first must be 0.
         floor: (nv,) noise floor, if it is known already.
+        shared: What earlier reductions of the same logs by the same robot have in common with this
+            one; used and filled.
 
     Raises:
         LogError: The effort of a joint never changes.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if not isinstance(e, EffortDelay))
-    layout = _Layout.of(model, effects, trajectories)
+    layout, shared = _layout(model, effects, trajectories), shared or SharedRows(0)
     advance = [delay + model.delay for delay in delays]
     boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
     for f, fold in enumerate(folds):
         for block in fold.blocks:
             members[block.trajectory, block.segment].append((f, block))
-    for (t, s), blocks in members.items():
-        for first, chunk in _chunks(layout, trajectories[t], trajectories[t].segments[s], advance):
+    for at, blocks in members.items():
+        for first, part in _slices(layout, trajectories, at, advance):
+            chunk = part.rows(shared)
             for f, block in blocks:
                 low, high = max(block.start - first, 0), min(block.stop - first, len(chunk[0].b))
                 if low < high:
@@ -131,58 +123,13 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
     return np.where(moving, peak, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """Which columns each joint has, and how they are computed."""
-
-    model: RobotModel
-    effects: tuple[Effect, ...]
-    sign_width: Array
-    still_speed: Array
-    columns: tuple[Indices, ...]
-
-    @classmethod
-    def of(
-        cls, model: RobotModel, effects: tuple[Effect, ...], trajectories: Sequence[Trajectory]
-    ) -> _Layout:
-        peak = peak_speeds(trajectories)
-        noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-        sign_width = np.maximum(LEAST_SIGN_WIDTH * peak, SIGN_NOISE * noise)
-        inertial = _inertial_structure(model)
-        starts = column_starts(effects, model.bodies)
-        columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
-        probe = model.motion(_probe(model, 1), sign_width=1.0)
-        for effect in effects:
-            if not is_payload(effect):
-                indices = starts[effect] + np.arange(len(effect.parameters))
-                for joint in effect.rows(probe):
-                    columns[model.joints.index(joint)].append(indices)
-        return cls(
-            model,
-            effects,
-            sign_width,
-            STILL_SPEED * peak,
-            tuple(np.concatenate(c) for c in columns),
-        )
-
-    def past(self, stretch: Stretch, sample: int) -> Array:
-        """(M, nv) positions before a sample of a stretch, as far as an effect needs them."""
-        if sample == 0 or not any(effect.state_count for effect in self.effects):
-            return np.zeros((0, len(self.model.joints)))
-        return stretch[max(0, sample - MEMORY) : sample].position
-
-    def evaluate(self, motion: Motion, log: int) -> list[Array]:
-        """(N, p_j) unfiltered columns of every joint."""
-        regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
-        seen = self.model.motion(motion, sign_width=self.sign_width, regressor=regressor)
-        seen = replace(seen, log=log)
-        width = regressor.shape[2]
-        parts = [[regressor[:, j, c[c < width]]] for j, c in enumerate(self.columns)]
-        for effect in self.effects:
-            if not is_payload(effect):
-                for joint, block in effect.rows(seen).items():
-                    parts[self.model.joints.index(joint)].append(block)
-        return [np.hstack(blocks) for blocks in parts]
+def _layout(
+    model: RobotModel, effects: tuple[Effect, ...], trajectories: Sequence[Trajectory]
+) -> Layout:
+    peak = peak_speeds(trajectories)
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    sign_width = np.maximum(LEAST_SIGN_WIDTH * peak, SIGN_NOISE * noise)
+    return Layout.of(model, effects, sign_width, STILL_SPEED * peak)
 
 
 @dataclass(eq=False)
@@ -216,62 +163,20 @@ class _Box:
         return tuple(JointRows.join(rows) for rows in self.kept.values())
 
 
-def _chunks(
-    layout: _Layout, trajectory: Trajectory, stretch: Stretch, advance: Sequence[float]
-) -> Iterator[tuple[int, list[JointRows]]]:
-    """First output and filtered rows of every joint, for slices of a stretch."""
-    low_pass, model = trajectory.filter, layout.model
-    width = len(model.joints) * PARAMETERS_PER_BODY * len(model.bodies)
-    margin = SPLINE_REACH + round(max(map(abs, advance)) / stretch.period)
-    first = 0
-    for samples, outputs in low_pass.chunks(len(stretch), min(CHUNK, LARGEST_REGRESSOR // width)):
-        low = max(0, samples.start - margin)
-        near = stretch[low : samples.stop + margin]
-        inner = slice(samples.start - low, samples.stop - low)
-        effort, here = _advanced(near.effort, stretch.period, inner, advance), near[inner]
-        instants = low_pass.output_indices(len(here))
-        states = np.stack([here.position, here.velocity, here.acceleration], 1)[instants]
-        still = low_pass.apply(np.abs(here.velocity) < layout.still_speed) > MOSTLY_STILL
-        motion = Motion(
-            model.positions(here.position),
-            here.velocity,
-            here.acceleration,
-            here.time - trajectory.began,
-            model.positions(layout.past(stretch, samples.start)),
-        )
-        rows = [
-            JointRows(
-                here.time[instants],
-                states[:, :, j],
-                low_pass.apply(columns),
-                low_pass.apply(effort[:, j]),
-                ~still[:, j],
-            )
-            for j, columns in enumerate(layout.evaluate(motion, log_number(trajectory.name)))
-        ]
-        yield first, rows
+def _slices(
+    layout: Layout,
+    trajectories: Sequence[Trajectory],
+    at: tuple[int, int],
+    advance: Sequence[float],
+) -> Iterator[tuple[int, LogSlice]]:
+    """First output of every slice of a segment, and the slice."""
+    trajectory, stretch = trajectories[at[0]], trajectories[at[0]].segments[at[1]]
+    width = len(layout.model.joints) * PARAMETERS_PER_BODY * len(layout.model.bodies)
+    size, first = min(CHUNK, LARGEST_REGRESSOR // width), 0
+    for samples, outputs in trajectory.filter.chunks(len(stretch), size):
+        place = (*at, samples.start, samples.stop)
+        yield first, LogSlice(layout, trajectory, stretch, samples, advance, place)
         first += outputs
-
-
-def _advanced(effort: Array, period: float, inner: slice, advance: Sequence[float]) -> Array:
-    """(N, nv, d) efforts of the inner samples as they were logged `advance` seconds later."""
-    shifted = [EffortDelay(-seconds).delayed(effort, period)[inner] for seconds in advance]
-    return np.stack(shifted, -1)
-
-
-def _probe(model: RobotModel, samples: int) -> Motion:
-    """Random motion, to see which columns can be nonzero."""
-    random, nv = np.random.default_rng(0), len(model.joints)
-    q = model.positions(random.normal(size=(samples, nv)))
-    return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
-
-
-def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
-    """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
-    motion = _probe(model, 7)
-    regressor = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
-    size = np.abs(regressor).max(axis=0)
-    return size > 1e-12 * size.max(initial=1e-300)
 
 
 def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) -> Array:

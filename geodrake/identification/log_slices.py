@@ -1,0 +1,270 @@
+"""Slices of logs: filtered rows of every joint, a lot of which reductions of a log share."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect, RobotMotion
+from geodrake.effects.contact import log_number
+from geodrake.effects.deflection import DeflectionEffect, slopes_of
+from geodrake.effects.effort_delay import EffortDelay
+from geodrake.identification.dataset import Indices, JointRows, column_starts, is_payload
+from geodrake.model import RobotModel
+from geodrake.motion import MEMORY, Motion, Segment, Stretch, Trajectory
+from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.smoothing import SPLINE_REACH
+
+Array = NDArray[np.float64]
+Blocks = Mapping[int, Array]
+"""Columns (K, k) by the index of the joint."""
+
+INERTIA = "inertia"
+"""What the columns of inertial parameters belong to, as those of an effect belong to it."""
+
+MOSTLY_STILL = 0.3
+"""Share of a filter window at rest from which on a joint's sample is left out: dry friction can
+then be anything up to breakaway, and no model of the motion says what."""
+
+ROOM = 10_000_000
+"""Numbers that reductions of the same logs may share: 80 MB."""
+
+
+class SharedRows:
+    """What reductions of the same logs by the same robot share, by what it belongs to.
+
+    The columns of an effect do not depend on what else is tried, so that only those have to be
+    evaluated that no reduction had before. When there is no more room, no more is kept.
+
+    Args:
+        room: How many numbers to keep.
+    """
+
+    def __init__(self, room: int = ROOM) -> None:
+        self._room, self._kept = room, dict[Hashable, Blocks]()
+
+    def get(self, key: Hashable) -> Blocks | None:
+        """What is kept under a key, if anything is."""
+        return self._kept.get(key)
+
+    def keep(self, key: Hashable, blocks: Blocks) -> None:
+        """Keeps blocks as long as there is room."""
+        size = sum(block.size for block in blocks.values())
+        if size <= self._room and key not in self._kept:
+            self._room -= size
+            self._kept[key] = {at: np.ascontiguousarray(block) for at, block in blocks.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which columns each joint has, and how they are computed.
+
+    Attributes:
+        model: The model.
+        effects: Effects that have columns.
+        sign_width: (nv,) speed below which the direction of motion is not known.
+        still_speed: (nv,) speed below which a joint counts as at rest.
+        columns: Per joint, the global indices of its columns.
+    """
+
+    model: RobotModel
+    effects: tuple[Effect, ...]
+    sign_width: Array
+    still_speed: Array
+    columns: tuple[Indices, ...]
+
+    @classmethod
+    def of(
+        cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array, still_speed: Array
+    ) -> Layout:
+        """The layout of the columns of a model's bodies and some effects."""
+        inertial = _inertial_structure(model)
+        starts = column_starts(effects, model.bodies)
+        columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
+        probe = model.motion(_probe(model, 1), sign_width=1.0)
+        for effect in effects:
+            if not is_payload(effect):
+                indices = starts[effect] + np.arange(len(effect.parameters))
+                for joint in effect.rows(probe):
+                    columns[model.joints.index(joint)].append(indices)
+        joined = tuple(np.concatenate(c) for c in columns)
+        return cls(model, effects, sign_width, still_speed, joined)
+
+    @cached_property
+    def parts(self) -> tuple[Effect | str, ...]:
+        """What has columns of its own, in their order."""
+        return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
+
+    @cached_property
+    def origin(self) -> Hashable:
+        """What the columns of effects depend on beside the motion: the efforts of the model."""
+        effects = tuple(
+            (fitted.effect, np.asarray(fitted.parameters).tobytes())
+            for fitted in self.model.effects
+            if not isinstance(fitted.effect, EffortDelay)
+        )
+        return self.model.total_phi.tobytes(), effects
+
+    def evaluate(self, motion: Motion, log: int, parts: Iterable[Effect | str]) -> list[Blocks]:
+        """Unfiltered columns of some of the parts."""
+        regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
+        seen = self.model.motion(motion, sign_width=self.sign_width, regressor=regressor)
+        seen, width = replace(seen, log=log), regressor.shape[2]
+        inertial = {j: regressor[:, j, c[c < width]] for j, c in enumerate(self.columns)}
+        effects = [part for part in parts if isinstance(part, Effect)]
+        found = dict(zip(effects, self._rows(effects, seen), strict=True))
+        return [inertial if isinstance(part, str) else found[part] for part in parts]
+
+    def _rows(self, effects: Sequence[Effect], seen: RobotMotion) -> list[Blocks]:
+        bending = [effect for effect in effects if isinstance(effect, DeflectionEffect)]
+        slopes = slopes_of(seen, bending[0].name) if bending else None
+        rows = [
+            effect.rows(seen)
+            if slopes is None or not isinstance(effect, DeflectionEffect)
+            else effect.rows_from(seen, slopes)
+            for effect in effects
+        ]
+        return [{seen.index(joint): block for joint, block in each.items()} for each in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class LogSlice:
+    """Samples of a stretch that are filtered together.
+
+    Attributes:
+        layout: Which columns each joint has.
+        trajectory: The log.
+        stretch: One of its segments.
+        samples: Some of the segment's samples.
+        advance: Seconds by which the efforts were logged late, one for each column of efforts.
+        place: Names the samples.
+    """
+
+    layout: Layout
+    trajectory: Trajectory
+    stretch: Stretch
+    samples: slice
+    advance: Sequence[float]
+    place: Hashable
+
+    def rows(self, shared: SharedRows) -> list[JointRows]:
+        """Filtered rows of every joint; `shared` is used and filled."""
+        motion, columns = self._motion_rows(shared), self._columns(shared)
+        efforts = self._efforts(shared)
+        time = motion[-1]
+        return [
+            JointRows(
+                time,
+                motion[j][:, :3],
+                np.hstack([blocks[j] for blocks in columns if j in blocks]),
+                efforts[:, j],
+                motion[j][:, 3] <= MOSTLY_STILL,
+            )
+            for j in range(len(self.layout.columns))
+        ]
+
+    @cached_property
+    def _near(self) -> tuple[Segment, slice]:
+        """The samples and some around them, and where in these they are."""
+        late = max(map(abs, self.advance)) / self.stretch.period
+        margin = SPLINE_REACH + round(late)
+        low = max(0, self.samples.start - margin)
+        inner = slice(self.samples.start - low, self.samples.stop - low)
+        return self.stretch[low : self.samples.stop + margin], inner
+
+    @cached_property
+    def _here(self) -> Segment:
+        near, inner = self._near
+        return near[inner]
+
+    def _motion_rows(self, shared: SharedRows) -> Blocks:
+        """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
+        key = ("motion", self.place)
+        found = shared.get(key)
+        if found is None:
+            here, low_pass = self._here, self.trajectory.filter
+            at = low_pass.output_indices(len(here))
+            states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
+            still = low_pass.apply(np.abs(here.velocity) < self.layout.still_speed)
+            both = np.concatenate([states, still[:, :, None]], 2)
+            found = {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
+            shared.keep(key, found)
+        return found
+
+    def _efforts(self, shared: SharedRows) -> Array:
+        """(K, nv, d) filtered efforts as they were logged `advance` seconds later."""
+        columns = []
+        for seconds in self.advance:
+            key = ("effort", seconds, self.place)
+            found = shared.get(key)
+            if found is None:
+                near, inner = self._near
+                moved = EffortDelay(-seconds).delayed(near.effort, self.stretch.period)[inner]
+                found = {0: self.trajectory.filter.apply(moved)}
+                shared.keep(key, found)
+            columns.append(found[0])
+        return np.stack(columns, -1)
+
+    def _columns(self, shared: SharedRows) -> list[Blocks]:
+        """Filtered columns of all parts of the layout."""
+        layout = self.layout
+        keys = {
+            part: (part, self.place, None if part == INERTIA else layout.origin)
+            for part in layout.parts
+        }
+        found = {part: shared.get(key) for part, key in keys.items()}
+        missing = [part for part, blocks in found.items() if blocks is None]
+        if missing:
+            new = self._filtered(layout.evaluate(self._motion, self._log, missing))
+            for part, blocks in zip(missing, new, strict=True):
+                found[part] = blocks
+                shared.keep(keys[part], blocks)
+        return [blocks for blocks in found.values() if blocks is not None]
+
+    def _filtered(self, parts: Sequence[Blocks]) -> list[Blocks]:
+        apply = self.trajectory.filter.apply
+        flat = [block for blocks in parts for block in blocks.values()]
+        ends = np.cumsum([block.shape[1] for block in flat])
+        pieces = iter(np.split(apply(np.hstack(flat)), ends[:-1], axis=1) if flat else ())
+        return [{j: next(pieces) for j in blocks} for blocks in parts]
+
+    @cached_property
+    def _motion(self) -> Motion:
+        here, model = self._here, self.layout.model
+        return Motion(
+            model.positions(here.position),
+            here.velocity,
+            here.acceleration,
+            here.time - self.trajectory.began,
+            model.positions(self._past()),
+        )
+
+    @property
+    def _log(self) -> int:
+        return log_number(self.trajectory.name)
+
+    def _past(self) -> Array:
+        """(M, nv) positions before the slice, as far as an effect needs them."""
+        start = self.samples.start
+        if start == 0 or not any(effect.state_count for effect in self.layout.effects):
+            return np.zeros((0, len(self.layout.model.joints)))
+        return self.stretch[max(0, start - MEMORY) : start].position
+
+
+def _probe(model: RobotModel, samples: int) -> Motion:
+    """Random motion, to see which columns can be nonzero."""
+    random, nv = np.random.default_rng(0), len(model.joints)
+    q = model.positions(random.normal(size=(samples, nv)))
+    return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
+
+
+def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
+    """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
+    motion = _probe(model, 7)
+    regressor = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
+    size = np.abs(regressor).max(axis=0)
+    return size > 1e-12 * size.max(initial=1e-300)
