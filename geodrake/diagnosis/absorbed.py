@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 INERTIAS = "wrong_inertia"
 _MOST_KINDS = 2
+_FEW = 3
+"""Parameters of one effect more that may stand for moved inertias: fewer than a body has."""
 _ITERATIONS = 6
 _REST = 0.01
 """Share of what moved bodies explain that effects may leave to them."""
@@ -103,10 +105,12 @@ def _unmoved(
     rest = _REST * (_widened(end, HELD).loss().sum() - most)
     if rest <= 0.0:
         return None
-    steps = max(1, len(_added(end, start.unknowns.effects)))
+    steps = len(_added(end, start.unknowns.effects))
     held = start.loosened(HELD / start.looseness)
-    other = search(held, fixed, criteria, max_steps=steps)
-    if other.end.loss().sum() > most + rest or len(_added(other.end, fixed)) > steps:
+    other = search(held, fixed, criteria, max_steps=steps + 1)
+    more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
+    few = len(_added(other.end, fixed)) <= max(1, steps) or more <= _FEW
+    if other.end.loss().sum() > most + rest or not few:
         return None
     enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)
     return other if enough else None

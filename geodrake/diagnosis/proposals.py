@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 DOMINANT = 0.3
 """Share of a joint's squared error from which on a suggestion comes before all other candidates."""
 
-_ALARM = 1e-3  # of one joint's spectrum; what is offered must still convince on held-out data
+_ALARM = 3e-5  # of one joint and kind, about 40 a log; what is offered must still convince
 _TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)  # of drift, as shares of the longest log
 _BREAKAWAY_ANGLES = (0.003, 0.01, 0.03, 0.1, 0.3)  # as shares of the range of motion
 _FEW = 5.0  # waves in the range of motion
