@@ -97,11 +97,15 @@ class RobotModel:
     @cached_property
     def last_bodies(self) -> tuple[str, ...]:
         """Names of the bodies that carry no other one: hands, feet."""
-        inboard = {mobilizer.parent for mobilizer in self.tree.mobilizers}
+        mobilizers, carrying = self.tree.mobilizers, set[int]()
+        for index in range(len(mobilizers) - 1, -1, -1):  # outboard first
+            mobilizer = mobilizers[index]
+            if mobilizer.parent >= 0 and (mobilizer.body >= 0 or index in carrying):
+                carrying.add(mobilizer.parent)
         return tuple(
             self.bodies[mobilizer.body]
-            for index, mobilizer in enumerate(self.tree.mobilizers)
-            if index not in inboard and mobilizer.body >= 0
+            for index, mobilizer in enumerate(mobilizers)
+            if index not in carrying and mobilizer.body >= 0
         )
 
     @cached_property

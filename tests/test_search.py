@@ -238,14 +238,6 @@ def test_pair_takes_the_place_of_an_effect_whose_bounds_hide_it(model):
     assert gain_of(full, simple) > 100.0
 
 
-def test_exchange_begins_with_the_weights_of_what_it_replaces(with_friction):
-    """Fitted through a hypothesis that errs much, the same effects would be weighed otherwise."""
-    full = with_friction.with_effects([*COULOMB, *VISCOUS])
-    exchanged = full.exchanged(VISCOUS[0], [VISCOUS[0]])
-    assert exchanged.nrms == pytest.approx(full.nrms, rel=1e-3)
-    assert np.log(exchanged.weights / full.weights) == pytest.approx(0.0, abs=0.3)
-
-
 def test_search_finds_what_is_missing(with_friction):
     told = []
     trail = search(

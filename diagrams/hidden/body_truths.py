@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from hidden.engines import GRAVITY, congruent, pseudo
 from hidden.truths import Array, Hidden, Seen, Site
@@ -98,7 +99,8 @@ def soft_gear(site: Site) -> Hidden:
         load = seen.load[:, site.joint]
         lag = min(size, _SOFTEST / float(np.abs(load).max())) * load
         rate = np.gradient(lag, seen.time)
-        return _with_lag(seen, site.joint, lag, rate, np.gradient(rate, seen.time))
+        bend = np.gradient(rate, seen.time)
+        return _with_lag(seen, site.joint, lag=lag, rate=rate, acceleration=bend)
 
     return Hidden(effort)
 
@@ -112,12 +114,13 @@ def loose_gear(site: Site) -> Hidden:
         unit[:, j] = 1.0
         weight = seen.engine.efforts(seen.q, still, still)
         inertia = (seen.engine.efforts(seen.q, still, unit) - weight)[:, j]
-        return _with_lag(seen, j, *_play(seen.load[:, j], inertia, size, seen.time))
+        lag, rate, bend = _play(seen.load[:, j], inertia, gap=size, time=seen.time)
+        return _with_lag(seen, j, lag=lag, rate=rate, acceleration=bend)
 
     return Hidden(effort)
 
 
-def _play(load: Array, inertia: Array, gap: float, time: Array) -> tuple[Array, Array, Array]:
+def _play(load: Array, inertia: Array, *, gap: float, time: Array) -> tuple[Array, Array, Array]:
     """Lag (N,) of a link within a gap of half width `gap`, its rate and acceleration.
 
     M s̈ = τ − F(s, ṡ), F the force of the flank, by semi-implicit Euler. What sensors see are means
@@ -142,14 +145,14 @@ def _play(load: Array, inertia: Array, gap: float, time: Array) -> tuple[Array, 
         lags.append(s)
         rates.append(rate)
         accelerations.append(acceleration)
-    window = np.full(steps, 1.0 / steps)
     lag, speed, push = (
-        np.convolve(signal, window, "same")[::steps] for signal in (lags, rates, accelerations)
+        uniform_filter1d(signal, steps, mode="nearest")[::steps]
+        for signal in (lags, rates, accelerations)
     )
     return lag, speed, push
 
 
-def _with_lag(seen: Seen, joint: int, lag: Array, rate: Array, acceleration: Array) -> Array:
+def _with_lag(seen: Seen, joint: int, *, lag: Array, rate: Array, acceleration: Array) -> Array:
     """(N, n) effort that it makes a difference of that a link lags behind its motor."""
     motion = [seen.q.copy(), seen.v.copy(), seen.a.copy()]
     for signal, behind in zip(motion, (lag, rate, acceleration), strict=True):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.candidates import Package, kinds
+from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.columns import with_columns
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
@@ -80,7 +80,10 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
         return Absorbed(case)
     end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable
     sparing = [Trail(start, after, {}) for after in _sparing(end, criteria, most)]
-    return _answer(case, sparing, fixed, {INERTIAS})
+    answer = _answer(case, sparing, fixed, {INERTIAS})
+    # The way that inertias go is judged by an assumed width: held-out data must say the same.
+    told = sparing and _tells(end, sparing[0].end, criteria)
+    return answer if told else replace(answer, trails=())
 
 
 def with_soft_joints(case: Case, trail: Trail) -> tuple[Case, Trail]:
@@ -131,9 +134,18 @@ def _answer(
         return Absorbed(case, (), names)
     best, effects = trails[0], tuple(added[0])
     also = {
-        e.name: tuple(sorted({*rivals, *best.rivals.get(e.name, ())} - {e.name})) for e in effects
+        e.name: tuple(sorted({*rivals, *names, *best.rivals.get(e.name, ())} - {e.name}))
+        for e in effects
     }
     return Absorbed(case, (replace(best, rivals={**best.rivals, **also}, kept=effects),), names)
+
+
+def _tells(before: Hypothesis, after: Hypothesis, criteria: Criteria) -> bool:
+    """Whether held-out errors alone speak for what was added."""
+    more = len(after.unknowns.columns) - len(before.unknowns.columns)
+    tried = len(after.dataset.effects)
+    alarm = false_alarm_probability(gain_of(before, after), more, tried)
+    return alarm <= criteria.alarm
 
 
 def _is_within(case: Case, effect: Effect) -> bool:
@@ -146,22 +158,20 @@ def _widened(hypothesis: Hypothesis, looseness: float) -> Hypothesis:
     return settle(hypothesis.loosened(looseness / hypothesis.looseness), iterations=_ITERATIONS)
 
 
-def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> Iterator[Hypothesis]:
+def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> list[Hypothesis]:
     """The hypothesis with one effect that spares the inertias an improbable way, best first."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     packages = [p for kind in offered for place in kind.options.values() for p in place]
-    way = _way(hypothesis)
-    scores: list[tuple[float, Package]] = []
+    way, found = _way(hypothesis), list[tuple[float, Hypothesis]]()
     for package in packages:
-        spared = way - _way(hypothesis, quick_fit(hypothesis, package).x.mean(0))
-        if false_alarm_probability(spared, package.parameters, len(packages)) <= criteria.alarm:
-            scores.append((spared - PENALTY * package.parameters, package))
-    for _, package in sorted(scores, key=lambda scored: -scored[0]):
-        after = hypothesis.with_effects(package.effects)
-        gain = gain_of(hypothesis, after) + way - _way(after)
-        alarm = false_alarm_probability(gain, package.parameters, len(packages))
-        if alarm <= criteria.alarm and after.loss().sum() <= most:
-            yield after
+        quick = way - _way(hypothesis, quick_fit(hypothesis, package).x.mean(0))
+        if false_alarm_probability(quick, package.parameters, len(packages)) <= criteria.alarm:
+            after = hypothesis.with_effects(package.effects)
+            gain, spared = gain_of(hypothesis, after), way - _way(after)
+            alarm = false_alarm_probability(gain + spared, package.parameters, len(packages))
+            if alarm <= criteria.alarm and after.loss().sum() <= most:
+                found.append((gain + spared - PENALTY * package.parameters, after))
+    return [after for _, after in sorted(found, key=lambda scored: -scored[0])]
 
 
 def _way(hypothesis: Hypothesis, x: Array | None = None) -> float:

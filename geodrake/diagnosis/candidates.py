@@ -148,7 +148,11 @@ def is_refinement(effect: Effect) -> bool:
 
 
 def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
-    """Whether the frictions that an effect refines are among those taken, by name and place."""
+    """Whether the frictions that an effect refines are among those taken, by name and place.
+
+    Stribeck friction refines dry friction, with viscous friction or without; drift either of them;
+    |v|^α both, which it stands between.
+    """
     if not is_refinement(effect) or ("asymmetric_friction", effect.where) in taken:
         return True
     dry, viscous = ((name, effect.where) in taken for name in DRY_AND_VISCOUS)

@@ -23,12 +23,14 @@ from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import log_number
 from geodrake.folds import dealt_out
-from geodrake.identification.dataset import Dataset
+from geodrake.identification.dataset import Dataset, is_payload
+from geodrake.inertia import is_physical
 from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
 
 _MOST_EXPANSIONS = 3
+_SHARES = (0.75, 0.5, 0.25, 0.0)  # of a fit without constraints that is not physical
 _OTHER_LOADS = 0.02
 """Change of a load, as a share of the effort's deviation, from which columns are made anew."""
 
@@ -54,7 +56,13 @@ def with_suggestions(
         least_share: Share of the squared error at its joint that an effect must explain.
     """
     had = case.dataset.effects
-    more = suggested(case, trail.end, (*had, *known), least_share=least_share)
+    more = suggested(
+        case,
+        trail.end,
+        (*had, *known),
+        least_share=least_share,
+        soft_joints=least_share == 0.0,
+    )
     more = _convincing_ones(case, trail.end, more, criteria) if more else ()
     return with_columns(case, trail, [*had, *more]) if more else (case, trail)
 
@@ -102,11 +110,26 @@ def with_fitted_loads(case: Case, trail: Trail) -> tuple[Case, Trail]:
         trail: A search.
     """
     was = case.load_model.phi
-    phi = trail.end.cv.fit_all()[: was.size]
-    if _change_of_load(case.dataset, phi - was.ravel()) < _OTHER_LOADS:
+    phi = _physical_loads(case.model, trail.end)
+    if _change_of_load(case.dataset, (phi - was).ravel()) < _OTHER_LOADS:
         return case, trail
-    case = replace(case, loads=phi.reshape(was.shape), kept={})
+    case = replace(case, loads=phi, kept={})
     return with_columns(case, trail, case.dataset.effects)
+
+
+def _physical_loads(model: RobotModel, end: Hypothesis) -> Array:
+    """(nb, 10) fitted bodies with what payloads are more than the model's, as far as physical."""
+    x, known = end.cv.fit_all(), {f.effect: f.parameters for f in model.effects}
+    phi = x[: model.phi.size].reshape(model.phi.shape).copy()
+    for effect in end.unknowns.effects:
+        if is_payload(effect):
+            more = x[end.unknowns.span(effect)] - known.get(effect, 0.0)
+            phi[model.bodies.index(effect.where[0])] += more
+    step = phi - model.phi
+    for share in _SHARES:
+        beyond = ~is_physical(phi)
+        phi[beyond] = model.phi[beyond] + share * step[beyond]
+    return phi
 
 
 def _change_of_load(dataset: Dataset, step: Array) -> float:

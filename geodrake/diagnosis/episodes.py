@@ -193,7 +193,8 @@ def _contact(case: Case, window: Window, tried: int) -> Contact | None:
     contact = next((shape for shape, found in good if _explains_all(found)), good[0][0])
     contact = refined(window, contact)
     found = evidence(window, contact)
-    alarm = min(1.0, tried * float(chi2.sf(found.gain, found.felt + 3)))
+    # Times, rise and point were looked for too, and the body.
+    alarm = min(1.0, tried * len(bodies) * float(chi2.sf(found.gain, found.felt + 6)))
     convinces = found.share >= _LEAST_SHARE and alarm <= _ALARM and _explains_all(found)
     return contact if convinces else None
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -77,9 +78,10 @@ def searched(
         new_shape = bool(to_profile(hypothesis, grid, profiled))
         return new_delay or new_shape or bool(to_expand(case.model, hypothesis, expanded))
 
+    look = partial(search, criteria=criteria, tune=tune, pause=pause, progress=progress)
     for _ in range(_MOST_ROUNDS):
-        more = search(trail.end, held, criteria, tune=tune, pause=pause, progress=progress)
-        trail = Trail(trail.start, more.end, {**more.rivals, **trail.rivals})
+        more = look(trail.end, held, rivals=trail.rivals)
+        trail = replace(more, start=trail.start)
         if not looked and _rubs(trail.end):  # what friction hid may come before what is small
             looked, had = True, case.dataset.effects
             case, trail = with_suggestions(case, trail, criteria, known=grid, least_share=DOMINANT)
@@ -95,12 +97,11 @@ def searched(
             if found:
                 held = (*fixed, *(e for e in trail.end.unknowns.effects if isinstance(e, Contact)))
                 continue
-            case, trail = with_fitted_loads(case, trail)
-            had = case.dataset.effects
-            case, trail = with_suggestions(case, trail, criteria, known=grid)
-            if case.dataset.effects == had:
+            was = case
+            case, trail = with_suggestions(*with_fitted_loads(case, trail), criteria, known=grid)
+            if case is was:
                 break
-            grid = (*grid, *(e for e in case.dataset.effects if e not in had))
+            grid = (*grid, *(e for e in case.dataset.effects if e not in was.dataset.effects))
         if not late and trail.end.delay != trail.start.delay:
             case, trail = with_exact_delay(case, trail, origin=origin, step=step)
             late = True

@@ -11,7 +11,7 @@ from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact import searched
-from geodrake.diagnosis.final_fit import companion_notes, final_fit
+from geodrake.diagnosis.final_fit import companion_notes, final_fit, not_held
 from geodrake.diagnosis.forward import Progress, Trail
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
@@ -79,7 +79,8 @@ def investigate(
     fixed = effects_of(model)
     case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
     hidden = absorbed(case, trail, fixed, criteria) if tune else Absorbed(case)
-    after_case, fit, trail = _finished(hidden.case, (*hidden.trails, trail), criteria)
+    case = hidden.case
+    after_case, fit, trail = _finished(case, (*hidden.trails, trail), criteria)
     steps = steps_of(case, trail, fit)
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
     after = comparison(after_case, fit.unknowns, fit.held_out)
@@ -95,7 +96,8 @@ def investigate(
         after if steps else before,
         (*case.notes, *(companion_notes(trail.end.unknowns, fit) if steps else ())),
     )
-    return Investigation(explanation, after_case, trail.end.moved(after_case.dataset, delay=0))
+    end = not_held(trail.end.moved(after_case.dataset, delay=0))
+    return Investigation(explanation, after_case, end)
 
 
 def _finished(

@@ -62,12 +62,20 @@ def final_fit(
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    unknowns = settled.unknowns
-    if settled.looseness < TIGHTER_PRIORS[0]:  # to hold the inertias does not make them known
-        factor = TIGHTER_PRIORS[0] / settled.looseness
-        unknowns = unknowns.loosened(factor, case.model.phi.size)
+    unknowns = not_held(settled).unknowns
     fit = fit_model(base, reopened.dataset, unknowns, weights, delays=delays)
     return reopened, fit, end
+
+
+def not_held(hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with inertias as free as those that are well known, where they are held.
+
+    To hold the inertias, as a search may do, does not make them known.
+    """
+    least = min(TIGHTER_PRIORS)
+    if hypothesis.looseness >= least:
+        return hypothesis
+    return hypothesis.loosened(least / hypothesis.looseness)
 
 
 def _with_fitted_loads(

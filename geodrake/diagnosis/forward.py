@@ -45,6 +45,7 @@ def search(
     pause: Callable[[Hypothesis], bool] | None = None,
     max_steps: int = 20,
     progress: Progress | None = None,
+    rivals: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Trail:
     """Add what convinces most, step by step, with swaps and backward elimination after each.
 
@@ -56,8 +57,9 @@ def search(
         pause: Whether to return with a hypothesis that a step led to, as it is.
         max_steps: Largest number of steps.
         progress: Told about each step.
+        rivals: Those known before.
     """
-    hypothesis, rivals = tuned(start) if tune else start, dict[str, tuple[str, ...]]()
+    hypothesis, rivals = tuned(start) if tune else start, dict(rivals or {})
     for _ in range(max_steps):
         step = next_step(hypothesis, fixed, criteria)
         if step is None:

@@ -38,7 +38,12 @@ _WHOLE = 0.25  # distance from a whole order within which that is tried, in the 
 
 
 def suggested(
-    case: Case, hypothesis: Hypothesis, known: Collection[Effect], *, least_share: float = 0.0
+    case: Case,
+    hypothesis: Hypothesis,
+    known: Collection[Effect],
+    *,
+    least_share: float = 0.0,
+    soft_joints: bool = False,
 ) -> tuple[Effect, ...]:
     """Effects that the residual suggests, with the shapes to try.
 
@@ -47,15 +52,16 @@ def suggested(
         hypothesis: What is known so far.
         known: Effects that have columns; what is among them, or in the model, comes no more.
         least_share: Share of the squared error at its joint that an effect must explain.
+        soft_joints: Whether the elasticity of all joints is among them where more than noise is
+            left: inertias may hide what it does, so that only a fit with both tells.
     """
     taken = {(e.name, e.where) for e in (*known, *hypothesis.unknowns.effects)}
-    last = least_share == 0.0 and not error_table(case.dataset, hypothesis.held_out).is_noise
+    soft = soft_joints and not error_table(case.dataset, hypothesis.held_out).is_noise
     return tuple(
         effect
         for proposal in proposals(case, hypothesis)
         if (proposal.alarm <= _ALARM and proposal.share >= least_share)
-        # What soft joints do may be hidden by inertias, which only a fit with both tells.
-        or (last and isinstance(proposal.effects[0], JointElasticity))
+        or (soft and isinstance(proposal.effects[0], JointElasticity))
         for effect in proposal.effects
         if (effect.name, effect.where) not in taken
     )

@@ -149,9 +149,9 @@ class BregmanProjectionEstimator(LeafSystem):
         samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
         self._samples = self.DeclareAbstractState(AbstractValue.Make(samples))
         if memory > 0:
-            # A step late, as such events come before discrete updates.
+            # Half a step after an update, where rounding of times makes no difference.
             period = time_step * update_every * self._spacing
-            self.DeclarePeriodicUnrestrictedUpdateEvent(period, time_step, self._remember)
+            self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.5 * time_step, self._remember)
         self._count = self.DeclareDiscreteState(np.zeros(1))
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0.0, self._update)
         self.DeclareStateOutputPort("parameters", self._estimate)
