@@ -22,6 +22,7 @@ from rich.table import Table
 
 from geodrake import load_model, save_model
 from geodrake.diagnosis import Explanation, Step, add, compare, explain
+from geodrake.model import RobotModel
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"
@@ -114,21 +115,23 @@ def left_out(
         shared: Folder with `data` and `reference`.
 
     Returns:
-        "none" and each effect left out, with the nrms by log.
+        "as found", and "none" and each effect left out of a fit of all others, one after another,
+        with the nrms by log.
     """
+
+    def errors(model: RobotModel) -> dict[str, float]:
+        paths = {name: shared / "data" / name for name in ELSEWHERE[study.name]}
+        return {name: compare(model, [path]).errors.nrms for name, path in paths.items()}
+
     logs = [shared / "data" / log for log in study.logs]
-    found = []
+    found = [("as found", errors(explanation.model))]
     for out in (None, *explanation.steps):
         model = load_model(shared / "reference" / study.model)
         for step in explanation.steps:
             if step is not out:
                 where = None if step.effect == "effort_delay" else step.where
                 model = add(step.effect, model, logs, where=where, blocks=study.blocks).model
-        errors = {
-            name: compare(model, [shared / "data" / name]).errors.nrms
-            for name in ELSEWHERE[study.name]
-        }
-        found.append(("none" if out is None else out.effect, errors))
+        found.append(("none" if out is None else out.effect, errors(model)))
     return found
 
 
@@ -180,7 +183,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the table here")
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
     options = parser.parse_args()
-    console, rows = Console(width=160), []
+    console, rows, elsewhere = Console(width=160), [], {}
     if not (options.shared / "data").is_dir():
         parser.exit(2, f"There are no measurements in {options.shared / 'data'}; see --shared.\n")
     with tempfile.TemporaryDirectory() as saved:
@@ -192,6 +195,7 @@ def main() -> None:
             rows += rows_of(study, explanation, time.perf_counter() - begin)
             if study.name in ELSEWHERE:
                 worth = left_out(study, explanation, options.shared)
+                elsewhere[study.name] = dict(worth)
                 for effect, errors in worth:
                     told = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
                     console.print(f"{study.name}, left out {effect}: {told}")
@@ -199,7 +203,8 @@ def main() -> None:
                 write_figures(study, explanation, options.figures)
     show(rows, console)
     if options.json:
-        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+        table = {"rows": [asdict(row) for row in rows], "left_out": elsewhere}
+        options.json.write_text(json.dumps(table, indent=1))
 
 
 def write_figures(study: Study, explanation: Explanation, folder: Path) -> None:

@@ -89,15 +89,20 @@ def try_packages(
     least: Criteria | None = None,
 ) -> list[Trial]:
     """Held-out evidence for each of several packages; see `try_package`."""
-    fits = _quick_fits(hypothesis, packages)
+    fits = _quick_fits(hypothesis, packages) if packages else []
     return [
-        _trial(hypothesis, package, after, tried, least)
+        _trial(hypothesis, package, after=after, tried=tried, least=least)
         for package, after in zip(packages, fits, strict=True)
     ]
 
 
 def _trial(
-    hypothesis: Hypothesis, package: Package, after: HeldOut, tried: int, least: Criteria | None
+    hypothesis: Hypothesis,
+    package: Package,
+    *,
+    after: HeldOut,
+    tried: int,
+    least: Criteria | None,
 ) -> Trial:
     dataset, before = hypothesis.dataset, hypothesis.held_out
     reduction, agreement = improvement((before, after), acted_upon(dataset, package))
