@@ -29,6 +29,7 @@ DOMINANT = 0.3
 """Share of a joint's squared error from which on a suggestion comes before all other candidates."""
 
 _ALARM = 3e-5  # of one joint and kind, about 40 a log; what is offered must still convince
+_ALARM_OF_MUCH = 0.01  # where the error is made mostly of it: noise never has so large a share
 _TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)  # of drift, as shares of the longest log
 _BREAKAWAY_ANGLES = (0.003, 0.01, 0.03, 0.1, 0.3)  # as shares of the range of motion
 _FEW = 5.0  # waves in the range of motion
@@ -60,7 +61,7 @@ def suggested(
     return tuple(
         effect
         for proposal in proposals(case, hypothesis)
-        if (proposal.alarm <= _ALARM and proposal.share >= least_share)
+        if (_is_clear(proposal) and proposal.share >= least_share)
         or (soft and isinstance(proposal.effects[0], JointElasticity))
         for effect in proposal.effects
         if (effect.name, effect.where) not in taken
@@ -81,8 +82,13 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
     taken = {(e.name, e.where) for e in hypothesis.unknowns.effects}
     found = [p for p in proposals(case, hypothesis) if p.effects[0].name == name]
     found = [p for p in found if (name, p.effects[0].where) not in taken]
-    clear = [p for p in found if p.alarm <= _ALARM] or found
+    clear = [p for p in found if _is_clear(p)] or found
     return tuple(effect for proposal in clear for effect in proposal.effects)
+
+
+def _is_clear(proposal: Proposal) -> bool:
+    """Whether what the residual shows is more than chance, as many as are looked for."""
+    return proposal.alarm <= (_ALARM_OF_MUCH if proposal.share >= DOMINANT else _ALARM)
 
 
 def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
