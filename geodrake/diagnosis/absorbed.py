@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 INERTIAS = "wrong_inertia"
 _MOST_KINDS = 2
 _FEW = 3
-"""Parameters of one effect more that may stand for moved inertias: fewer than a body has."""
+"""Parameters more that may stand for moved inertias beside what was found: fewer than a body's."""
 _ITERATIONS = 6
 _REST = 0.01
 """Share of what moved bodies explain that effects may leave to them."""
@@ -112,7 +112,7 @@ def _unmoved(
     held = start.loosened(HELD / start.looseness)
     other = search(held, fixed, criteria, max_steps=steps + 1)
     more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
-    few = len(_added(other.end, fixed)) <= max(1, steps) or more <= _FEW
+    few = more <= _FEW or (not steps and len(_added(other.end, fixed)) == 1)
     if other.end.loss().sum() > most + rest or not few:
         return None
     enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)

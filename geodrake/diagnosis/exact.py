@@ -99,7 +99,7 @@ def searched(
                 continue
             was = case
             case, trail = with_suggestions(*with_fitted_loads(case, trail), criteria, known=grid)
-            if case is was:
+            if case.dataset.effects == was.dataset.effects:
                 break
             grid = (*grid, *(e for e in case.dataset.effects if e not in was.dataset.effects))
         if not late and trail.end.delay != trail.start.delay:

@@ -179,6 +179,7 @@ def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria:
     joints = acted_upon(refined.dataset, Package((effect,), effect.where))
     left = float(np.mean(refined.held_out.mse[joints] / simple.held_out.mse[joints]))
     # What goes with time alone is large in few folds, so that these differ: half of it is no tie.
-    tied = left > 0.5 and tie_probability(refined.loss(), simple.loss()) > criteria.tie
+    few_folds = effect.sees_time and left <= 0.5
+    tied = not few_folds and tie_probability(refined.loss(), simple.loss()) > criteria.tie
     gains = gain_of(simple, refined) > PENALTY * max(more, 1)
     return gains and left <= 1.0 - criteria.reduction and not tied
