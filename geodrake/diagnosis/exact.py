@@ -99,7 +99,9 @@ def searched(
                 continue
             was = case
             case, trail = with_suggestions(*with_fitted_loads(case, trail), criteria, known=grid)
-            if case.dataset.effects == was.dataset.effects:
+            if case is was or (
+                _is_tilted(trail.end) and case.dataset.effects == was.dataset.effects
+            ):
                 break
             grid = (*grid, *(e for e in case.dataset.effects if e not in was.dataset.effects))
         if not late and trail.end.delay != trail.start.delay:
@@ -114,6 +116,11 @@ def searched(
     if late:
         case, trail = with_exact_delay(case, trail, origin=origin, step=0.5 * step)
     return case, trail
+
+
+def _is_tilted(hypothesis: Hypothesis) -> bool:
+    """Whether something acts on the whole robot, of which loads by fitted bodies know nothing."""
+    return any(effect.places == "robot" for effect in hypothesis.unknowns.effects)
 
 
 def _rubs(hypothesis: Hypothesis) -> bool:
