@@ -65,11 +65,10 @@ def searched(
         The case as it was reduced last, and the trail on its dataset.
     """
     case, trail = with_suggestions(case, Trail(start, start, {}), criteria, least_share=DOMINANT)
-    grid, origin, late = case.dataset.effects, case.model.delay, False
+    grid, origin, late, looked = case.dataset.effects, case.model.delay, False, False
     step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
     profiled, expanded, held = set(fixed), set(fixed), tuple(fixed)
     episodes: tuple[Effect, ...] = ()
-    looked = False
 
     def pause(hypothesis: Hypothesis) -> bool:
         if not looked and _rubs(hypothesis):
@@ -99,9 +98,7 @@ def searched(
                 continue
             was = case
             case, trail = with_suggestions(*with_fitted_loads(case, trail), criteria, known=grid)
-            if case is was or (
-                _is_tilted(trail.end) and case.dataset.effects == was.dataset.effects
-            ):
+            if _is_last(case, was, trail.end):
                 break
             grid = (*grid, *(e for e in case.dataset.effects if e not in was.dataset.effects))
         if not late and trail.end.delay != trail.start.delay:
@@ -118,9 +115,13 @@ def searched(
     return case, trail
 
 
-def _is_tilted(hypothesis: Hypothesis) -> bool:
-    """Whether something acts on the whole robot, of which loads by fitted bodies know nothing."""
-    return any(effect.places == "robot" for effect in hypothesis.unknowns.effects)
+def _is_last(case: Case, before: Case, end: Hypothesis) -> bool:
+    """Whether a case has nothing new to search: no columns, and no loads that are told right.
+
+    Loads by fitted bodies know nothing of what acts on the whole robot, such as a tilted base.
+    """
+    tilted = any(effect.places == "robot" for effect in end.unknowns.effects)
+    return case is before or (tilted and case.dataset.effects == before.dataset.effects)
 
 
 def _rubs(hypothesis: Hypothesis) -> bool:
