@@ -22,7 +22,7 @@ from geodrake.identification.dataset import is_payload
 
 Array = NDArray[np.float64]
 
-INERTIAS = "wrong_inertia"
+_INERTIAS = "wrong_inertia"
 _MOST_KINDS = 2
 _FEW = 3
 """Parameters more that may stand for moved inertias beside what was found: fewer than a body's."""
@@ -38,7 +38,7 @@ class Absorbed:
 
     Attributes:
         case: The case that the searches are on.
-        trails: Searches that explain the logs as well as moved inertias do, best first.
+        trails: The search that explains the logs as well as moved inertias do, if there is one.
         rivals: Names of effects that moved inertias cannot be told from.
     """
 
@@ -69,24 +69,24 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
     if not moved or end.released or end.delay != start.delay or len(found) > _MOST_KINDS:
         return Absorbed(case)
     if not found:
-        case, trail = with_soft_joints(case, trail)
+        case, trail = _with_soft_joints(case, trail)
         end, start = trail.end, trail.start
     most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
     other = _unmoved(trail, fixed, criteria, most)
     if other is not None:
-        rivals = found.union({INERTIAS}, *(trail.rivals.get(name, ()) for name in found))
+        rivals = found.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in found))
         return _answer(case, [other], fixed, rivals)
     if found:
         return Absorbed(case)
     end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable
     sparing = [Trail(start, after, {}) for after in _sparing(end, criteria, most)]
-    answer = _answer(case, sparing, fixed, {INERTIAS})
+    answer = _answer(case, sparing, fixed, {_INERTIAS})
     # The way that inertias go is judged by an assumed width: held-out data must say the same.
     told = sparing and _tells(end, sparing[0].end, criteria)
     return answer if told else replace(answer, trails=())
 
 
-def with_soft_joints(case: Case, trail: Trail) -> tuple[Case, Trail]:
+def _with_soft_joints(case: Case, trail: Trail) -> tuple[Case, Trail]:
     """The case with columns for the elasticity of every joint, which inertias easily take in."""
     soft = [JointElasticity(joint) for joint in case.model.single_joints]
     new = [effect for effect in soft if effect not in case.dataset.effects]

@@ -121,7 +121,7 @@ class Hypothesis:
         Args:
             dataset: The dataset.
             delay: Index of the delay among those of the dataset.
-            iterations: Most refits.
+            iterations: As in `settle`.
         """
         unknowns = replace(self.unknowns, columns=self.moved_columns(dataset))
         moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delay)
@@ -183,7 +183,7 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         effective = effective_per_joint(
             dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
         )
-        before, weights = weights, deserved_weights(dataset, cv.held_out, effective / samples)
+        before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
         if _alike(weights, before):
             break
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
@@ -197,13 +197,13 @@ def _refitted(
         cv = CrossValidation(
             hypothesis.dataset, hypothesis.unknowns, weights, delay=hypothesis.delay
         )
-        before, weights = weights, deserved_weights(hypothesis.dataset, cv.held_out, share)
+        before, weights = weights, _deserved_weights(hypothesis.dataset, cv.held_out, share)
         if _alike(weights, before):
             break
     return cv, weights
 
 
-def deserved_weights(dataset: Dataset, held_out: HeldOut, share: Array) -> Array:
+def _deserved_weights(dataset: Dataset, held_out: HeldOut, share: Array) -> Array:
     """(nv,) weights of squared residuals that held-out errors deserve; see `settle`.
 
     Args:
