@@ -19,6 +19,7 @@ from geodrake.errors import ArgumentError, LogError
 
 Array = NDArray[np.float64]
 
+LEAST_SPECTRUM = 32  # samples that a spectrum needs
 HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
 _KAISER_SHAPE = 6.76  # 70 dB: the passband is flat to 3e-4
 _RESPONSE_POINTS = 257
@@ -221,10 +222,10 @@ def choose_bandwidth(pieces: Sequence[tuple[Array, float]]) -> float:
     Raises:
         LogError: If every piece has too few samples for a spectrum.
     """
-    pieces = [(position, period) for position, period in pieces if len(position) >= 32]
+    pieces = [(position, period) for position, period in pieces if len(position) >= LEAST_SPECTRUM]
     if not pieces:
         raise LogError(
-            "No piece of the log has the 32 samples in a row that a spectrum needs.",
+            f"No piece of the log has the {LEAST_SPECTRUM} samples in a row that a spectrum needs.",
             advice="Record a longer motion without gaps.",
         )
     longest = min(_WELCH_SECONDS, max(len(position) * period for position, period in pieces))

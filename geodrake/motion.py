@@ -189,10 +189,7 @@ class Segment:
 
 
 class Stretch(Protocol):
-    """What gives the samples of a log without gaps, a slice at a time.
-
-    A segment does; so does a long log that is smoothed only where somebody looks.
-    """
+    """What gives samples without gaps: a segment, or a log smoothed only where somebody looks."""
 
     @property
     def period(self) -> float:
@@ -219,6 +216,7 @@ class Trajectory:
         segments: Its stretches without gaps, in time.
         filter: What efforts and regressors of every segment are to be filtered by.
         speed_noise: (n,) deviation of the noise of the smoothed velocities, rad/s or m/s.
+        acceleration_noise: (n,) that of accelerations filtered as efforts are, rad/s² or m/s².
         notes: What was done to the log and chosen from it, in words.
         began: Its first time stamp, s.
     """
@@ -228,6 +226,7 @@ class Trajectory:
     segments: tuple[Stretch, ...]
     filter: ZeroPhaseFilter
     speed_noise: Array
+    acceleration_noise: Array
     notes: tuple[str, ...] = ()
     began: float = 0.0
 

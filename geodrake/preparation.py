@@ -19,6 +19,7 @@ from geodrake.filtering import (
 from geodrake.motion import JointLog, Segment, Trajectory
 from geodrake.smoothing import SmoothedStretch
 from geodrake.uniform_log import UniformLog, make_uniform
+from geodrake.white_noise import quiet_density
 
 Array = NDArray[np.float64]
 
@@ -26,6 +27,7 @@ LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
 _STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
 _SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
 _SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
+_FREQUENCIES = 257  # at which the noise of accelerations is added up
 _NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
 
 
@@ -97,13 +99,14 @@ def _prepare(
     )
     long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p)) > 0)
     stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
-    speed_noise = _speed_noise(uniform, smoother)
+    derived = any(stretch.lag is None for stretch in stretches)
     trajectory = Trajectory(
         log.name,
         log.joints,
         stretches,
         low_pass,
-        speed_noise,
+        _speed_noise(uniform, smoother),
+        _acceleration_noise(uniform, low_pass, derived=derived),
         tuple(notes),
         float(log.time[0]),
     )
@@ -180,6 +183,26 @@ def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
     """(n,) deviation of white noise of the positions, low-passed and differentiated."""
     cutoff = smoother.bandwidth
     return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
+
+
+def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
+    """(n,) deviation of the noise of accelerations from white noise of what they come from.
+
+    Args:
+        uniform: The log.
+        low_pass: What efforts are filtered by, which the accelerations act like.
+        derived: Whether velocities are derived from the positions.
+    """
+    order = 2 if derived else 1
+    rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
+    for part in uniform.sample_parts():
+        signal = part.position if derived or part.velocity is None else part.velocity
+        # Differences are free of the motion's large slow part, which would leak into the noise.
+        power += len(part) * quiet_density(signal, rate, low_pass.bandwidth, differences=order)
+        weight += len(part)
+    frequency = np.linspace(0.0, 2.0 * low_pass.bandwidth, _FREQUENCIES)
+    passed = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** order
+    return np.sqrt(power / weight * np.trapezoid(passed**2, frequency))
 
 
 def _keep(

@@ -271,6 +271,25 @@ def test_noise_floor_is_that_of_the_filtered_noise():
     np.testing.assert_allclose(noise_floor([noisy]), rms, rtol=0.15)
 
 
+@pytest.mark.parametrize("tacho", [None, 1e-3])
+def test_noise_floor_of_noise_in_the_motion(model, tacho):
+    """Encoders and tachometers alone: accelerations carry their noise into what is predicted."""
+    rng = np.random.default_rng(5)
+    log = pendulum_log(8, noise=(0.0, 0.0), reach=0.2)
+    speed = multisine(log.time, np.random.default_rng(8), reach=0.2)[1]
+    noisy = replace(
+        log,
+        position=log.position + 1e-4 * rng.normal(size=log.position.shape),
+        velocity=None if tacho is None else speed + tacho * rng.normal(size=speed.shape),
+    )
+    trajectories = prepare_logs([noisy], bandwidth=8.0)
+    segment, low_pass = trajectories[0].segments[0][:], trajectories[0].filter
+    predicted = body_effort(segment.position, segment.velocity, segment.acceleration)
+    rms = np.sqrt(np.mean(low_pass.apply(predicted - segment.effort) ** 2, axis=0))
+    np.testing.assert_allclose(noise_floor(trajectories, model), rms, rtol=0.1)
+    assert np.all(noise_floor(trajectories) < 0.1 * rms)
+
+
 def shaken(amplitude, *, at=18.0, seconds=60.0):
     """A log whose elbow vibrates behind its motor, without the motor's effort."""
     log = pendulum_log(8, seconds=seconds, rate=400.0)

@@ -21,6 +21,7 @@ LAYERS = (
     "projections",
     "perturbation",
     "filtering",
+    "white_noise",
     "motion",
     "unit_hints",
     "smoothing",

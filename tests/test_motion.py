@@ -237,6 +237,7 @@ def _trajectories(*lengths):
             tuple(map(segment, range(0, 900, 300), outputs)),
             low_pass,
             np.zeros(len(JOINTS)),
+            np.zeros(len(JOINTS)),
         )
         for k, outputs in enumerate(lengths)
     ]

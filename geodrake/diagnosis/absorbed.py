@@ -108,11 +108,12 @@ def _unmoved(
     rest = _REST * (_widened(end, HELD).loss().sum() - most)
     if rest <= 0.0:
         return None
-    steps = len(_added(end, start.unknowns.effects))
+    found = _added(end, start.unknowns.effects)
     held = start.loosened(HELD / start.looseness)
-    other = search(held, fixed, criteria, max_steps=steps + 1)
+    other = search(held, fixed, criteria, max_steps=len(found) + 1)
     more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
-    few = more <= _FEW or (not steps and len(_added(other.end, fixed)) == 1)
+    named = _added(other.end, fixed)
+    few = more <= _FEW or (named >= found and len(named) == len(found) + 1)
     if other.end.loss().sum() > most + rest or not few:
         return None
     enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)
@@ -127,10 +128,10 @@ def _added(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> set[str]:
 def _answer(
     case: Case, trails: Sequence[Trail], fixed: Sequence[Effect], rivals: Collection[str]
 ) -> Absorbed:
-    """The best of some trails, unless it says rather that one body is wrong; all their names."""
+    """The best of some trails, unless it says rather that a body is wrong; all their names."""
     added = [[e for e in t.end.unknowns.effects if e not in fixed] for t in trails]
     names = tuple(sorted({effect.name for effects in added for effect in effects}))
-    if not trails or (len(added[0]) == 1 and _is_within(case, added[0][0])):
+    if not trails or any(_is_within(case, effect) for effect in added[0]):
         return Absorbed(case, (), names)
     best, effects = trails[0], tuple(added[0])
     also = {

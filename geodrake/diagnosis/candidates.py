@@ -109,6 +109,11 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
             singles = [Package((effect,), place) for effect in pair]
             options[DRY_AND_VISCOUS][place] = [Package(pair, place), *singles]
             joint_kinds.add(DRY_AND_VISCOUS)
+    for place, (alone,) in options.get(("coupled_rotor_inertia",), {}).items():
+        rotors = [by_place[joint,].get("rotor_inertia") for joint in place]
+        whole = (*alone.effects, *(rotor for rotor in rotors if rotor is not None))
+        if len(whole) > 1:  # the rotor that couples two joints turns with each of them too
+            options["coupled_rotor_inertia",][place].append(Package(whole, place))
     return [
         Kind(names, {p: tuple(packages) for p, packages in places.items()}, names in joint_kinds)
         for names, places in options.items()

@@ -28,7 +28,7 @@ from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import DOMINANT
-from geodrake.diagnosis.refine import reshape
+from geodrake.diagnosis.refine import reshape, split_compromises
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects import Contact, EffortDelay
@@ -107,6 +107,7 @@ def searched(
         if to_profile(trail.end, grid, profiled):
             case, trail = with_exact_shapes(case, trail, grid, profiled)
             profiled.update(trail.end.unknowns.effects)
+            trail = replace(trail, end=split_compromises(trail.end, fixed, criteria))
         if to_expand(case.model, trail.end, expanded):
             case, trail = with_exact_expansions(case, trail, expanded)
             expanded.update(trail.end.unknowns.effects)

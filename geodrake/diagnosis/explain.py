@@ -17,6 +17,7 @@ from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import refit_step, steps_of
 from geodrake.effects.base import Effect
+from geodrake.errors import IdentificationError
 from geodrake.identification.model_fit import ModelFit, effects_of, model_unknowns
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
@@ -104,13 +105,17 @@ def _finished(
     case: Case, trails: Sequence[Trail], criteria: Criteria
 ) -> tuple[Case, ModelFit, Trail]:
     """The final fit of the first trail that, physically consistent, does as well as the last."""
-    most = (1.0 + criteria.reduction) * trails[-1].end.loss().sum()
-    for trail in trails:
-        after, fit, end = final_fit(case, trail.end, criteria=criteria, kept=trail.kept)
-        left = (fit.held_out.sse / case.dataset.effort_std**2).sum()
-        if left <= most:  # a body that lost mass is no payload
-            break
-    return after, fit, replace(trail, end=end)
+    *others, last = trails
+    most = (1.0 + criteria.reduction) * last.end.loss().sum()
+    for trail in others:
+        try:
+            after, fit, end = final_fit(case, trail.end, criteria=criteria, kept=trail.kept)
+        except IdentificationError:  # too far from physical for any solver
+            continue
+        if (fit.held_out.sse / case.dataset.effort_std**2).sum() <= most:
+            return after, fit, replace(trail, end=end)  # else a body lost mass: no payload
+    after, fit, end = final_fit(case, last.end, criteria=criteria, kept=last.kept)
+    return after, fit, replace(last, end=end)
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:

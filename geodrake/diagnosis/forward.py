@@ -65,7 +65,8 @@ def search(
         if step is None:
             break
         names = step.chosen.names
-        tied = {name for r in step.ranked if r.tied for name in r.names}
+        others = [r for r in step.ranked if r.tied and not r.includes(step.chosen)]
+        tied = {name for r in others for name in r.names}
         for name in names:
             rivals.setdefault(name, tuple(sorted(tied.difference(names))))
         rivals |= rivals_of_swapped(rivals, hypothesis, step.after, names)

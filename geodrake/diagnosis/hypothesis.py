@@ -82,6 +82,12 @@ class Hypothesis:
             unknowns = unknowns.without_effect(effect)
         return settle(replace(self, unknowns=unknowns))
 
+    def stripped(self, effect: Effect) -> Hypothesis:
+        """This hypothesis less one of its effects, refitted with the weights that it has."""
+        unknowns = self.unknowns.without_effect(effect)
+        cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
+        return replace(self, unknowns=unknowns, cv=cv)
+
     def exchanged(self, gone: Effect, come: Sequence[Effect]) -> Hypothesis:
         """This hypothesis with effects in the place of one, refitted.
 

@@ -26,6 +26,7 @@ from geodrake.diagnosis.trials import (
     improvement,
     settled_trial,
     try_package,
+    try_packages,
 )
 from geodrake.effects.base import Effect
 
@@ -138,15 +139,31 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
     return hypothesis
 
 
+def split_compromises(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
+) -> Hypothesis:
+    """Split effects whose shape is a compromise of another shape and a simple effect beside it.
+
+    Only shapes that are no longer bound to a coarse grid can be told from such a compromise.
+    """
+    for effect in hypothesis.unknowns.effects:
+        others = [other for other in hypothesis.unknowns.effects if other != effect]
+        pairs = [] if effect in fixed else _shared(hypothesis.dataset.effects, others, effect)
+        pair = _best_instead(hypothesis, effect, pairs)
+        if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
+            hypothesis = pair
+    return hypothesis
+
+
 def _best_instead(
     hypothesis: Hypothesis, effect: Effect, packages: Sequence[Package]
 ) -> Hypothesis | None:
     """The hypothesis with the best of some packages in the place of an effect, if there are any."""
     if not packages:
         return None
-    reduced = hypothesis.without([effect])
-    trials = [try_package(reduced, package, len(packages)) for package in packages]
-    return hypothesis.exchanged(effect, best_trial(reduced, trials).package.effects)
+    bare = hypothesis.stripped(effect)
+    trials = try_packages(bare, packages, len(packages))
+    return hypothesis.exchanged(effect, best_trial(bare, trials).package.effects)
 
 
 def _simpler(
@@ -171,6 +188,22 @@ def _pairs(
     own = Package((effect,), effect.where).parameters
     pairs = pairs_at(effects, present, effect.where) if effect.places == "joint" else ()
     return [pair for pair in pairs if pair.parameters < own]
+
+
+def _shared(
+    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
+) -> Sequence[Package]:
+    """Simple effects beside every shape of an effect of a joint."""
+    shapes = variants(effect, effects)
+    if effect.places != "joint" or len(shapes) < 2:
+        return ()
+    simple = {one for pair in pairs_at(effects, present, effect.where) for one in pair.effects}
+    return [
+        Package((shape, one), effect.where)
+        for shape in shapes
+        for one in effects
+        if one in simple and one.name != effect.name
+    ]
 
 
 def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:

@@ -31,6 +31,7 @@ __all__ = [
 ]
 
 
+_SEVERAL = 4.0
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
 
@@ -63,6 +64,10 @@ class Ranked:
     def score(self) -> float:
         """Gain less the penalty of the parameters."""
         return self.gain - PENALTY * self.parameters
+
+    def includes(self, other: Ranked) -> bool:
+        """Whether this is another one and something more, no alternative to it."""
+        return bool(other.effects) and set(self.effects) > set(other.effects)
 
 
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
@@ -131,8 +136,15 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
-    """Of those that cannot be told from the best, the simplest; of these the best."""
-    return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
+    """Of those that cannot be told from the best, the simplest; of these the best.
+
+    What leaves several times the squared error of another is not preferred for being simple: few
+    or coloured samples may hide how much worse it is.
+    """
+    tied = [r for r in ranked if r.tied]
+    most = _SEVERAL * min(r.hypothesis.loss().sum() for r in tied)
+    near = [r for r in tied if r.hypothesis.loss().sum() <= most]
+    return min(near, key=lambda r: (kind_complexity(r.names), -r.score))
 
 
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:

@@ -11,6 +11,7 @@ from scipy.interpolate import make_interp_spline
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion
 from geodrake.effort_slopes import EffortSlopes, effort_slopes
+from geodrake.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 
 _DEGREE = 5
 
@@ -34,6 +35,7 @@ class Deflection:
         """With rates (N,) of a lag (N,) that changes smoothly; zero where it is no series."""
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
+        lag = _smooth(lag, time)
         spline = make_interp_spline(time, lag, k=_DEGREE)
         return cls(lag, np.asarray(spline(time, 1)), np.asarray(spline(time, 2)))
 
@@ -50,6 +52,14 @@ class Deflection:
         change += slopes.velocity[:, :, joint] * self.rate[:, None]
         change += slopes.acceleration[:, :, joint] * self.acceleration[:, None]
         return np.asarray(-change)
+
+
+def _smooth(lag: Array, time: Array) -> Array:
+    """A lag (N,) without what only noise of the motion makes of it, which ṡ and s̈ would amplify."""
+    period = float(np.median(np.diff(time)))
+    if len(lag) < LEAST_SPECTRUM or not np.allclose(np.diff(time), period, rtol=0.01):
+        return lag
+    return design_filter(period, choose_bandwidth([(lag[:, None], period)])).smooth(lag)
 
 
 def slopes_of(motion: RobotMotion, effect: str) -> EffortSlopes:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import welch
-from scipy.stats import gamma
 
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.model import RobotModel
 from geodrake.motion import Motion, Segment, Trajectory
+from geodrake.white_noise import quiet_density
 
 Array = NDArray[np.float64]
 
-_LEAST_BINS = 12
 _SAMPLES = 100_000  # of a segment that are looked at
+_POSES = 200  # at which the inertia matrix is looked at
 
 
 def noise_floor(
@@ -26,7 +25,7 @@ def noise_floor(
     *,
     sign_width: ArrayLike = 0.0,
 ) -> Array:
-    """RMS of the efforts' sensor noise after filtering, if the noise is white.
+    """RMS of the sensors' noise in efforts after filtering, if the noise is white.
 
     Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
     add. The quietest band there, continued into the passband, is the floor: coloured noise below
@@ -48,13 +47,35 @@ def noise_floor(
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
-            density = _quiet_density(start.effort, rate, bandwidth)
+            density = quiet_density(start.effort, rate, bandwidth)
             if model is not None:
                 residual = _residual(start, model, sign_width, trajectory.began)
-                density = np.minimum(density, _quiet_density(residual, rate, bandwidth))
+                density = np.minimum(density, quiet_density(residual, rate, bandwidth))
+                carried = _carried(start, model, trajectory, sign_width)
+                power += len(segment) * carried
             power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)
     return np.sqrt(power / weight)
+
+
+def _carried(
+    segment: Segment, model: RobotModel, trajectory: Trajectory, sign_width: ArrayLike
+) -> Array:
+    """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
+    some = segment[:: max(1, len(segment) // _POSES)]
+    motion = Motion(
+        model.positions(some.position),
+        some.velocity,
+        some.acceleration,
+        some.time - trajectory.began,
+    )
+    power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
+    for j, deviation in enumerate(trajectory.acceleration_noise):
+        faster = motion.vd.copy()
+        faster[:, j] += deviation
+        more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
+        power += np.square(more).mean(0)
+    return power
 
 
 def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began: float) -> Array:
@@ -63,23 +84,3 @@ def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began:
     motion = Motion(q, segment.velocity, segment.acceleration, since)
     needed = model.effort(motion, sign_width=sign_width)
     return segment.effort - EffortDelay(model.delay).delayed(needed, segment.period)
-
-
-def _quiet_density(effort: Array, rate: float, bandwidth: float) -> Array:
-    """(n,) one-sided spectral density of the quietest band above the bandwidth, (N·m)²/Hz."""
-    length = min(len(effort), max(64, round(8 * rate / bandwidth)))
-    frequency, density = welch(effort, rate, "hann", length, axis=0)
-    lowest, highest = 1.6 * bandwidth, 0.45 * rate
-    averages = max(1.0, 0.9 * (2 * len(effort) / length - 1))
-    median = gamma.ppf(0.5, averages) / averages
-    bands = max(1, int(np.log2(highest / lowest) * 2))
-    edges = np.geomspace(lowest, highest, bands + 1)
-    levels = []
-    for low, high in pairwise(edges.tolist()):
-        inside = (frequency >= low) & (frequency < high)
-        if inside.sum() >= _LEAST_BINS:
-            levels.append(np.median(density[inside], axis=0) / median)
-    if not levels:
-        inside = frequency >= min(lowest, frequency[-1])
-        levels.append(np.median(density[inside], axis=0) / median)
-    return np.min(levels, axis=0)
