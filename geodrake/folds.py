@@ -7,7 +7,8 @@ twentieth of the data, so that the outermost samples of neighbouring folds may s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -127,24 +128,56 @@ def dealt_out(
         windows: Index of the log, start and end of each window, s since the log began.
         pieces: Pieces of a window.
     """
-    dealt: list[list[Block]] = [[] for _ in folds]
-    for number, fold in enumerate(folds):
+
+    def owners(number: int) -> list[int]:
         other = (number + len(folds) // 2) % len(folds)
+        return [(number, other)[k % 2] for k in range(pieces)]
+
+    dealt = _redealt(folds, trajectories, windows, owners)
+    return tuple(replace(fold, blocks=dealt[number]) for number, fold in enumerate(folds))
+
+
+def set_apart(
+    folds: Sequence[Fold],
+    trajectories: Sequence[Trajectory],
+    windows: Sequence[tuple[int, float, float]],
+) -> tuple[Fold, ...]:
+    """Folds less some windows, which become a fold of their own.
+
+    Args:
+        folds: The folds.
+        trajectories: The prepared logs.
+        windows: Index of the log, start and end of each window, s since the log began.
+    """
+    dealt = _redealt(folds, trajectories, windows, lambda number: [len(folds)])
+    all_folds = [*folds, Fold("set apart", ())]
+    parted = (replace(fold, blocks=dealt[number]) for number, fold in enumerate(all_folds))
+    return tuple(fold for fold in parted if len(fold))
+
+
+def _redealt(
+    folds: Sequence[Fold],
+    trajectories: Sequence[Trajectory],
+    windows: Sequence[tuple[int, float, float]],
+    owners: Callable[[int], Sequence[int]],
+) -> Mapping[int, tuple[Block, ...]]:
+    """Blocks of every fold by its number, once windows are cut into pieces for their owners."""
+    dealt: dict[int, list[Block]] = defaultdict(list)
+    for number, fold in enumerate(folds):
+        own = owners(number)
         for block in fold.blocks:
             cuts = {block.start: number}
             for start, stop in _outputs_within(block, trajectories[block.trajectory], windows):
-                edges = np.linspace(start, stop, pieces + 1).round().astype(int).tolist()
-                cuts |= {edge: (number, other)[k % 2] for k, edge in enumerate(edges[:-1])}
+                edges = np.linspace(start, stop, len(own) + 1).round().astype(int).tolist()
+                cuts |= dict(zip(edges[:-1], own, strict=True))
                 cuts[stop] = number
             edges = sorted(cuts)
             for start, stop in zip(edges, [*edges[1:], block.stop], strict=True):
                 if start < stop:
                     dealt[cuts[start]].append(replace(block, start=start, stop=stop))
     order = attrgetter("trajectory", "segment", "start")
-    return tuple(
-        replace(fold, blocks=tuple(sorted(blocks, key=order)))
-        for fold, blocks in zip(folds, dealt, strict=True)
-    )
+    blocks = {number: tuple(sorted(own, key=order)) for number, own in dealt.items()}
+    return defaultdict(tuple, blocks)
 
 
 def _outputs_within(

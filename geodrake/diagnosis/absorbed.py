@@ -25,7 +25,8 @@ Array = NDArray[np.float64]
 _INERTIAS = "wrong_inertia"
 _MOST_KINDS = 2
 _FEW = 3
-"""Parameters more that may stand for moved inertias beside what was found: fewer than a body's."""
+"""Parameters more that may stand for moved inertias beside what was found: fewer than a body's.
+More of one effect do where there are more bodies than that, all of which stay."""
 _ITERATIONS = 6
 _REST = 0.01
 """Share of what moved bodies explain that effects may leave to them."""
@@ -72,7 +73,7 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
         case, trail = _with_soft_joints(case, trail)
         end, start = trail.end, trail.start
     most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
-    other = _unmoved(trail, fixed, criteria, most)
+    other = _unmoved(_without_inner_payloads(case, trail), fixed, criteria, most)
     if other is not None:
         rivals = found.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in found))
         return _answer(case, [other], fixed, rivals)
@@ -91,6 +92,14 @@ def _with_soft_joints(case: Case, trail: Trail) -> tuple[Case, Trail]:
     soft = [JointElasticity(joint) for joint in case.model.single_joints]
     new = [effect for effect in soft if effect not in case.dataset.effects]
     return with_columns(case, trail, [*case.dataset.effects, *new]) if new else (case, trail)
+
+
+def _without_inner_payloads(case: Case, trail: Trail) -> Trail:
+    """The trail without columns for masses on bodies that carry others: those are moved bodies."""
+    effects = [e for e in case.dataset.effects if not _is_within(case, e)]
+    effects += [e for e in trail.end.unknowns.effects if e not in effects]
+    same = len(effects) == len(case.dataset.effects)
+    return trail if same else with_columns(case, trail, effects)[1]
 
 
 def _unmoved(
@@ -113,7 +122,8 @@ def _unmoved(
     other = search(held, fixed, criteria, max_steps=len(found) + 1)
     more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
     named = _added(other.end, fixed)
-    few = more <= _FEW or (named >= found and len(named) == len(found) + 1)
+    one = named >= found and len(named) == len(found) + 1
+    few = more <= _FEW or (one and (not found or len(end.dataset.bodies) > _FEW))
     if other.end.loss().sum() > most + rest or not few:
         return None
     enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)

@@ -24,7 +24,8 @@ SHORTEST = 0.2
 
 _TRIES = 120
 _LEVER = 0.2  # m, by which forces and moments are made alike
-_SINGULAR = 0.02
+_SINGULAR = 0.05  # over the residuals' RMS in noise, of the direction that is felt most
+_LEAST_SINGULAR, _LARGEST_SINGULAR = 2e-3, 0.02
 _FARTHEST = 2.0  # m, of the point from the body's origin
 _SHARPEST = 1e-3  # s
 _STEPS = np.array([0.05, 0.05, 0.5, 0.1, 0.1, 0.1])  # first: s, s, logarithm, m, m, m
@@ -115,7 +116,7 @@ def refined(window: Window, contact: Contact) -> Contact:
     felt = WrenchColumns.of(window, contact.body)
     dofs = list(window.bodies.motion(contact.body).dofs)
     b = window.residual[:, dofs][felt.rows]
-    unit = np.repeat([1.0, _LEVER], 3)
+    unit, cut = np.repeat([1.0, _LEVER], 3), _cut(b)
 
     def moved(step: Array) -> Contact | None:
         start, end, rise, x, y, z = step.tolist()
@@ -134,7 +135,7 @@ def refined(window: Window, contact: Contact) -> Contact:
             return 0.0
         A = felt.columns(other) * unit
         values, vectors = np.linalg.eigh(A.T @ A)
-        clear = values > max(_SINGULAR**2 * values[-1], np.finfo(float).tiny)
+        clear = values > max(cut**2 * values[-1], np.finfo(float).tiny)
         return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
     simplex = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
@@ -159,7 +160,16 @@ def with_point(window: Window, contact: Contact) -> Contact:
 def _wrench(A: Array, b: Array) -> Array:
     """(6,) least squares, without the directions that the joints hardly feel."""
     unit = np.repeat([1.0, _LEVER], 3)
-    return np.asarray(np.linalg.lstsq(A * unit, b, rcond=_SINGULAR)[0] * unit)
+    return np.asarray(np.linalg.lstsq(A * unit, b, rcond=_cut(b))[0] * unit)
+
+
+def _cut(b: Array) -> float:
+    """How much less than the clearest a direction of the wrench may be felt to be of use.
+
+    The more residuals (K,) stand out of the noise, the less a direction has to be felt.
+    """
+    clearness = float(np.sqrt(np.mean(np.square(b)))) if b.size else 0.0
+    return float(np.clip(_SINGULAR / max(clearness, 1.0), _LEAST_SINGULAR, _LARGEST_SINGULAR))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +213,7 @@ def evidence(window: Window, contact: Contact) -> Predicted:
     floor = np.maximum(1e-3 * before, np.finfo(float).tiny)
     gain = samples * np.log(np.maximum(before, floor) / np.maximum(after, floor))
     unit = np.repeat([1.0, _LEVER], 3)
-    felt = int(np.linalg.matrix_rank(A[known] * unit, rtol=_SINGULAR))
+    felt = int(np.linalg.matrix_rank(A[known] * unit, rtol=_cut(window.residual[known])))
     share = float(1.0 - after.sum() / max(before.sum(), 1e-300))
     count = np.maximum((known & inside[:, None]).sum(0), 1)
     return Predicted(before / count, after / count, share, float(gain.sum()), felt)

@@ -9,14 +9,14 @@ one half of the window, in alternate pieces, predicts the other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label, uniform_filter1d
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.contact_window import (
     SHORTEST,
     Predicted,
@@ -30,6 +30,7 @@ from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import Contact, log_number
+from geodrake.folds import set_apart
 from geodrake.motion import Segment
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must pr
 _AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
 _ALARM = 0.01
 _MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
+_MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
 
 
@@ -63,19 +65,38 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
         hypothesis: What is known so far.
     """
     scale = _scaled(case, hypothesis)
+    windows = _unknown_windows(case, hypothesis, scale)
+    found = _contacts(case, scale, windows)
+    if found or not windows:
+        return found
+    # What else the hypothesis fits may have followed the contact: it is not to see the windows.
+    wide = [(log, start - _MARGIN, end + _MARGIN) for log, start, end in windows]
+    apart = replace(case, folds=set_apart(case.folds, case.trajectories, wide))
+    dataset = reduced(apart, hypothesis.unknowns.effects)
+    blind = hypothesis.moved(dataset, delay=hypothesis.delay)
+    apart = replace(apart, dataset=dataset)
+    scale = _scaled(apart, blind)
+    return _contacts(apart, scale, _unknown_windows(apart, blind, scale))
+
+
+def _unknown_windows(
+    case: Case, hypothesis: Hypothesis, scale: _Scale
+) -> list[tuple[int, float, float]]:
+    """Windows of the residuals where the hypothesis has no contact; none if there are many."""
     windows = [w for log, grid in enumerate(scale.grids) for w in _windows(log, grid, scale.period)]
     known = [e for e in hypothesis.unknowns.effects if isinstance(e, Contact)]
     windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
-    if not windows or len(windows) > _MOST:
-        return ()
-    motion = full_motion(case)
-    found = []
-    for place in windows:
-        window = _cut_out(case, scale, motion, place)
-        contact = None if window is None else _contact(case, window, len(windows))
-        if contact is not None:
-            found.append(contact)
-    return tuple(found)
+    return windows if len(windows) <= _MOST else []
+
+
+def _contacts(
+    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]]
+) -> tuple[Contact, ...]:
+    """The contacts that explain windows."""
+    motion = full_motion(case) if windows else []
+    cut = [_cut_out(case, scale, motion, place) for place in windows]
+    contacts = [_contact(case, window, len(windows)) for window in cut if window is not None]
+    return tuple(contact for contact in contacts if contact is not None)
 
 
 def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Contact, Contact]:

@@ -22,6 +22,7 @@ from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
     PENALTY,
     acted_upon,
+    asked_of,
     gain_of,
     improvement,
     settled_trial,
@@ -51,9 +52,10 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
                 reduced = hypothesis.without([effect])
                 package = Package((effect,), effect.where)
                 trial = try_package(reduced, package, 1)
-                needed = trial.convinces(criteria)
+                asked = asked_of([effect.name], reduced, criteria)
+                needed = trial.convinces(asked)
                 if not needed:
-                    needed = settled_trial(reduced, hypothesis, package).convinces(criteria)
+                    needed = settled_trial(reduced, hypothesis, package).convinces(asked)
                 needed = needed and stands_out(hypothesis, effect)
                 if not needed and (weakest is None or trial.score < weakest[0]):
                     weakest = (trial.score, reduced)

@@ -15,7 +15,7 @@ from geodrake.diagnosis.evidence import (
     tie_probability,
 )
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis
-from geodrake.diagnosis.trials import PENALTY, Trial, gain_of, try_packages
+from geodrake.diagnosis.trials import PENALTY, Trial, asked_of, gain_of, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
@@ -72,6 +72,7 @@ class Ranked:
 
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
     """The best convincing package at every place of a kind; one place only if it cannot unite."""
+    criteria = asked_of(kind.names, hypothesis, criteria)
     packages = [package for options in kind.options.values() for package in options]
     tried_ones = iter(try_packages(hypothesis, packages, tried, least=criteria))
     found = []

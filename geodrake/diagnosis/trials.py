@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,11 @@ from geodrake.identification.unknowns import effect_prior
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+_COMMON = 0.5
+"""Share of the joints that have an effect from which on it is likely at the others."""
+
+_MORE_THAN_HALF = 0.51
 
 PENALTY = 6.0
 """Gain that a parameter must bring before a hypothesis with it is preferred."""
@@ -130,6 +135,19 @@ def _candidate(dataset: Dataset, package: Package) -> Candidate:
     parameters = [p for effect in package.effects for p in effect.parameters]
     lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
     return Candidate(columns_of(dataset, package), information, lower, upper)
+
+
+def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -> Criteria:
+    """The criteria for effects of some names: of what most joints have, most folds need not agree.
+
+    A robot with rotors at five joints has one at the sixth too, whose evidence may lie in a few
+    folds; what else is asked stays.
+    """
+    effects, joints = hypothesis.unknowns.effects, len(hypothesis.dataset.joints)
+    fewest = min(sum(e.name == name and e.places == "joint" for e in effects) for name in names)
+    if fewest < _COMMON * joints:
+        return criteria
+    return replace(criteria, agreement=min(criteria.agreement, _MORE_THAN_HALF))
 
 
 def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:
