@@ -19,6 +19,7 @@ from hidden.truths import BODY, JOINT, PAIR, ROBOT, Array, Hidden, Seen, Site, T
 
 _ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
 _COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
+_LATE = "effort_delay"
 _CLOSE = 0.03
 _ACTED_UPON = 0.5
 _TURNS = 6  # changes of the load's sign
@@ -87,15 +88,16 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
         known = _measured(draw, before, before.load + _rubbing(before, sizes), on_noise)
         seen = replace(seen, load=seen.load + _rubbing(seen, sizes))
     sites = _sites(kinds, seen.load, on_site)
-    total, secrets = seen.load.copy(), []
-    for kind, site, share in zip(kinds, sites, draw.shares, strict=True):
-        effort, secret = _hide(kind, site, share, seen, bodies)
-        total += effort
-        secrets.append(secret)
+    total, secrets = seen.load.copy(), dict[int, Secret]()
+    # A delay is in the measurement: it is that of all efforts.
+    for k in sorted(range(len(kinds)), key=lambda k: kinds[k].name == _LATE):
+        acting = replace(seen, load=total) if kinds[k].name == _LATE else seen
+        effort, secrets[k] = _hide(kinds[k], sites[k], draw.shares[k], acting, bodies)
+        total = total + effort
     log = _measured(draw, seen, total, on_noise)
     engine.set_bodies(file)
     bare = replace(log, effort=log.effort - total + engine.efforts(seen.q, seen.v, seen.a))
-    return Recording(log, tuple(secrets), bare, known)
+    return Recording(log, tuple(secrets[k] for k in range(len(kinds))), bare, known)
 
 
 def _seen(draw: Draw, engine: Engine, rng: np.random.Generator) -> Seen:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from geodrake.diagnosis.evidence import log_likelihood_gain
 from geodrake.diagnosis.hypothesis import Hypothesis
 
 
@@ -16,8 +15,9 @@ def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
 
     Returns:
         Delay on top of the model's, s, and its standard deviation, s, from a parabola through the
-        likelihoods of the delay and its neighbours; the delay itself and NaN where there is no
-        neighbour on one side, or no maximum between them.
+        squared errors of the delay and its neighbours, which are quadratic in small delays as
+        likelihoods are not; the delay itself and NaN where there is no neighbour on one side, or no
+        minimum between them.
     """
     delays = np.array(hypothesis.dataset.delays)
     order, chosen = np.argsort(delays), delays[hypothesis.delay]
@@ -26,15 +26,11 @@ def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
     if not 0 < at < len(order) - 1:
         return float(chosen), np.nan
     near = order[at - 1 : at + 2]
-    gains = [
-        log_likelihood_gain(
-            hypothesis.held_out.mse, hypothesis.delayed(int(d)).held_out.mse, hypothesis.effective
-        ).sum()
-        for d in near
-    ]
+    weight = hypothesis.effective / hypothesis.held_out.mse
+    errors = [hypothesis.delayed(int(d)).held_out.mse @ weight for d in near]
     offsets = delays[near] - chosen
-    curvature, slope, _ = np.polyfit(offsets, gains, 2)
-    if curvature >= 0.0:
+    curvature, slope, _ = np.polyfit(offsets, errors, 2)
+    if curvature <= 0.0:
         return float(chosen), np.nan
     step = np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1])
-    return float(chosen + step), float(1.0 / np.sqrt(-curvature))
+    return float(chosen + step), float(1.0 / np.sqrt(curvature))

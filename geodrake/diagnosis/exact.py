@@ -40,6 +40,8 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of the finer grids of a shape, as shares of the coarse one's."""
 _LEAST_GAIN = 1.0
 """Gain that a still finer grid must promise."""
+_DEVIATIONS = 3.0
+"""Standard deviations by which another delay than before is clearly another one."""
 
 
 def searched(
@@ -65,55 +67,116 @@ def searched(
         The case as it was reduced last, and the trail on its dataset.
     """
     case, trail = with_suggestions(case, Trail(start, start, {}), criteria, least_share=DOMINANT)
-    grid, origin, late, looked = case.dataset.effects, case.model.delay, False, False
-    step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
-    profiled, expanded, held = set(fixed), set(fixed), tuple(fixed)
-    episodes: tuple[Effect, ...] = ()
-
-    def pause(hypothesis: Hypothesis) -> bool:
-        if not looked and _rubs(hypothesis):
-            return True
-        new_delay = not late and hypothesis.delay != trail.start.delay
-        new_shape = bool(to_profile(hypothesis, grid, profiled))
-        return new_delay or new_shape or bool(to_expand(case.model, hypothesis, expanded))
-
-    look = partial(search, criteria=criteria, tune=tune, pause=pause, progress=progress)
+    state = _State(case, trail, tuple(fixed), criteria)
+    look = partial(search, criteria=criteria, tune=tune, pause=state.to_pause, progress=progress)
     for _ in range(_MOST_ROUNDS):
-        more = look(trail.end, held, rivals=trail.rivals)
-        trail = replace(more, start=trail.start)
-        if not looked and _rubs(trail.end):  # what friction hid may come before what is small
-            looked, had = True, case.dataset.effects
-            case, trail = with_suggestions(case, trail, criteria, known=grid, least_share=DOMINANT)
-            grid = (*grid, *(e for e in case.dataset.effects if e not in had))
-            continue
-        if not pause(trail.end):
-            case, trail, found = with_episodes(case, trail)
-            if not found and episodes:
-                case, trail, found = with_exact_episodes(case, trail)
-                episodes = ()
-            else:
-                episodes = (*episodes, *found)
-            if found:
-                held = (*fixed, *(e for e in trail.end.unknowns.effects if isinstance(e, Contact)))
-                continue
-            was = case
-            case, trail = with_suggestions(*with_fitted_loads(case, trail), criteria, known=grid)
-            if _is_last(case, was, trail.end):
-                break
-            grid = (*grid, *(e for e in case.dataset.effects if e not in was.dataset.effects))
-        if not late and trail.end.delay != trail.start.delay:
-            case, trail = with_exact_delay(case, trail, origin=origin, step=step)
-            late = True
-        if to_profile(trail.end, grid, profiled):
-            case, trail = with_exact_shapes(case, trail, grid, profiled)
-            profiled.update(trail.end.unknowns.effects)
-            trail = replace(trail, end=split_compromises(trail.end, fixed, criteria))
-        if to_expand(case.model, trail.end, expanded):
-            case, trail = with_exact_expansions(case, trail, expanded)
-            expanded.update(trail.end.unknowns.effects)
-    if late:
-        case, trail = with_exact_delay(case, trail, origin=origin, step=0.5 * step)
-    return case, trail
+        more = look(state.trail.end, state.held, rivals=state.trail.rivals)
+        state.trail = replace(more, start=state.trail.start)
+        if not state.goes_on():
+            break
+    if state.timed is not None:
+        state.retime(0.5)
+    return state.case, state.trail
+
+
+class _State:
+    """Where a search is, and what of it has been made exact.
+
+    Attributes:
+        case: The case as it was reduced last.
+        trail: The trail on its dataset.
+        held: Effects that stay.
+        timed: Effects with which the delay was found last; None if there is none.
+    """
+
+    def __init__(
+        self, case: Case, trail: Trail, fixed: tuple[Effect, ...], criteria: Criteria
+    ) -> None:
+        self.case, self.trail, self.held = case, trail, fixed
+        self.timed: tuple[Effect, ...] | None = None
+        self._fixed, self._criteria = fixed, criteria
+        self._grid, self._origin = case.dataset.effects, case.model.delay
+        self._step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
+        self._profiled, self._expanded = set(fixed), set(fixed)
+        self._episodes: tuple[Effect, ...] = ()
+        self._looked = False
+
+    def to_pause(self, hypothesis: Hypothesis) -> bool:
+        """Whether a hypothesis has something that is to be made exact before the search goes on."""
+        return (
+            (not self._looked and _rubs(hypothesis))
+            or self._is_delayed(hypothesis)
+            or bool(to_profile(hypothesis, self._grid, self._profiled))
+            or bool(to_expand(self.case.model, hypothesis, self._expanded))
+        )
+
+    def goes_on(self) -> bool:
+        """Make exact what was found, or find more to try; whether there is anything to search."""
+        end = self.trail.end
+        paused = self.to_pause(end)
+        if self._is_delayed(end):
+            self.retime(1.0 if self.timed is None else 0.5)
+        if not self._looked and _rubs(end):  # what friction hid may come before what is small
+            self._looked = True
+            self._suggest(least_share=DOMINANT)
+            return True
+        if not paused:
+            if self._find_episodes():
+                return True
+            was = self.case
+            self.case, self.trail = with_fitted_loads(self.case, self.trail)
+            self._suggest()
+            if _is_last(self.case, was, self.trail.end):
+                return False
+        self._refine()
+        return True
+
+    def retime(self, share: float) -> None:
+        """Advance the efforts by the delay, and try later ones with a share of the grid's step."""
+        self.case, self.trail = with_exact_delay(
+            self.case, self.trail, origin=self._origin, step=share * self._step
+        )
+        self.timed = self.trail.end.unknowns.effects
+
+    def _is_delayed(self, hypothesis: Hypothesis) -> bool:
+        """Whether there is a delay, or by what is known now clearly another one than before."""
+        if self.timed is None:
+            return hypothesis.delay != self.trail.start.delay
+        if hypothesis.unknowns.effects == self.timed:
+            return False
+        delay, deviation = fine_delay(hypothesis)
+        return abs(delay) > _DEVIATIONS * deviation  # without a minimum nothing is known
+
+    def _suggest(self, *, least_share: float = 0.0) -> None:
+        had = self.case.dataset.effects
+        self.case, self.trail = with_suggestions(
+            self.case, self.trail, self._criteria, known=self._grid, least_share=least_share
+        )
+        self._grid += tuple(e for e in self.case.dataset.effects if e not in had)
+
+    def _find_episodes(self) -> bool:
+        """Look for episodes, or anew at those that were found; whether there are any."""
+        self.case, self.trail, found = with_episodes(self.case, self.trail)
+        if not found and self._episodes:
+            self.case, self.trail, found = with_exact_episodes(self.case, self.trail)
+            self._episodes = ()
+        else:
+            self._episodes += found
+        if found:
+            contacts = [e for e in self.trail.end.unknowns.effects if isinstance(e, Contact)]
+            self.held = (*self._fixed, *contacts)
+        return bool(found)
+
+    def _refine(self) -> None:
+        """Shapes and places between those that were tried."""
+        if to_profile(self.trail.end, self._grid, self._profiled):
+            self.case, trail = with_exact_shapes(self.case, self.trail, self._grid, self._profiled)
+            self._profiled.update(trail.end.unknowns.effects)
+            end = split_compromises(trail.end, self._fixed, self._criteria)
+            self.trail = replace(trail, end=end)
+        if to_expand(self.case.model, self.trail.end, self._expanded):
+            self.case, self.trail = with_exact_expansions(self.case, self.trail, self._expanded)
+            self._expanded.update(self.trail.end.unknowns.effects)
 
 
 def _is_last(case: Case, before: Case, end: Hypothesis) -> bool:
