@@ -78,6 +78,18 @@ def test_compensator_beside_bodies_that_are_off(size, seed, named):
     assert step.error_after < step.error_before
 
 
+def test_compensator_in_place_of_a_wrong_link():
+    """Its sine is that of a first moment of the link, which stays where nothing else moves."""
+
+    def compensator(seen):
+        return {1: 2.0 * np.sin(seen.q[:, 1] - 0.7)}
+
+    log = effort_log("arm7", 6, compensator, duration=16.0, share=0.01, pace=0.3).log
+    (step,) = explain(model_file("arm7"), [log]).steps
+    assert (step.effect, step.where) == ("gravity_compensator", ("joint_2",))
+    assert "wrong_inertia" in step.indistinguishable_from
+
+
 def test_lighter_link_is_no_payload():
     log = effort_log("arm7", 3, with_last_link(lighter(0.7)), duration=16.0, share=0.02).log
     (step,) = explain(model_file("arm7"), [log]).steps

@@ -24,7 +24,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import log_number
 from geodrake.errors import ArgumentError
 from geodrake.filtering import design_filter
-from geodrake.folds import dealt_out, validation_blocks
+from geodrake.folds import dealt_out, set_apart, validation_blocks
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.saved_model import save_model
 from geodrake.systems import EffectForce
@@ -118,21 +118,42 @@ class TestColumns:
             np.testing.assert_allclose(force, expected, atol=1e-6)
 
 
+def owner(folds):
+    """Filtered sample -> number of the fold that it is in."""
+    return {
+        sample: k
+        for k, fold in enumerate(folds)
+        for block in fold.blocks
+        for sample in range(block.start, block.stop)
+    }
+
+
+def test_windows_become_a_fold_of_their_own():
+    trajectories, _ = prepare_for_model(ARM, [effort_log("arm6", 1).log])
+    folds = validation_blocks(trajectories)
+    low_pass = trajectories[0].filter
+    offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
+    for window in [(8.0, 9.5), (2.0, 12.0)]:  # within a block, and all of some
+        apart = set_apart(folds, trajectories, [(0, *window)])
+        before, after = owner(folds), owner(apart)
+        assert before.keys() == after.keys()
+        inside = {sample for sample, fold in after.items() if fold == len(apart) - 1}
+        time = {sample: offset + low_pass.output_period * sample for sample in before}
+        slack = low_pass.output_period
+        assert all(window[0] - slack < time[sample] < window[1] + slack for sample in inside)
+        outside = before.keys() - inside
+        assert not any(window[0] + slack < time[s] < window[1] - slack for s in outside)
+        names = [fold.name for fold in folds]
+        assert all(apart[after[s]].name == names[before[s]] for s in outside)
+        assert all(len(fold) for fold in apart)
+
+
 def test_windows_are_dealt_out_to_two_folds():
     trajectories, _ = prepare_for_model(ARM, [effort_log("arm6", 1).log])
     folds = validation_blocks(trajectories)
     dealt = dealt_out(folds, trajectories, [(0, 8.0, 9.5)], pieces=4)
     low_pass = trajectories[0].filter
     offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
-
-    def owner(some):
-        return {
-            sample: k
-            for k, fold in enumerate(some)
-            for block in fold.blocks
-            for sample in range(block.start, block.stop)
-        }
-
     before, after = owner(folds), owner(dealt)
     assert before.keys() == after.keys()
     time = {sample: offset + low_pass.output_period * sample for sample in before}
@@ -188,6 +209,14 @@ class TestDiagnosis:
         floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
         assert found.end.nrms < 1.15 * floor
         assert found.verdict == "explained"
+
+    def test_in_slow_motion(self):
+        """The bodies' fit follows a push that lasts for a tenth of a slow log."""
+        hidden = pushed(6, [0.0, 0.0, 0.05], np.array([10.0, -25.0, 20.0]), (14.0, 17.0))
+        recording = effort_log("arm6", 2, hidden, off=0.2, share=0.02, pace=0.08)
+        (step,) = explain(ARM, [recording.log]).steps
+        assert (step.effect, step.where) == ("contact", ("flange",))
+        assert step.error_after < 0.2 * step.error_before
 
     def test_named_by_one_diagnosis(self):
         hidden = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 0.0, -40.0]), (8.0, 9.5))

@@ -29,12 +29,12 @@ from geodrake.systems import EffectForce
 ARM = load_model(MODELS / "arm6.urdf")
 
 
-def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0):
+def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0, pace=0.6):
     """Time, motor positions, velocities and accelerations, and the effort (N, n) of the links."""
     rng, file = np.random.default_rng(seed), robot("arm6")
     plant = perturbed(file, rng, off)
     data, time = plant.createData(), np.arange(0.0, duration, 1.0 / rate)
-    motion = [x.copy() for x in random_motion(file, rng)(time)]
+    motion = [x.copy() for x in random_motion(file, rng, pace=pace)(time)]
     effort = np.array([pin.rnea(plant, data, *x) for x in zip(*motion, strict=True)])
     bend = make_interp_spline(time, effort[:, joint] / stiffness, k=5)
     for order, values in enumerate(motion):
@@ -42,9 +42,9 @@ def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0
     return time, *motion, effort
 
 
-def elastic_log(joint, stiffness, seed, *, share=0.01, friction=0.0):
+def elastic_log(joint, stiffness, seed, *, share=0.01, friction=0.0, pace=0.6):
     """A log of such a robot, with white noise and friction of all motors."""
-    time, q, v, _, effort = elastic_motion(joint, stiffness, seed, off=0.2)
+    time, q, v, _, effort = elastic_motion(joint, stiffness, seed, off=0.2, pace=pace)
     size = friction * np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])
     effort = effort + size * (np.tanh(v / 0.01) + 0.7 * v)
     rng, noise = np.random.default_rng(seed), share * effort.std(0)
@@ -110,6 +110,14 @@ class TestDiagnosis:
         noise = recording.noise * trajectories[0].filter.noise_gain
         floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
         assert found.end.nrms < 1.15 * floor
+
+    @pytest.mark.parametrize("joint", [1, 2])
+    def test_in_slow_motion(self, joint):
+        """The load's rates are then mostly noise of the accelerations."""
+        (step,) = explain(ARM, [elastic_log(joint, 2000.0, 2, pace=0.08).log]).steps
+        assert (step.effect, step.where) == ("joint_elasticity", (ARM.joints[joint],))
+        compliance = step.parameters[ARM.joints[joint]]["compliance"]
+        assert compliance == pytest.approx(1.0 / 2000.0, rel=0.1)
 
     def test_under_friction(self):
         found = explain(ARM, [elastic_log(1, 3000.0, 1, friction=1.0).log])

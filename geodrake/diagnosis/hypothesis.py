@@ -13,7 +13,7 @@ from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import Unknowns, effect_prior
-from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -65,6 +65,12 @@ class Hypothesis:
     def loss(self) -> Array:
         """(F,) held-out squared error per fold, each joint weighted alike."""
         return (self.held_out.sse / self.dataset.effort_std**2).sum(1)
+
+    @property
+    def is_physical(self) -> bool:
+        """Whether the fit to all folds is of bodies that can be."""
+        n = PARAMETERS_PER_BODY * len(self.dataset.bodies)
+        return bool(np.all(is_physical(self.cv.fit_all()[:n].reshape(-1, PARAMETERS_PER_BODY))))
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""

@@ -57,6 +57,8 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
                 if not needed:
                     needed = settled_trial(reduced, hypothesis, package).convinces(asked)
                 needed = needed and stands_out(hypothesis, effect)
+                # What bodies can only stand for if they could not be is needed.
+                needed = needed or (hypothesis.is_physical and not reduced.is_physical)
                 if not needed and (weakest is None or trial.score < weakest[0]):
                     weakest = (trial.score, reduced)
         if weakest is None:

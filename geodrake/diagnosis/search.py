@@ -32,6 +32,7 @@ __all__ = [
 
 
 _SEVERAL = 4.0
+_NEAR = 0.8  # of the best score: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
 
@@ -82,7 +83,10 @@ def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteri
         if good:
             found.append(best_trial(hypothesis, good))
     found.sort(key=lambda trial: -trial.score)
-    return found if kind.unite else found[:1]
+    if kind.unite or len(found) < 2:
+        return found
+    near = [trial for trial in found if trial.score >= _NEAR * found[0].score]
+    return [max(near, key=lambda trial: _settled_score(hypothesis, trial))]
 
 
 def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
@@ -95,12 +99,13 @@ def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
     by_reduction = max(trials, key=lambda trial: trial.reduction)
     if by_score is by_reduction:
         return by_score
+    return max((by_score, by_reduction), key=lambda trial: _settled_score(hypothesis, trial))
 
-    def settled_score(trial: Trial) -> float:
-        after = hypothesis.with_effects(trial.package.effects)
-        return gain_of(hypothesis, after) - PENALTY * trial.package.parameters
 
-    return max((by_score, by_reduction), key=settled_score)
+def _settled_score(hypothesis: Hypothesis, trial: Trial) -> float:
+    """The score of a trial that is fitted in full."""
+    after = hypothesis.with_effects(trial.package.effects)
+    return gain_of(hypothesis, after) - PENALTY * trial.package.parameters
 
 
 def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
