@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case, reduced
@@ -44,6 +44,7 @@ _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must pr
 _AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
 _ALARM = 0.01
 _MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
+_REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
 _RISE = 0.03  # s, at first
 
@@ -145,15 +146,22 @@ def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = (
 
 def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float, float]]:
     """Log, start and end of stretches in which several joints err beyond the usual."""
-    power = np.where(np.isnan(grid), 1.0, np.square(grid))
-    mean = uniform_filter1d(power, max(3, round(_AVERAGE / period)), axis=0, mode="nearest")
-    core = (mean > _HIGH).sum(1) >= _LEAST_JOINTS
-    wide, count = label((mean > _LOW).any(1))
-    kept = [np.flatnonzero(wide == k) for k in range(1, count + 1)]
-    kept = [rows for rows in kept if core[rows].any() and len(rows) * period >= SHORTEST]
+    known, width = np.isfinite(grid), max(3, round(_AVERAGE / period))
+    sums, counts = (
+        uniform_filter1d(values, width, axis=0, mode="nearest")
+        for values in (np.where(known, np.square(grid), 0.0), known.astype(float))
+    )
+    mean = np.where(known, sums / np.maximum(counts, 1.0 / width), 1.0)
+    # At rest nothing is known; a push goes on meanwhile.
+    rows = np.flatnonzero(known.any(1))
+    wide = np.any(mean[rows] > _LOW, axis=1)
+    core = np.sum(mean[rows] > _HIGH, axis=1) >= _LEAST_JOINTS
+    parts = np.cumsum(np.diff(wide, prepend=False) | (np.diff(rows, prepend=0) * period > _REST))
+    kept = [rows[parts == k] for k in np.unique(parts[wide & core]).tolist()]
+    kept = [part for part in kept if np.ptp(part) * period >= SHORTEST]
     if sum(map(len, kept)) <= _MOST_TIME * len(grid):
-        for rows in kept:
-            yield log, float(rows[0] * period), float(rows[-1] * period)
+        for part in kept:
+            yield log, float(part[0] * period), float(part[-1] * period)
 
 
 def _cut_out(

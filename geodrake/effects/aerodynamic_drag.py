@@ -44,6 +44,11 @@ class AerodynamicDrag(BodyEffect):
     expandable = True
     confused_with = ("nonlinear_viscous_friction", "viscous_friction", "effort_delay")
 
+    @classmethod
+    def candidates(cls, body: str) -> tuple[AerodynamicDrag, ...]:
+        """About the mass centre, and about the joint, too far away for slopes from there."""
+        return cls(body), cls(body, 0.0, 0.0, 0.0)
+
     @property
     def free_shapes(self) -> int:
         """None: the position is a matter of the parameters."""
