@@ -28,6 +28,7 @@ _FEW = 3
 """Parameters more that may stand for moved inertias beside what was found: fewer than a body's.
 More of one effect do where there are more bodies than that, all of which stay."""
 _ITERATIONS = 6
+_SEVERAL = 4.0
 _REST = 0.01
 """Share of what moved bodies explain that effects may leave to them."""
 _WIDTHS = (HELD, 10.0 * HELD, 100.0 * HELD)
@@ -114,10 +115,12 @@ def _unmoved(
         most: Held-out squared error that counts as explained.
     """
     end, start = trail.end, trail.start
-    rest = _REST * (_widened(end, HELD).loss().sum() - most)
-    if rest <= 0.0:
-        return None
     found = _added(end, start.unknowns.effects)
+    unmoved = float(_widened(end, HELD).loss().sum())
+    # Beside effects, bodies that move a little are only not quite those of the model.
+    if unmoved <= (_SEVERAL if found else 1.0) * most:
+        return None
+    rest = _REST * (unmoved - most)
     held = start.loosened(HELD / start.looseness)
     other = search(held, fixed, criteria, max_steps=len(found) + 1)
     more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
