@@ -163,6 +163,7 @@ def _redealt(
 ) -> Mapping[int, tuple[Block, ...]]:
     """Blocks of every fold by its number, once windows are cut into pieces for their owners."""
     dealt: dict[int, list[Block]] = defaultdict(list)
+    windows = _merged(windows)
     for number, fold in enumerate(folds):
         own = owners(number)
         for block in fold.blocks:
@@ -178,6 +179,17 @@ def _redealt(
     order = attrgetter("trajectory", "segment", "start")
     blocks = {number: tuple(sorted(own, key=order)) for number, own in dealt.items()}
     return defaultdict(tuple, blocks)
+
+
+def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
+    """Windows of which those that overlap are one."""
+    found: list[tuple[int, float, float]] = []
+    for log, start, end in sorted(windows):
+        if found and found[-1][0] == log and start <= found[-1][2]:
+            found[-1] = (log, found[-1][1], max(end, found[-1][2]))
+        else:
+            found.append((log, start, end))
+    return found
 
 
 def _outputs_within(

@@ -193,9 +193,11 @@ def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, deriv
         low_pass: What efforts are filtered by, which the accelerations act like.
         derived: Whether velocities are derived from the positions.
     """
+    parts = list(uniform.sample_parts())
+    derived = derived or any(part.velocity is None for part in parts)
     order = 2 if derived else 1
     rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
-    for part in uniform.sample_parts():
+    for part in parts:
         signal = part.position if derived or part.velocity is None else part.velocity
         # Differences are free of the motion's large slow part, which would leak into the noise.
         power += len(part) * quiet_density(signal, rate, low_pass.bandwidth, differences=order)

@@ -133,8 +133,10 @@ def test_windows_become_a_fold_of_their_own():
     folds = validation_blocks(trajectories)
     low_pass = trajectories[0].filter
     offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
-    for window in [(8.0, 9.5), (2.0, 12.0)]:  # within a block, and all of some
-        apart = set_apart(folds, trajectories, [(0, *window)])
+    # Within a block; all of some; in two that overlap.
+    for windows in [[(8.0, 9.5)], [(2.0, 12.0)], [(5.9, 8.3), (4.7, 6.3)]]:
+        apart = set_apart(folds, trajectories, [(0, *window) for window in windows])
+        window = (min(start for start, _ in windows), max(end for _, end in windows))
         before, after = owner(folds), owner(apart)
         assert before.keys() == after.keys()
         inside = {sample for sample, fold in after.items() if fold == len(apart) - 1}

@@ -9,7 +9,8 @@ from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
 from scipy.optimize import minimize_scalar
 
 from geodrake import load_model
-from geodrake.diagnosis.candidates import Package, kind_complexity, kinds
+from geodrake.diagnosis import search as search_module
+from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
 from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.evidence import Criteria, effective_samples, log_likelihood_gain
 from geodrake.diagnosis.exact import searched
@@ -18,18 +19,20 @@ from geodrake.diagnosis.forward import search, tuned
 from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
 from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
 from geodrake.diagnosis.refine import prune, simplify
-from geodrake.diagnosis.search import choose, convincing, rank
+from geodrake.diagnosis.search import Ranked, choose, convincing, rank
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
-from geodrake.diagnosis.trials import gain_of, try_package
+from geodrake.diagnosis.trials import Trial, asked_of, gain_of, try_package
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
+    CoupledRotorInertia,
     EffortOffset,
     JointEffect,
     JointSpring,
     NonlinearViscousFriction,
     Parameter,
     Payload,
+    RotorInertia,
     StribeckFriction,
     ViscousFriction,
     catalogue,
@@ -407,3 +410,64 @@ def test_companions_are_told_of_in_the_units_of_their_joint():
     notes = companion_notes(SimpleNamespace(effects=()), SimpleNamespace(model=robot))
     assert notes[0].endswith("of arm was fitted along, though not worth a step: 0.25 N·m·s/rad")
     assert notes[1].endswith("of rail was fitted along, though not worth a step: 0.25 N·s/m")
+
+
+def test_place_of_least_error_is_named_though_its_score_is_negative(with_friction, monkeypatch):
+    """Many parameters make scores negative that convince all the same."""
+    bodies = with_friction.dataset.bodies
+    trials = [
+        Trial(Package((Payload(body),), (body,)), gain, 0.3, 1.0, 1e-3)
+        for body, gain in zip(bodies, (50.0, 49.0), strict=False)
+    ]
+    kind = Kind(("payload",), {t.package.place: (t.package,) for t in trials}, unite=False)
+    monkeypatch.setattr(search_module, "try_packages", lambda *_, **__: trials)
+    (found,) = convincing(with_friction, kind, 20, CRITERIA)
+    assert found in trials
+
+
+def test_what_leaves_several_times_the_error_is_no_tie(with_friction):
+    """However simple it is, and however few samples the other gain is worth."""
+    whole = with_friction.with_effects([*COULOMB, VISCOUS[0]])
+    part = with_friction.with_effects([VISCOUS[1]])
+    assert part.loss().sum() > 4.0 * whole.loss().sum()
+    ranked = rank(with_friction, CRITERIA)
+    least = min(r.hypothesis.loss().sum() for r in ranked if r.tied)
+    assert all(r.hypothesis.loss().sum() <= 4.0 * least for r in ranked if r.tied)
+
+
+def test_more_of_the_same_is_no_rival(with_friction):
+    alone = Ranked(("a",), (), (COULOMB[0],), with_friction, 1.0, 1, 0.0)
+    both = replace(alone, effects=(COULOMB[0], VISCOUS[0]))
+    assert both.includes(alone)
+    assert not alone.includes(both)
+    assert not both.includes(both)
+    assert not both.includes(replace(alone, effects=()))
+
+
+def test_what_most_joints_have_needs_fewer_folds(with_friction):
+    joints = [f"joint_{k}" for k in range(6)]
+
+    def asked(effects):
+        dataset = SimpleNamespace(joints=joints)
+        unknowns = SimpleNamespace(effects=effects)
+        hypothesis = SimpleNamespace(dataset=dataset, unknowns=unknowns)
+        return asked_of(["coulomb_friction"], hypothesis, CRITERIA).agreement
+
+    assert asked([CoulombFriction(j) for j in joints[:3]]) == CRITERIA.agreement
+    assert asked([CoulombFriction(joints[0])] * 5) == CRITERIA.agreement
+    assert 0.5 < asked([CoulombFriction(j) for j in joints[:4]]) < CRITERIA.agreement
+
+
+def test_rotors_come_with_what_couples_them():
+    coupled = CoupledRotorInertia(JOINTS)
+    rotors = [RotorInertia(joint) for joint in JOINTS]
+
+    def offered(present):
+        (kind,) = [
+            k for k in kinds([*rotors, coupled], present) if k.names == ("coupled_rotor_inertia",)
+        ]
+        return {package.effects for package in kind.options[JOINTS]}
+
+    assert offered([]) == {(coupled,), (coupled, *rotors)}
+    assert offered(rotors[:1]) == {(coupled,), (coupled, rotors[1])}
+    assert offered(rotors) == {(coupled,)}

@@ -126,7 +126,10 @@ def _unmoved(
     more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
     named = _added(other.end, fixed)
     one = named >= found and len(named) == len(found) + 1
-    few = more <= _FEW or (one and (not found or len(end.dataset.bodies) > _FEW))
+    new = [e for e in other.end.unknowns.effects if e.name in named - found]
+    grown = more - sum(len(effect.parameters) for effect in new)
+    spare = one and grown <= _FEW and (not found or len(end.dataset.bodies) > _FEW)
+    few = more <= _FEW or spare
     if other.end.loss().sum() > most + rest or not few:
         return None
     enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)

@@ -109,11 +109,11 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
             singles = [Package((effect,), place) for effect in pair]
             options[DRY_AND_VISCOUS][place] = [Package(pair, place), *singles]
             joint_kinds.add(DRY_AND_VISCOUS)
-    for place, (alone,) in options.get(("coupled_rotor_inertia",), {}).items():
+    for place, alone in options.get(("coupled_rotor_inertia",), {}).items():
         rotors = [by_place[joint,].get("rotor_inertia") for joint in place]
-        whole = (*alone.effects, *(rotor for rotor in rotors if rotor is not None))
-        if len(whole) > 1:  # the rotor that couples two joints turns with each of them too
-            options["coupled_rotor_inertia",][place].append(Package(whole, place))
+        more = tuple(rotor for rotor in rotors if rotor is not None)
+        if more:  # the rotor that couples two joints turns with each of them too
+            alone += [Package((*each.effects, *more), place) for each in alone]
     return [
         Kind(names, {p: tuple(packages) for p, packages in places.items()}, names in joint_kinds)
         for names, places in options.items()
@@ -123,14 +123,23 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
 def pairs_at(
     effects: Sequence[Effect], present: Sequence[Effect], place: tuple[str, ...]
 ) -> tuple[Package, ...]:
-    """All pairs of simple effects of one parameter at a place: each may hide the other.
+    """All pairs of the simple effects at a place: each may hide the other; see `simple_at`."""
+    return tuple(
+        Package(pair, place) for pair in combinations(simple_at(effects, present, place), 2)
+    )
+
+
+def simple_at(
+    effects: Sequence[Effect], present: Sequence[Effect], place: tuple[str, ...]
+) -> list[Effect]:
+    """Simple effects of one parameter at a place.
 
     Args:
         effects: Every effect that has columns in the dataset.
         present: Effects of the hypothesis.
         place: A joint.
     """
-    simple = [
+    return [
         effect
         for effect in effects
         if effect.where == place
@@ -138,7 +147,6 @@ def pairs_at(
         and kind_complexity((effect.name,)) <= 1
         and Package((effect,), place).parameters == 1
     ]
-    return tuple(Package(pair, place) for pair in combinations(simple, 2))
 
 
 def is_refinement(effect: Effect) -> bool:

@@ -22,7 +22,9 @@ PIECES = 4
 SHORTEST = 0.2
 """Shortest contact that is looked for, s."""
 
-_TRIES = 120
+FEW, ENOUGH = 120, 240
+"""Steps of the search for a contact's times and point: for one of many bodies, and for the last."""
+
 _LEVER = 0.2  # m, by which forces and moments are made alike
 _SINGULAR = 0.05  # over the residuals' RMS in noise, of the direction that is felt most
 _LEAST_SINGULAR, _LARGEST_SINGULAR = 2e-3, 0.02
@@ -111,7 +113,7 @@ class WrenchColumns:
         return np.concatenate([force, parts[:, 4]], -1)[self.rows]
 
 
-def refined(window: Window, contact: Contact) -> Contact:
+def refined(window: Window, contact: Contact, *, tries: int = ENOUGH) -> Contact:
     """The contact with the times and the point at which it leaves least of the squared residual."""
     felt = WrenchColumns.of(window, contact.body)
     dofs = list(window.bodies.motion(contact.body).dofs)
@@ -139,7 +141,7 @@ def refined(window: Window, contact: Contact) -> Contact:
         return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
     simplex = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
-    options = {"initial_simplex": simplex, "maxiter": _TRIES, "xatol": 1e-3, "fatol": 1e-2}
+    options = {"initial_simplex": simplex, "maxiter": tries, "xatol": 1e-3, "fatol": 1e-2}
     start = np.zeros(len(_STEPS))
     found = minimize(lambda x: -explained(x), start, method="Nelder-Mead", options=options)
     return moved(found.x) or contact

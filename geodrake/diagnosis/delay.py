@@ -8,7 +8,7 @@ from geodrake.diagnosis.hypothesis import Hypothesis
 
 
 def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
-    """The delay near that of a hypothesis at which its held-out likelihood is greatest.
+    """The delay near that of a hypothesis at which its held-out squared error is least.
 
     Args:
         hypothesis: A hypothesis whose delay has neighbours on both sides of the grid.
@@ -26,7 +26,8 @@ def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
     if not 0 < at < len(order) - 1:
         return float(chosen), np.nan
     near = order[at - 1 : at + 2]
-    weight = hypothesis.effective / hypothesis.held_out.mse
+    mse = hypothesis.held_out.mse
+    weight = hypothesis.effective / np.maximum(mse, np.finfo(float).tiny)
     errors = [hypothesis.delayed(int(d)).held_out.mse @ weight for d in near]
     offsets = delays[near] - chosen
     curvature, slope, _ = np.polyfit(offsets, errors, 2)

@@ -67,6 +67,8 @@ def diagnose(
     if step is not None:
         first = _first(case, hypothesis, step)
         others = [r for r in step.ranked if set(r.names) != set(first.names)]
+        if set(step.chosen.names) <= set(first.names):
+            others = [r for r in others if r.hypothesis is not step.chosen.hypothesis]
         candidates = [_candidate(r, hypothesis.nrms) for r in (first, *others)]
     else:
         candidates = _episodes(case, trail) or _refitted(case, start, criteria)

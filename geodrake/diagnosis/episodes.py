@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.contact_window import (
+    FEW,
     SHORTEST,
     Predicted,
     Window,
@@ -55,7 +56,7 @@ class _Scale:
 
     size: Array
     grids: list[Array]
-    period: float
+    periods: list[float]
 
 
 def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
@@ -67,8 +68,8 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
     """
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
-    found = _contacts(case, scale, windows)
-    if found or not windows:
+    found, promising = _contacts(case, scale, windows)
+    if found or not promising:
         return found
     # What else the hypothesis fits may have followed the contact: it is not to see the windows.
     wide = [(log, start - _MARGIN, end + _MARGIN) for log, start, end in windows]
@@ -77,14 +78,15 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
     blind = hypothesis.moved(dataset, delay=hypothesis.delay)
     apart = replace(apart, dataset=dataset)
     scale = _scaled(apart, blind)
-    return _contacts(apart, scale, _unknown_windows(apart, blind, scale))
+    return _contacts(apart, scale, _unknown_windows(apart, blind, scale))[0]
 
 
 def _unknown_windows(
     case: Case, hypothesis: Hypothesis, scale: _Scale
 ) -> list[tuple[int, float, float]]:
     """Windows of the residuals where the hypothesis has no contact; none if there are many."""
-    windows = [w for log, grid in enumerate(scale.grids) for w in _windows(log, grid, scale.period)]
+    logs = enumerate(zip(scale.grids, scale.periods, strict=True))
+    windows = [w for log, (grid, period) in logs for w in _windows(log, grid, period)]
     known = [e for e in hypothesis.unknowns.effects if isinstance(e, Contact)]
     windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
     return windows if len(windows) <= _MOST else []
@@ -92,12 +94,13 @@ def _unknown_windows(
 
 def _contacts(
     case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]]
-) -> tuple[Contact, ...]:
-    """The contacts that explain windows."""
+) -> tuple[tuple[Contact, ...], bool]:
+    """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
     cut = [_cut_out(case, scale, motion, place) for place in windows]
-    contacts = [_contact(case, window, len(windows)) for window in cut if window is not None]
-    return tuple(contact for contact in contacts if contact is not None)
+    tried = [_contact(case, window, len(windows)) for window in cut if window is not None]
+    found = tuple(contact for contact, _ in tried if contact is not None)
+    return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
 def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Contact, Contact]:
@@ -128,12 +131,11 @@ def _overlap(case: Case, window: tuple[int, float, float], contact: Contact) -> 
 
 def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = ()) -> _Scale:
     joints = joint_residuals(case, hypothesis, without=without)
-    period = case.trajectories[0].filter.output_period
+    periods = [trajectory.filter.output_period for trajectory in case.trajectories]
     sizes = np.array([np.median(np.abs(j.residual)) / 0.6745 for j in joints])
     size = np.maximum(sizes, np.finfo(float).tiny)
     grids = []
-    for log in range(len(case.trajectories)):
-        period = case.trajectories[log].filter.output_period
+    for log, period in enumerate(periods):
         kept = [joint.part(joint.log == log) for joint in joints]
         places = [np.rint(joint.time / period).astype(int) for joint in kept]
         length = 1 + max((int(place.max()) for place in places if len(place)), default=0)
@@ -141,7 +143,7 @@ def _scaled(case: Case, hypothesis: Hypothesis, *, without: Sequence[Effect] = (
         for k, (joint, place) in enumerate(zip(kept, places, strict=True)):
             grid[place, k] = joint.residual / size[k]
         grids.append(grid)
-    return _Scale(size, grids, period)
+    return _Scale(size, grids, periods)
 
 
 def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float, float]]:
@@ -159,7 +161,7 @@ def _windows(log: int, grid: Array, period: float) -> Iterator[tuple[int, float,
     parts = np.cumsum(np.diff(wide, prepend=False) | (np.diff(rows, prepend=0) * period > _REST))
     kept = [rows[parts == k] for k in np.unique(parts[wide & core]).tolist()]
     kept = [part for part in kept if np.ptp(part) * period >= SHORTEST]
-    if sum(map(len, kept)) <= _MOST_TIME * len(grid):
+    if sum(map(len, kept)) <= _MOST_TIME * len(rows):
         for part in kept:
             yield log, float(part[0] * period), float(part[-1] * period)
 
@@ -208,16 +210,16 @@ def _cut_out(
     return None
 
 
-def _contact(case: Case, window: Window, tried: int) -> Contact | None:
-    """The contact that explains a window, if one does."""
+def _contact(case: Case, window: Window, tried: int) -> tuple[Contact | None, float]:
+    """The contact that explains a window, if one does, and the share that the best one does."""
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
     number = log_number(case.trajectories[window.log].name)
     guesses = [Contact(b, window.start, window.end, _RISE, number) for b in bodies]
-    shapes = [refined(window, with_point(window, guess)) for guess in guesses]
+    shapes = [refined(window, with_point(window, guess), tries=FEW) for guess in guesses]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:
-        return None
+        return None, best
     good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
     contact = next((shape for shape, found in good if _explains_all(found)), good[0][0])
     contact = refined(window, contact)
@@ -225,7 +227,7 @@ def _contact(case: Case, window: Window, tried: int) -> Contact | None:
     # Times, rise and point were looked for too, and the body.
     alarm = min(1.0, tried * len(bodies) * float(chi2.sf(found.gain, found.felt + 6)))
     convinces = found.share >= _LEAST_SHARE and alarm <= _ALARM and _explains_all(found)
-    return contact if convinces else None
+    return (contact if convinces else None), best
 
 
 def _explains_all(found: Predicted) -> bool:

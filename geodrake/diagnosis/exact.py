@@ -132,7 +132,7 @@ class _State:
         return True
 
     def retime(self, share: float) -> None:
-        """Advance the efforts by the delay, and try later ones with a share of the grid's step."""
+        """Advance the efforts by the delay; later ones are tried by this share of half a step."""
         self.case, self.trail = with_exact_delay(
             self.case, self.trail, origin=self._origin, step=share * self._step
         )
@@ -144,6 +144,8 @@ class _State:
             return hypothesis.delay != self.trail.start.delay
         if hypothesis.unknowns.effects == self.timed:
             return False
+        if hypothesis.delay != 0:
+            return True
         delay, deviation = fine_delay(hypothesis)
         return abs(delay) > _DEVIATIONS * deviation  # without a minimum nothing is known
 

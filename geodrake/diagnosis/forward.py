@@ -64,7 +64,7 @@ def search(
         step = next_step(hypothesis, fixed, criteria)
         if step is None:
             break
-        names = step.chosen.names
+        names = tuple(dict.fromkeys([*step.chosen.names, *(e.name for e in step.chosen.effects)]))
         others = [r for r in step.ranked if r.tied and not r.includes(step.chosen)]
         tied = {name for r in others for name in r.names}
         for name in names:
@@ -72,7 +72,7 @@ def search(
         rivals |= rivals_of_swapped(rivals, hypothesis, step.after, names)
         hypothesis = tuned(step.after) if tune else step.after
         if progress is not None:
-            progress(" and ".join(names), hypothesis.nrms)
+            progress(" and ".join(step.chosen.names), hypothesis.nrms)
         if pause is not None and pause(hypothesis):
             return Trail(start, hypothesis, rivals)
     settled = _settled(hypothesis, fixed, criteria, tune=tune)
@@ -132,7 +132,8 @@ def next_step(
     """
     ranked = rank(hypothesis, criteria)
     while ranked:
-        ranked[0] = replace(ranked[0], tied=True)
+        if not any(r.tied for r in ranked):
+            ranked[0] = replace(ranked[0], tied=True)
         chosen = choose(ranked)
         after = _refined(hypothesis, chosen, fixed, criteria)
         if after is not None:

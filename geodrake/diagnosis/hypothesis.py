@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.evidence import effective_samples
 from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.dataset import Dataset
+from geodrake.identification.dataset import Dataset, is_payload
 from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 
@@ -66,11 +66,19 @@ class Hypothesis:
         """(F,) held-out squared error per fold, each joint weighted alike."""
         return (self.held_out.sse / self.dataset.effort_std**2).sum(1)
 
-    @property
-    def is_physical(self) -> bool:
-        """Whether the fit to all folds is of bodies that can be."""
-        n = PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        return bool(np.all(is_physical(self.cv.fit_all()[:n].reshape(-1, PARAMETERS_PER_BODY))))
+    def physical(self, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
+        """(nb,) whether a body, with what it carries, can be as it is fitted to all folds.
+
+        Args:
+            tolerance: As in `geodrake.inertia.is_physical`; negative to ask for less.
+        """
+        x, bodies = self.cv.fit_all(), self.dataset.bodies
+        n = PARAMETERS_PER_BODY * len(bodies)
+        phi = x[:n].reshape(-1, PARAMETERS_PER_BODY).copy()
+        for effect in self.unknowns.effects:
+            if is_payload(effect):
+                phi[bodies.index(effect.where[0])] += x[self.unknowns.span(effect)]
+        return is_physical(phi, tolerance=tolerance)
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""

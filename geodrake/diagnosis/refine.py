@@ -10,10 +10,12 @@ from scipy.stats import chi2
 from geodrake.diagnosis.candidates import (
     DRY_AND_VISCOUS,
     Package,
+    has_base,
     is_refinement,
     kind_complexity,
     kinds,
     pairs_at,
+    simple_at,
 )
 from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
@@ -33,6 +35,7 @@ from geodrake.effects.base import Effect
 
 _BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
+_CLEARLY = 1e-3  # of a body's largest moment, which its smallest one falls below zero
 _THREE_DEVIATIONS = float(chi2.sf(9.0, 1))
 
 
@@ -56,14 +59,19 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
                 needed = trial.convinces(asked)
                 if not needed:
                     needed = settled_trial(reduced, hypothesis, package).convinces(asked)
+                needed = needed or _spares_bodies(hypothesis, reduced)
                 needed = needed and stands_out(hypothesis, effect)
-                # What bodies can only stand for if they could not be is needed.
-                needed = needed or (hypothesis.is_physical and not reduced.is_physical)
                 if not needed and (weakest is None or trial.score < weakest[0]):
                     weakest = (trial.score, reduced)
         if weakest is None:
             return hypothesis
         hypothesis = weakest[1]
+
+
+def _spares_bodies(hypothesis: Hypothesis, reduced: Hypothesis) -> bool:
+    """Whether some body can be as it is fitted, and clearly could not without an effect."""
+    impossible = ~reduced.physical(tolerance=-_CLEARLY)
+    return bool(np.any(hypothesis.physical() & impossible))
 
 
 def _clearly_needed(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
@@ -201,12 +209,13 @@ def _shared(
     shapes = variants(effect, effects)
     if effect.places != "joint" or len(shapes) < 2:
         return ()
-    simple = {one for pair in pairs_at(effects, present, effect.where) for one in pair.effects}
+    simple = [e for e in simple_at(effects, present, effect.where) if e.name != effect.name]
+    taken = {(other.name, other.where) for other in present}
     return [
         Package((shape, one), effect.where)
         for shape in shapes
-        for one in effects
-        if one in simple and one.name != effect.name
+        for one in simple
+        if has_base(shape, {*taken, (one.name, one.where)})
     ]
 
 

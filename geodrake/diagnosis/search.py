@@ -32,7 +32,7 @@ __all__ = [
 
 
 _SEVERAL = 4.0
-_NEAR = 0.8  # of the best score: places that are fitted in full before one of them is named
+_NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
 
@@ -85,7 +85,8 @@ def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteri
     found.sort(key=lambda trial: -trial.score)
     if kind.unite or len(found) < 2:
         return found
-    near = [trial for trial in found if trial.score >= _NEAR * found[0].score]
+    most = max(trial.gain for trial in found)
+    near = [trial for trial in found if trial.gain >= _NEAR * most]
     return [max(near, key=lambda trial: _settled_score(hypothesis, trial))]
 
 
@@ -138,19 +139,15 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
                 )
             )
     ranked.sort(key=lambda r: -r.score)
-    return [replace(r, tied=_ties(r, ranked[0], criteria)) for r in ranked]
+    tied = [r for r in ranked if _ties(r, ranked[0], criteria)]
+    # Few or coloured samples may hide that what is simple leaves several times the squared error.
+    most = _SEVERAL * min((r.hypothesis.loss().sum() for r in tied), default=np.inf)
+    return [replace(r, tied=r in tied and r.hypothesis.loss().sum() <= most) for r in ranked]
 
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
-    """Of those that cannot be told from the best, the simplest; of these the best.
-
-    What leaves several times the squared error of another is not preferred for being simple: few
-    or coloured samples may hide how much worse it is.
-    """
-    tied = [r for r in ranked if r.tied]
-    most = _SEVERAL * min(r.hypothesis.loss().sum() for r in tied)
-    near = [r for r in tied if r.hypothesis.loss().sum() <= most]
-    return min(near, key=lambda r: (kind_complexity(r.names), -r.score))
+    """Of those that cannot be told from the best, the simplest; of these the best."""
+    return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
 
 
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:

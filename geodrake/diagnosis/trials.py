@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 _COMMON = 0.5
-"""Share of the joints that have an effect from which on it is likely at the others."""
+"""Share of the joints that must have an effect, and more, before it is likely at the others."""
 
 _MORE_THAN_HALF = 0.51
 
@@ -144,8 +144,10 @@ def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -
     folds; what else is asked stays.
     """
     effects, joints = hypothesis.unknowns.effects, len(hypothesis.dataset.joints)
-    fewest = min(sum(e.name == name and e.places == "joint" for e in effects) for name in names)
-    if fewest < _COMMON * joints:
+    fewest = min(
+        len({e.where for e in effects if e.name == name and e.places == "joint"}) for name in names
+    )
+    if fewest <= max(_COMMON * joints, 1):
         return criteria
     return replace(criteria, agreement=min(criteria.agreement, _MORE_THAN_HALF))
 

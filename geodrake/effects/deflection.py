@@ -14,6 +14,7 @@ from geodrake.effort_slopes import EffortSlopes, effort_slopes
 from geodrake.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 
 _DEGREE = 5
+_LEAST_SECONDS = 8.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +56,14 @@ class Deflection:
 
 
 def _smooth(lag: Array, time: Array) -> Array:
-    """A lag (N,) without what only noise of the motion makes of it, which ṡ and s̈ would amplify."""
+    """A lag (N,) without what only noise of the motion makes of it, which ṡ and s̈ would amplify.
+
+    A short series, as a slice of a log sampled at kilohertz is, stays as it is: it does not say
+    what is noise, and would be wrong near its ends.
+    """
     period = float(np.median(np.diff(time)))
-    if len(lag) < LEAST_SPECTRUM or not np.allclose(np.diff(time), period, rtol=0.01):
+    short = len(lag) < LEAST_SPECTRUM or time[-1] - time[0] < _LEAST_SECONDS
+    if short or not np.allclose(np.diff(time), period, rtol=0.01):
         return lag
     return design_filter(period, choose_bandwidth([(lag[:, None], period)])).smooth(lag)
 

@@ -82,7 +82,7 @@ def reduce_logs(
     for f, fold in enumerate(folds):
         for block in fold.blocks:
             members[block.trajectory, block.segment].append((f, block))
-    for at, blocks in members.items():
+    for at, blocks in sorted(members.items()):
         for first, part in _slices(layout, trajectories, at, advance):
             chunk = part.rows(shared)
             for f, block in blocks:
