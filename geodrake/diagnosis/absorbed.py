@@ -29,6 +29,7 @@ _FEW = 3
 More of one effect do where there are more bodies than that, all of which stay."""
 _ITERATIONS = 6
 _SEVERAL = 4.0
+"""Times the squared error that bodies which stay must leave, before effects stand for their way."""
 _REST = 0.01
 """Share of what moved bodies explain that effects may leave to them."""
 _WIDTHS = (HELD, 10.0 * HELD, 100.0 * HELD)
@@ -123,17 +124,30 @@ def _unmoved(
     rest = _REST * (unmoved - most)
     held = start.loosened(HELD / start.looseness)
     other = search(held, fixed, criteria, max_steps=len(found) + 1)
-    more = len(other.end.unknowns.columns) - len(end.unknowns.columns)
-    named = _added(other.end, fixed)
-    one = named >= found and len(named) == len(found) + 1
-    new = [e for e in other.end.unknowns.effects if e.name in named - found]
-    grown = more - sum(len(effect.parameters) for effect in new)
-    spare = one and grown <= _FEW and (not found or len(end.dataset.bodies) > _FEW)
-    few = more <= _FEW or spare
-    if other.end.loss().sum() > most + rest or not few:
+    if other.end.loss().sum() > most + rest or not _is_little(other.end, end, found, fixed):
         return None
     enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)
     return other if enough else None
+
+
+def _is_little(
+    other: Hypothesis, end: Hypothesis, found: Collection[str], fixed: Sequence[Effect]
+) -> bool:
+    """Whether a hypothesis has little more than another, beside its inertias: see `_FEW`.
+
+    Args:
+        other: The hypothesis with the inertias held.
+        end: The one where they moved.
+        found: Names of what was added to that one.
+        fixed: Effects that stay.
+    """
+    more = len(other.unknowns.columns) - len(end.unknowns.columns)
+    if more <= _FEW:
+        return True
+    new = _added(other, fixed).difference(found)
+    own = sum(len(e.parameters) for e in other.unknowns.effects if e.name in new)
+    one_more = len(new) == 1 and _added(other, fixed).issuperset(found)
+    return one_more and more - own <= _FEW and (not found or len(end.dataset.bodies) > _FEW)
 
 
 def _added(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> set[str]:

@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 
-_SEVERAL = 4.0
+_SEVERAL = 4.0  # times the squared error of another: no tie
 _NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""

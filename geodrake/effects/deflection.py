@@ -14,7 +14,7 @@ from geodrake.effort_slopes import EffortSlopes, effort_slopes
 from geodrake.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 
 _DEGREE = 5
-_LEAST_SECONDS = 8.0
+_LEAST_SECONDS = 8.0  # of a lag that says what is noise in it
 
 
 @dataclass(frozen=True, eq=False)
