@@ -236,13 +236,19 @@ def test_dropped_unknowns_are_as_a_refit_without(dataset, model):
     np.testing.assert_allclose(np.delete(found.x, dropped, axis=1), expected.x, rtol=1e-6)
 
 
-def test_unknowns_at_bounds_are_not_dropped_in_passing(dataset, model):
+def test_unknowns_at_bounds_stay_there_when_others_are_dropped(dataset, model):
     full = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
     start = full.span(EFFECTS[0]).start
-    bounded = replace(full, lower=np.where(np.arange(len(full.lower)) == start, 1e3, -np.inf))
-    cv = CrossValidation(dataset, bounded, WEIGHTS)
-    assert cv.without_columns(np.array([start + 1])) is None
-    assert cv.without_columns(np.array([start])) is not None
+    bound = np.where(np.arange(len(full.lower)) == start, 1e3, -np.inf)
+    dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[1]).stop)
+    cv = CrossValidation(dataset, replace(full, lower=bound), WEIGHTS)
+    found = cv.without_columns(dropped)
+    fewer = full.without_effect(EFFECTS[1])
+    rest = replace(fewer, lower=np.delete(bound, dropped))
+    expected = CrossValidation(dataset, rest, WEIGHTS).held_out
+    np.testing.assert_array_equal(expected.x[:, start], 1e3)
+    np.testing.assert_allclose(found.x[:, start], 1e3, rtol=1e-9)
+    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
 
 
 def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):

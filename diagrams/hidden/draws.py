@@ -44,6 +44,7 @@ class Draw:
         shares: RMS of every hidden effect, as a share of the deviation of the effort; at its joint,
             or at the median of the joints that an effect of a body or of the robot acts upon.
         number: Of the draw within its case.
+        seed: Of the study.
         duration: Length of the log, s.
         rate: Samples a second.
     """
@@ -58,6 +59,7 @@ class Draw:
     prior: str
     shares: tuple[float, ...]
     number: int
+    seed: int
     duration: float = 24.0
     rate: float = 200.0
 
@@ -79,7 +81,8 @@ def draw(case: str, hidden: Sequence[str], number: int, seed: int, **fixed: obje
         "prior": EXACT if rng.random() < _EXACT_ODDS else OFF,
         "shares": tuple(shares.round(4).tolist()),
     }
-    return Draw(case, tuple(hidden), number=number, **{**chosen, **fixed})  # type: ignore[arg-type]
+    values = {**chosen, **fixed}
+    return Draw(case, tuple(hidden), number=number, seed=seed, **values)  # type: ignore[arg-type]
 
 
 def pair(number: int, seed: int) -> tuple[str, str]:

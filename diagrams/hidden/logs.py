@@ -22,6 +22,11 @@ _COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
 _LATE = "effort_delay"
 _CLOSE = 0.03
 _ACTED_UPON = 0.5
+_ONE_AT_A_JOINT: tuple[set[str], ...] = (
+    {"joint_spring", "effort_offset"},
+    {"asymmetric_friction", "effort_offset"},
+)
+"""A spring with an offset is one of another rest, a friction with one is asymmetric otherwise."""
 _TURNS = 6  # changes of the load's sign
 _RUBBING = 0.08
 
@@ -73,7 +78,7 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
         bodies: Names that geodrake has for the bodies, in the order of the joints.
     """
     key = f"{draw.case} {draw.hidden} {draw.robot}"
-    seeds = np.random.SeedSequence([crc32(key.encode()), draw.number]).spawn(4)
+    seeds = np.random.SeedSequence([draw.seed, crc32(key.encode()), draw.number]).spawn(4)
     on_robot, on_motion, on_site, on_noise = map(np.random.default_rng, seeds)
     engine = make_engine(draw.engine, robot_file(draw.robot))
     file = engine.bodies()
@@ -141,6 +146,8 @@ def _sites(kinds: list[Truth | Outside], load: Array, rng: np.random.Generator) 
         joint = int(rng.integers(n))
         if found and rng.random() < 0.5:
             joint = found[0].joint
+        if found and joint == found[0].joint and {kind.name for kind in kinds} in _ONE_AT_A_JOINT:
+            joint = (joint + 1) % n
         other = int(rng.choice([j for j in range(n) if j != joint]))
         if isinstance(kind, Truth) and kind.reverses:
             joint = int(turning[joint % len(turning)])

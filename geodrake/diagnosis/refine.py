@@ -78,8 +78,6 @@ def _clearly_needed(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) 
     """Whether an effect passes all criteria by far with the weights as they are, which is quick."""
     cv, span = hypothesis.cv, hypothesis.unknowns.span(effect)
     without = cv.without_columns(np.arange(span.start, span.stop))
-    if without is None:
-        return False
     package = Package((effect,), effect.where)
     reduction, agreement = improvement(
         (without, cv.held_out), acted_upon(hypothesis.dataset, package)

@@ -224,26 +224,24 @@ class CrossValidation:
             sse[:, j] = np.square(left[:, :, None] - effect).sum(1)
         return sse
 
-    def without_columns(self, places: Indices) -> HeldOut | None:
+    def without_columns(self, places: Indices) -> HeldOut:
         """Held-out errors without some of the unknowns, all else refitted with the same weights.
+
+        Parameters at a bound stay there, and others are not kept from passing theirs.
 
         Args:
             places: (k,) their places among the unknowns.
-
-        Returns:
-            The errors; None where another parameter is at a bound, which this leaves aside.
         """
-        others = np.ones(len(self.unknowns.columns), bool)
-        others[places] = False
         x = self.held_out.x
-        bounded = (x <= self.unknowns.lower) | (x >= self.unknowns.upper)
-        if bounded[:, others].any():
-            return None
+        held = (x <= self.unknowns.lower) | (x >= self.unknowns.upper)
+        held[:, places] = False
         y = np.empty_like(x)
-        unit = np.eye(len(others))[:, places]
         for f, fit in enumerate(self._fits):
-            C = fit.solve(unit)
-            y[f] = x[f] - C @ np.linalg.solve(C[places], x[f, places])
+            at = np.concatenate([places, np.flatnonzero(held[f])])
+            step = np.zeros(len(at))
+            step[: len(places)] = x[f, places]
+            moved = fit.solve(np.eye(x.shape[1])[:, at])
+            y[f] = x[f] - moved @ np.linalg.solve(moved[at], step)
         sse = np.empty_like(self.held_out.sse)
         for j, (factor, used, left) in enumerate(self._residuals):
             change = (factor @ (y - x)[:, used, None])[..., 0]
