@@ -6,7 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -255,23 +259,42 @@ class TestBodies:
 
     motion = random_motion()
 
-    def test_tilt_is_another_gravity(self):
-        """To second order of the angles."""
+    def held_by_tilted_base(self, turn):
+        """Change of the efforts (N, nv) that hold the robot when its base is turned by R."""
         plant, _, _ = hand_robot()
         context = plant.CreateDefaultContext()
-        angles = np.array([2e-4, -3e-4])
-        found = effects.GravityTilt().effort(self.motion, angles)
         level = plant.gravity_field().gravity_vector()
-        turned = RollPitchYaw(*angles, 0.0).ToRotationMatrix().inverse() @ level
-        for i, q in enumerate(self.motion.q):
+        changes = []
+        for q in self.motion.q:
             plant.SetPositions(context, q)
             held = []
-            for gravity in (level, turned):
+            for gravity in (level, turn.inverse() @ level):
                 plant.mutable_gravity_field().set_gravity_vector(gravity)
                 held.append(-plant.CalcGravityGeneralizedForces(context))
-            np.testing.assert_allclose(found[i], held[1] - held[0], atol=1e-5)
+            changes.append(held[1] - held[0])
         plant.mutable_gravity_field().set_gravity_vector(level)
+        return np.array(changes)
+
+    def test_tilt_is_another_gravity(self):
+        """To second order of the angles."""
+        angles = np.array([2e-4, -3e-4])
+        found = effects.GravityTilt().effort(self.motion, angles)
+        turn = RollPitchYaw(*angles, 0.0).ToRotationMatrix()
+        np.testing.assert_allclose(found, self.held_by_tilted_base(turn), atol=1e-5)
         assert np.abs(found).max() > 1e-3
+
+    @given(arrays(float, 2, elements=st.floats(-1.5, 1.5)))
+    @settings(max_examples=25, deadline=None)
+    def test_tilt_is_exact_where_it_is_expanded(self, angles):
+        angle = float(np.linalg.norm(angles))
+        effect = effects.GravityTilt().expanded_about(angles, self.motion.bodies)
+        if effect == effects.GravityTilt():
+            assert angle < 0.011
+            return
+        found = effect.effort(self.motion, angles)
+        turn = RotationMatrix(AngleAxis(angle, np.array([*angles, 0.0]) / angle))
+        np.testing.assert_allclose(found, self.held_by_tilted_base(turn), atol=1e-9)
+        assert effect.expanded_about(angles, self.motion.bodies) is effect
 
     @staticmethod
     def drag_at(point, q, v):

@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geodrake.effects.base import Array, Parameter, RobotMotion
+from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_effect import RobotEffect
 
-_AXES = np.eye(3)[:2]
+_LEAST_CHANGE = 1e-4  # of the weight
 
 
 @dataclass(frozen=True)
 class GravityTilt(RobotEffect):
-    """Base that is turned by two small angles against what the model says.
+    """Base that is turned by two angles against what the model says.
 
-    effort = ∂τ_g/∂g · (g × θ), for the base turned by θ = (θx, θy, 0) rad about the axes of the
-    model's world frame. The effort is linear in gravity, and gravity g in small angles: of an angle
-    θ it is wrong by θ²/2 of the weight. The bodies are those of the model; gravity is taken to be
-    along z, about which a turn changes nothing.
+    effort = ∂τ_g/∂g · (R(θ)ᵀ g − g), for the base turned by the rotation vector θ = (θx, θy, 0) rad
+    about the axes of the model's world frame. The effort is linear in gravity, and gravity
+
+        R(θ)ᵀ g − g = sin|θ|/|θ| g × θ + (1 − cos|θ|)/|θ|² (θ θᵀg − g θᵀθ)
+
+    linear in θ with `about` in the place of one θ of each product: exact where θ is `about`. About
+    zero it is wrong by |θ|²/2 of the weight. The bodies are those of the model; gravity is taken to
+    be along z, about which a turn changes nothing.
+
+    Attributes:
+        about_x: Angle about x at which the columns are exact, rad.
+        about_y: The same about y.
     """
+
+    about_x: float = 0.0
+    about_y: float = 0.0
 
     name = "gravity_tilt"
     parameters = (
@@ -30,11 +42,38 @@ class GravityTilt(RobotEffect):
     )
     signature = "follows the robot's posture at all joints, as if it stood on a slope"
     sees_bodies = True
+    expandable = True
     confused_with = ("wrong_inertia", "payload", "joint_spring", "effort_offset")
+
+    @property
+    def free_shapes(self) -> int:
+        """None: the angles are parameters."""
+        return 0
+
+    def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
+        """The tilt with columns that are exact at its parameters; itself if they are so already."""
+        del bodies
+        step = np.linalg.norm(parameters - self._about[:2])
+        if step * max(np.linalg.norm(parameters), step) < _LEAST_CHANGE:
+            return self
+        about_x, about_y = parameters.tolist()
+        return replace(self, about_x=about_x, about_y=about_y)
+
+    @property
+    def _about(self) -> Array:
+        return np.array([self.about_x, self.about_y, 0.0])
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """Effort of the change of gravity that each angle makes, at every joint."""
         bodies = motion.body_motions(self.name)
-        change = np.cross(bodies.gravity, _AXES).T
-        columns = bodies.gravity_efforts() @ change
+        columns = bodies.gravity_efforts() @ self._change(bodies.gravity)
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
+
+    def _change(self, gravity: Array) -> Array:
+        """(3, 2) change of gravity for each radian, m/s²."""
+        about, axes = self._about, np.eye(3)[:2]
+        angle = np.linalg.norm(about)
+        first = np.sinc(angle / np.pi)
+        second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+        products = axes * (about @ gravity) - np.outer(axes @ about, gravity)
+        return np.asarray(first * np.cross(gravity, axes) + second * products).T
