@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 from geodrake.effects.base import Effect
 
@@ -126,6 +126,26 @@ def pairs_at(
     """All pairs of the simple effects at a place: each may hide the other; see `simple_at`."""
     return tuple(
         Package(pair, place) for pair in combinations(simple_at(effects, present, place), 2)
+    )
+
+
+def hidden_pairs(
+    effects: Sequence[Effect], present: Sequence[Effect], joint: str
+) -> tuple[Package, ...]:
+    """All pairs of effects at a joint, of every shape, each of which may hide the other.
+
+    Args:
+        effects: Every effect that has columns in the dataset, the shapes of a grid included.
+        present: Effects of the hypothesis.
+        joint: The joint.
+    """
+    place = (joint,)
+    offered = [k for k in kinds(effects, present) if k.unite and len(k.names) == 1]
+    singles = [kind.options[place] for kind in offered if place in kind.options]
+    return tuple(
+        Package((*one.effects, *other.effects), place)
+        for ones, others in combinations(singles, 2)
+        for one, other in product(ones, others)
     )
 
 

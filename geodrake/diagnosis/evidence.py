@@ -17,6 +17,9 @@ from scipy.stats import chi2, t
 Array = NDArray[np.float64]
 
 _CLEARLY = 2.0
+SEVERAL = 4.0
+"""Times the squared error of another hypothesis at a joint that make it no tie: few or coloured
+samples may hide that what is simple leaves so much."""
 
 
 @dataclass(frozen=True)

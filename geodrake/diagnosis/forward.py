@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.refine import prune, reshape, simplify
-from geodrake.diagnosis.search import Ranked, choose, rank
+from geodrake.diagnosis.search import Ranked, choose, rank, rank_pairs
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
 
@@ -130,7 +130,7 @@ def next_step(
         fixed: Effects that stay.
         criteria: When an effect counts as found.
     """
-    ranked = rank(hypothesis, criteria)
+    ranked = rank(hypothesis, criteria) or rank_pairs(hypothesis, criteria)
     while ranked:
         if not any(r.tied for r in ranked):
             ranked[0] = replace(ranked[0], tied=True)

@@ -62,9 +62,14 @@ class Hypothesis:
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
 
-    def loss(self) -> Array:
-        """(F,) held-out squared error per fold, each joint weighted alike."""
-        return (self.held_out.sse / self.dataset.effort_std**2).sum(1)
+    def loss(self, joints: NDArray[np.bool_] | None = None) -> Array:
+        """(F,) held-out squared error per fold, each joint weighted alike.
+
+        Args:
+            joints: (nv,) joints that count; all by default.
+        """
+        weight = np.ones(len(self.dataset.joints)) if joints is None else joints
+        return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
 
     def physical(self, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
         """(nb,) whether a body, with what it carries, can be as it is fitted to all folds.

@@ -17,7 +17,12 @@ from geodrake.diagnosis.candidates import (
     pairs_at,
     simple_at,
 )
-from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain, tie_probability
+from geodrake.diagnosis.evidence import (
+    SEVERAL,
+    Criteria,
+    log_likelihood_gain,
+    tie_probability,
+)
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.search import best_trial
 from geodrake.diagnosis.shapes import variants
@@ -223,7 +228,7 @@ def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria:
     joints = acted_upon(refined.dataset, Package((effect,), effect.where))
     left = float(np.mean(refined.held_out.mse[joints] / simple.held_out.mse[joints]))
     # What goes with time alone is large in few folds, so that these differ: half of it is no tie.
-    few_folds = effect.sees_time and left <= 0.5
-    tied = not few_folds and tie_probability(refined.loss(), simple.loss()) > criteria.tie
+    clear = left <= (0.5 if effect.sees_time else 1.0 / SEVERAL)
+    tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
     gains = gain_of(simple, refined) > PENALTY * max(more, 1)
     return gains and left <= 1.0 - criteria.reduction and not tied

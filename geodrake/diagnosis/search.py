@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
+from geodrake.diagnosis.candidates import Kind, Package, hidden_pairs, kind_complexity, kinds
 from geodrake.diagnosis.evidence import (
+    SEVERAL,
     Criteria,
     false_alarm_probability,
     fold_agreement,
@@ -28,10 +29,12 @@ __all__ = [
     "convincing",
     "gain_of",
     "rank",
+    "rank_pairs",
 ]
 
 
-_SEVERAL = 4.0  # times the squared error of another: no tie
+_CLEARLY = 1.5  # times the noise floor, at a joint
+_MOST = 0.5  # of the squared error
 _NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
@@ -140,9 +143,39 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
             )
     ranked.sort(key=lambda r: -r.score)
     tied = [r for r in ranked if _ties(r, ranked[0], criteria)]
-    # Few or coloured samples may hide that what is simple leaves several times the squared error.
-    most = _SEVERAL * min((r.hypothesis.loss().sum() for r in tied), default=np.inf)
-    return [replace(r, tied=r in tied and r.hypothesis.loss().sum() <= most) for r in ranked]
+    if not tied:
+        return ranked
+    most = SEVERAL * np.min([r.hypothesis.held_out.mse for r in tied], axis=0)
+    return [replace(r, tied=r in tied and np.all(r.hypothesis.held_out.mse <= most)) for r in ranked]
+
+
+def rank_pairs(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+    """Pairs of effects at a joint that convince together though none does alone, best first.
+
+    What one effect leaves of the residual is coloured by the other, and worth few samples. Only
+    pairs that explain most of what noise does not are told.
+    """
+    dataset, errors = hypothesis.dataset, hypothesis.held_out.rms
+    criteria = replace(criteria, reduction=max(criteria.reduction, _MOST))
+    open_joints = [
+        joint
+        for joint, rms, floor in zip(dataset.joints, errors, dataset.noise_floor, strict=True)
+        if rms > _CLEARLY * floor
+    ]
+    effects, present = dataset.effects, hypothesis.unknowns.effects
+    pairs = {joint: hidden_pairs(effects, present, joint) for joint in open_joints}
+    tried, ranked = sum(map(len, pairs.values())), []
+    for joint, packages in pairs.items():
+        trials = try_packages(hypothesis, packages, tried, least=criteria)
+        good = [trial for trial in trials if trial.convinces(criteria)]
+        if good:
+            best = best_trial(hypothesis, good)
+            found = best.package.effects
+            after = hypothesis.with_effects(found)
+            names = tuple(effect.name for effect in found)
+            gain, parameters = gain_of(hypothesis, after), best.package.parameters
+            ranked.append(Ranked(names, (joint,), found, after, gain, parameters, best.alarm))
+    return sorted(ranked, key=lambda r: -r.score)
 
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
