@@ -113,7 +113,9 @@ def _judged(steps: Sequence[Step], secrets: Sequence[Secret], draw: Draw) -> dic
         (secret,) = secrets
         row["first"] = first is not None and first.effect in _names(secret) and named[0]
         if secret.where:
-            row["placed"] = first is not None and set(first.where) == set(secret.where)
+            # What comes with the truth, a coupled rotor's own rotors, may come first.
+            told = next((s for s in steps if s.effect == secret.name and row["first"]), first)
+            row["placed"] = told is not None and set(told.where) == set(secret.where)
         row["answer"] = None if first is None else first.effect
     return row
 

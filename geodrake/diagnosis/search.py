@@ -146,7 +146,9 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     if not tied:
         return ranked
     most = SEVERAL * np.min([r.hypothesis.held_out.mse for r in tied], axis=0)
-    return [replace(r, tied=r in tied and np.all(r.hypothesis.held_out.mse <= most)) for r in ranked]
+    return [
+        replace(r, tied=r in tied and np.all(r.hypothesis.held_out.mse <= most)) for r in ranked
+    ]
 
 
 def rank_pairs(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.trials import gain_of
+from geodrake.effects import Payload
 from geodrake.effects.base import Effect
 from geodrake.identification.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric, to_mass_com_inertia
@@ -77,16 +78,16 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     for i, group in enumerate(ordered):
         parameters, deviations = _values(case, group, trail, fit)
         count = _parameters(case, group)
-        gain = gain_of(hypotheses[i], hypotheses[i + 1])
+        gain, where = gain_of(hypotheses[i], hypotheses[i + 1]), _where(case, group, fit)
         steps.append(
             Step(
                 group.name,
-                _where(case, group, fit),
+                where,
                 tables[i].nrms,
                 tables[i + 1].nrms,
                 parameters,
                 deviations,
-                _rivals(trail, group.name),
+                _rivals(case, trail, group, where),
                 false_alarm_probability(gain, count, tried),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
@@ -140,7 +141,7 @@ def refit_step(
             now.nrms,
             values,
             {},
-            tuple(rivals),
+            tuple(sorted({*rivals, *_carried(case, tuple(moved))})),
             evidence[1],
             was.by_joint(),
             now.by_joint(),
@@ -187,9 +188,17 @@ def _groups(trail: Trail) -> list[_Group]:
     return groups
 
 
-def _rivals(trail: Trail, name: str) -> tuple[str, ...]:
+def _rivals(case: Case, trail: Trail, group: _Group, where: tuple[str, ...]) -> tuple[str, ...]:
     found = {effect.name for effect in trail.end.unknowns.effects}
-    return tuple(rival for rival in trail.rivals.get(name, ()) if rival not in found)
+    tied = set(trail.rivals.get(group.name, ()))
+    if group.looseness is not None:
+        tied.update(_carried(case, where))
+    return tuple(sorted(tied - found))
+
+
+def _carried(case: Case, bodies: Collection[str]) -> tuple[str, ...]:
+    """What a wrong body may be as well: one at the end of the robot that carries a payload."""
+    return (Payload.name,) if set(bodies).intersection(case.model.last_bodies) else ()
 
 
 def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:
