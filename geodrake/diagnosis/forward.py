@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.refine import prune, reshape, simplify
+from geodrake.diagnosis.refine import prune, reshape, simplify, swap
 from geodrake.diagnosis.search import Ranked, choose, rank, rank_pairs
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
@@ -160,7 +160,7 @@ def _settled(
     """The hypothesis once nothing is left to simplify, prune or tune."""
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = reshape(simplify(hypothesis, fixed, criteria), fixed)
+        hypothesis = reshape(swap(simplify(hypothesis, fixed, criteria), fixed), fixed)
         hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis
         if set(hypothesis.unknowns.effects) == set(before):
@@ -172,7 +172,7 @@ def _refined(
     hypothesis: Hypothesis, chosen: Ranked, fixed: Sequence[Effect], criteria: Criteria
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
-    simple = simplify(chosen.hypothesis, fixed, criteria)
+    simple = swap(simplify(chosen.hypothesis, fixed, criteria), fixed)
     for shaped in (reshape(simple, fixed), reshape(chosen.hypothesis, fixed)):
         after = prune(shaped, fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)

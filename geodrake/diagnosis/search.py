@@ -146,9 +146,8 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     if not tied:
         return ranked
     most = SEVERAL * np.min([r.hypothesis.held_out.mse for r in tied], axis=0)
-    return [
-        replace(r, tied=r in tied and np.all(r.hypothesis.held_out.mse <= most)) for r in ranked
-    ]
+    near = [r for r in tied if not np.any(r.hypothesis.held_out.mse > most)]
+    return [replace(r, tied=r in near) for r in ranked]
 
 
 def rank_pairs(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
