@@ -16,6 +16,7 @@ from scipy.stats import chi2, t
 
 Array = NDArray[np.float64]
 
+_HARDLY = 0.01  # of a fold's loss
 _CLEARLY = 2.0
 SEVERAL = 4.0
 """Times the squared error of another hypothesis at a joint that make it no tie: few or coloured
@@ -83,14 +84,21 @@ def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
 
 
 def fold_agreement(before: Array, after: Array) -> float:
-    """Share of the folds, those without samples left aside, whose loss falls.
+    """Share of the folds that tell whose loss falls.
+
+    A fold in which the loss hardly changes does not tell: play shows only where a load changes its
+    sign. Where fewer than half of the folds tell, the share is that of half of them.
 
     Args:
-        before: (F,) loss of every fold before.
+        before: (F,) loss of every fold before; folds without samples have none.
         after: (F,) loss afterwards.
     """
     seen = before > 0.0
-    return float(np.mean(after[seen] < before[seen])) if seen.any() else 0.0
+    if not seen.any():
+        return 0.0
+    change = (after - before)[seen] / before[seen]
+    telling = max(float(np.sum(np.abs(change) > _HARDLY)), 0.5 * len(change))
+    return float(np.sum(change < -_HARDLY)) / telling
 
 
 def tie_probability(loss_a: Array, loss_b: Array) -> float:

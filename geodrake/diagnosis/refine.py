@@ -155,7 +155,7 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
 
 
 def swap(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> Hypothesis:
-    """Swap effects of joints for others at their place that do clearly better by now.
+    """Swap effects of joints for others, no more complex, that do clearly better by now.
 
     What suited a residual best before another effect was known may have been the wrong one.
     """
@@ -163,17 +163,17 @@ def swap(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> Hypothesis:
         if effect in fixed or effect.places != "joint" or not _is_free(hypothesis, effect):
             continue
         others = [other for other in hypothesis.unknowns.effects if other != effect]
-        offered = kinds(hypothesis.dataset.effects, others)
         packages = [
             package
-            for kind in offered
-            if len(kind.names) == 1 and effect.where in kind.options
-            for package in kind.options[effect.where]
+            for kind in kinds(hypothesis.dataset.effects, others)
+            if len(kind.names) == 1 and kind.complexity <= kind_complexity((effect.name,))
+            for package in kind.options.get(effect.where, ())
+            if package.effects != (effect,)
         ]
         bare = hypothesis.stripped(effect)
-        trials = try_packages(bare, packages, len(packages))
-        own = next(trial for trial in trials if trial.package.effects == (effect,))
-        best = max(trials, key=lambda trial: trial.score)
+        as_it_is = Package((effect,), effect.where)
+        own, *trials = try_packages(bare, [as_it_is, *packages], 1 + len(packages))
+        best = max(trials, key=lambda trial: trial.score, default=own)
         if best.score > own.score + PENALTY:
             other = hypothesis.exchanged(effect, best.package.effects)
             more = best.package.parameters - own.package.parameters
@@ -186,8 +186,7 @@ def _is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
     """Whether no other effect at its place stands on an effect."""
     others = [other for other in hypothesis.unknowns.effects if other != effect]
     taken = {(other.name, other.where) for other in others}
-    here = [other for other in others if other.where == effect.where]
-    return effect in hypothesis.dataset.effects and all(has_base(other, taken) for other in here)
+    return all(has_base(other, taken) for other in others if other.where == effect.where)
 
 
 def split_compromises(
