@@ -60,6 +60,20 @@ def test_drag_beside_viscous_friction():
     assert steps["viscous_friction"].parameters[joint]["viscous"] == pytest.approx(3.0, rel=0.15)
 
 
+@pytest.mark.parametrize("pace", [0.5, 0.15])
+def test_spring_beside_viscous_friction(pace):
+    """While the friction is not known a compensator of another phase fits better than a spring."""
+
+    def hidden(seen):
+        q, v = seen.q[:, 1], seen.v[:, 1]
+        return {1: seen.load[:, 1].std() * (0.13 * (q - 0.8) / q.std() + 0.07 * v / v.std())}
+
+    steps = steps_of("arm6", effort_log("arm6", 1, hidden, share=0.02, pace=pace).log)
+    assert set(steps) == {"joint_spring", "viscous_friction"}
+    joint = model_file("arm6").joints[1]
+    assert all(step.where == (joint,) for step in steps.values())
+
+
 def test_delay_beside_friction():
     """A delay that is a little off looks like a rotor: it is timed anew once friction is known."""
 

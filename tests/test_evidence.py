@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from geodrake.diagnosis.evidence import (
     effective_samples,
     false_alarm_probability,
+    fold_agreement,
     log_likelihood_gain,
     tie_probability,
 )
@@ -158,3 +159,15 @@ def test_folds_of_different_size_do_not_hide_a_difference():
     large = np.array([1e-3, 2e-3, 1e-3, 5e-3, 3e-3, 2e-3, 4e-3, 1.0])
     assert tie_probability(0.01 * large * np.linspace(0.5, 2.0, 8), large) < 1e-4
     assert tie_probability(large[::-1], large) > 0.05
+
+
+def test_folds_that_hardly_change_do_not_tell():
+    before = np.full(8, 100.0)
+    falls, stays, rises = 50.0, 100.2, 130.0
+    assert fold_agreement(before, np.array([falls] * 5 + [stays] * 3)) == 1.0
+    assert fold_agreement(before, np.array([falls] * 5 + [rises] * 3)) == 0.625
+    assert fold_agreement(before, np.array([falls] * 5 + [rises] * 1 + [stays] * 2)) == 5 / 6
+    # One fold in which much is gone is no agreement.
+    assert fold_agreement(before, np.array([falls] + [stays] * 7)) == 0.25
+    assert fold_agreement(np.append(before, 0.0), np.array([falls] * 8 + [0.0])) == 1.0
+    assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0

@@ -166,6 +166,26 @@ class TestWhatItMustShow:
         assert sum(not row["extra"] for row in rows) >= len(EASY) - 1
         assert np.median([row["over_floor"] for row in rows]) < 1.1
 
+    @pytest.mark.parametrize(
+        ("case", "hidden", "number", "seed", "fixed"),
+        [
+            # The friction hides the spring, and the spring the friction: neither convinces alone.
+            ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
+            # An offset leaves several times the squared error, most of it in a few folds.
+            ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
+            # The load changes its sign in five of eight folds.
+            ("one", ("backlash",), 2, 9, {"robot": "panda"}),
+        ],
+    )
+    def test_what_single_criteria_hide(self, case, hidden, number, seed, fixed):
+        if fixed["robot"] not in robot_names():
+            pytest.skip(f"{fixed['robot']} is in the test extra")
+        row = scoring.score_draw(draws.draw(case, hidden, number, seed))
+        assert row["robot"] == fixed["robot"]
+        assert row["named"]
+        assert not row["extra"]
+        assert row["over_floor"] < 1.1
+
     @pytest.mark.parametrize("colour", [draws.WHITE, draws.COLOURED])
     def test_no_false_alarms(self, colour):
         for number in range(3):

@@ -261,9 +261,9 @@ def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria:
     """Whether a more complex effect convinces against a simpler one in its place."""
     more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
     joints = acted_upon(refined.dataset, Package((effect,), effect.where))
-    left = float(np.mean(refined.held_out.mse[joints] / simple.held_out.mse[joints]))
+    left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
     # What goes with time alone is large in few folds, so that these differ: half of it is no tie.
-    clear = left <= (0.5 if effect.sees_time else 1.0 / SEVERAL)
+    clear = left.min() <= (0.5 if effect.sees_time else 1.0 / SEVERAL)
     tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
     gains = gain_of(simple, refined) > PENALTY * max(more, 1)
-    return gains and left <= 1.0 - criteria.reduction and not tied
+    return bool(gains and left.mean() <= 1.0 - criteria.reduction and not tied)
