@@ -84,10 +84,9 @@ def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
 
 
 def fold_agreement(before: Array, after: Array) -> float:
-    """Share of the folds that tell whose loss falls.
+    """Share of the folds whose loss falls; one that hardly changes counts half, as in a sign test.
 
-    A fold in which the loss hardly changes does not tell: play shows only where a load changes its
-    sign. Where fewer than half of the folds tell, the share is that of half of them.
+    Play, for example, shows only in the folds where a load changes its sign.
 
     Args:
         before: (F,) loss of every fold before; folds without samples have none.
@@ -97,8 +96,7 @@ def fold_agreement(before: Array, after: Array) -> float:
     if not seen.any():
         return 0.0
     change = (after - before)[seen] / before[seen]
-    telling = max(float(np.sum(np.abs(change) > _HARDLY)), 0.5 * len(change))
-    return float(np.sum(change < -_HARDLY)) / telling
+    return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))
 
 
 def tie_probability(loss_a: Array, loss_b: Array) -> float:
