@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,8 +77,9 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
     most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
     other = _unmoved(_without_inner_payloads(case, trail), fixed, criteria, most)
     if other is not None:
-        rivals = found.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in found))
-        return _answer(case, [other], fixed, rivals)
+        gone = found - _added(other.end, fixed)
+        rivals = gone.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in gone))
+        return _answer(case, [other], fixed, rivals, found=trail.rivals)
     if found:
         return Absorbed(case)
     end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable
@@ -147,7 +148,7 @@ def _is_little(
     new = _added(other, fixed).difference(found)
     own = sum(len(e.parameters) for e in other.unknowns.effects if e.name in new)
     one_more = len(new) == 1 and _added(other, fixed).issuperset(found)
-    return one_more and more - own <= _FEW and (not found or len(end.dataset.bodies) > _FEW)
+    return one_more and more - own <= _FEW
 
 
 def _added(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> set[str]:
@@ -156,18 +157,32 @@ def _added(hypothesis: Hypothesis, fixed: Sequence[Effect]) -> set[str]:
 
 
 def _answer(
-    case: Case, trails: Sequence[Trail], fixed: Sequence[Effect], rivals: Collection[str]
+    case: Case,
+    trails: Sequence[Trail],
+    fixed: Sequence[Effect],
+    rivals: Collection[str],
+    found: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Absorbed:
-    """The best of some trails, unless it says rather that a body is wrong; all their names."""
+    """The best of some trails, unless it says rather that a body is wrong; all their names.
+
+    Args:
+        case: The case.
+        trails: Trails, best first.
+        fixed: Effects that stay.
+        rivals: What those effects cannot be told from that are new.
+        found: Rivals of those that are not.
+    """
     added = [[e for e in t.end.unknowns.effects if e not in fixed] for t in trails]
     names = tuple(sorted({effect.name for effects in added for effect in effects}))
     if not trails or any(_is_within(case, effect) for effect in added[0]):
         return Absorbed(case, (), names)
-    best, effects = trails[0], tuple(added[0])
-    also = {
-        e.name: tuple(sorted({*rivals, *names, *best.rivals.get(e.name, ())} - {e.name}))
+    best, effects, found = trails[0], tuple(added[0]), found or {}
+    new = {
+        e.name: {*rivals, *names, *best.rivals.get(e.name, ())}
         for e in effects
+        if e.name not in found
     }
+    also = {name: tuple(sorted(more - {name})) for name, more in new.items()} | dict(found)
     return Absorbed(case, (replace(best, rivals={**best.rivals, **also}, kept=effects),), names)
 
 

@@ -19,7 +19,14 @@ from geodrake.diagnosis.residuals import (
     full_motion,
     joint_residuals,
 )
-from geodrake.effects import FrictionDrift, Hysteresis, JointElasticity, TorqueRipple
+from geodrake.effects import (
+    FrictionDrift,
+    GravityCompensator,
+    Hysteresis,
+    JointElasticity,
+    JointSpring,
+    TorqueRipple,
+)
 from geodrake.effects.base import Effect
 from geodrake.motion import Segment
 
@@ -35,6 +42,10 @@ _BREAKAWAY_ANGLES = (0.003, 0.01, 0.03, 0.1, 0.3)  # as shares of the range of m
 _FEW = 5.0  # waves in the range of motion
 _FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in units of those told apart
 _MANY_WAVES = (-0.15, 0.0, 0.15)
+_SMOOTH = (JointSpring.name, GravityCompensator.name)
+_WAVES_BESIDE = 2.5
+"""Waves that the range of motion must hold beside a spring: with fewer, the two together stand for
+any smooth function of the position."""
 _WHOLE = 0.25  # distance from a whole order within which that is tried, in the same units
 
 
@@ -98,12 +109,12 @@ def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
     yield from loose_joints(case, joints, motion)
     for joint in joints:
         if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
-            yield from _ripples(case, joint)
+            yield from _ripples(case, joint, hypothesis.unknowns.effects)
             yield from _drifts(joint)
             yield from _bristles(case, joint, motion)
 
 
-def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
+def _ripples(case: Case, joint: JointResidual, known: Collection[Effect]) -> Iterator[Proposal]:
     low_pass = case.trajectories[0].filter
     peak = highest_peak(
         (joint.q, joint.v),
@@ -112,7 +123,8 @@ def _ripples(case: Case, joint: JointResidual) -> Iterator[Proposal]:
         gain=low_pass.response,
         bandwidth=low_pass.bandwidth,
     )
-    if peak is not None:
+    beside = any(e.where == (joint.joint,) and e.name in _SMOOTH for e in known)
+    if peak is not None and (not beside or peak.order > _WAVES_BESIDE * peak.resolution):
         step, whole = peak.resolution, round(peak.order)
         order = float(whole) if abs(peak.order - whole) < _WHOLE * step else peak.order
         # What gravity and springs take away of the slowest waves pushes their peak aside.

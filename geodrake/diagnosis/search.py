@@ -18,6 +18,7 @@ from geodrake.diagnosis.evidence import (
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.trials import PENALTY, Trial, asked_of, gain_of, try_packages
 from geodrake.effects.base import Effect
+from geodrake.identification.cross_validation import normal_matrices
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
@@ -35,6 +36,7 @@ __all__ = [
 
 _CLEARLY = 1.5  # times the noise floor, at a joint
 _MOST = 0.5  # of the squared error
+_CANCELLED = 9.0  # times the power of two effects together, in one of them
 _NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
@@ -154,7 +156,8 @@ def rank_pairs(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     """Pairs of effects at a joint that convince together though none does alone, best first.
 
     What one effect leaves of the residual is coloured by the other, and worth few samples. Only
-    pairs that explain most of what noise does not are told.
+    pairs that explain most of what noise does not are told, and none that cancel each other: two
+    smooth functions of the position stand for any other one so.
     """
     dataset, errors = hypothesis.dataset, hypothesis.held_out.rms
     criteria = replace(criteria, reduction=max(criteria.reduction, _MOST))
@@ -173,10 +176,27 @@ def rank_pairs(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
             best = best_trial(hypothesis, good)
             found = best.package.effects
             after = hypothesis.with_effects(found)
-            names = tuple(effect.name for effect in found)
-            gain, parameters = gain_of(hypothesis, after), best.package.parameters
-            ranked.append(Ranked(names, (joint,), found, after, gain, parameters, best.alarm))
+            if not _cancel(after, found):
+                names = tuple(effect.name for effect in found)
+                gain, parameters = gain_of(hypothesis, after), best.package.parameters
+                ranked.append(Ranked(names, (joint,), found, after, gain, parameters, best.alarm))
     return sorted(ranked, key=lambda r: -r.score)
+
+
+def _cancel(hypothesis: Hypothesis, effects: Sequence[Effect]) -> bool:
+    """Whether effects of a joint are much larger each than all of them together."""
+    x, unknowns = hypothesis.cv.fit_all(), hypothesis.unknowns
+    at = np.concatenate([np.arange(len(x))[unknowns.span(effect)] for effect in effects])
+    columns = unknowns.columns[at]
+    gram, _ = normal_matrices(
+        hypothesis.dataset, np.ones(len(hypothesis.dataset.joints)), columns, columns
+    )
+    ends = np.cumsum([len(effect.parameters) for effect in effects])[:-1]
+    own = np.zeros((len(effects), len(at)))
+    for row, part in zip(own, np.split(np.arange(len(at)), ends), strict=True):
+        row[part] = x[at[part]]
+    power = np.einsum("ki,ij,kj->k", own, gram.sum(0), own)
+    return bool(power.max() > _CANCELLED * (x[at] @ gram.sum(0) @ x[at]))
 
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
