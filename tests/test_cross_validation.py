@@ -251,6 +251,24 @@ def test_unknowns_at_bounds_stay_there_when_others_are_dropped(dataset, model):
     np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
 
 
+def test_unknowns_that_would_leave_their_bounds_are_not_dropped_in_passing(dataset, model):
+    """Bounds between what viscous friction is beside dry friction and what it is without."""
+    dry, viscous = EFFECTS[0], EFFECTS[2]
+    full = with_effects(dataset, model_unknowns(dataset, model), dry, viscous)
+    full = replace(full, lower=np.full_like(full.lower, -np.inf))
+    start, dropped = full.span(viscous).start, full.span(dry)
+    rest = full.without_effect(dry)
+    then = CrossValidation(dataset, rest, WEIGHTS).held_out.x[:, rest.span(viscous).start]
+    now = CrossValidation(dataset, full, WEIGHTS).held_out.x[:, start]
+    assert now.max() < then.min()
+    for bound, leaves in ((0.5 * (now.max() + then.min()), True), (then.max() + 1.0, False)):
+        lower = full.lower.copy()
+        lower[start] = bound
+        cv = CrossValidation(dataset, replace(full, lower=lower), WEIGHTS)
+        found = cv.without_columns(np.arange(dropped.start, dropped.stop))
+        assert (found is None) == leaves
+
+
 def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):
     """Friction that is taken already: what is left of its sign is negative in some fold or none."""
     base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])

@@ -167,6 +167,7 @@ def test_folds_that_hardly_change_count_half():
     assert fold_agreement(before, np.array([falls] * 5 + [stays] * 3)) == 6.5 / 8
     assert fold_agreement(before, np.array([falls] * 5 + [rises] * 3)) == 5 / 8
     # One fold in which much is gone is no agreement.
-    assert fold_agreement(before, np.array([falls] + [stays] * 7)) == 4.5 / 8
+    assert fold_agreement(before, np.array([falls] + [stays] * 7)) == 1 / 8
+    assert fold_agreement(before[:2], np.array([falls, stays])) == 0.5
     assert fold_agreement(np.append(before, 0.0), np.array([falls] * 8 + [0.0])) == 1.0
     assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0

@@ -130,6 +130,7 @@ class TestGravityTilt:
         recording = effort_log(name, seed, tilted(0.03, -0.05), off=off)
         steps, _ = assert_found(model_file(name), recording, {"gravity_tilt": ()})
         values = steps["gravity_tilt"]["base"]
+        assert set(values) == {"tilt_x", "tilt_y"}
         assert values["tilt_x"] == pytest.approx(0.03, abs=2e-3)
         assert values["tilt_y"] == pytest.approx(-0.05, abs=2e-3)
 

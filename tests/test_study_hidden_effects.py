@@ -171,6 +171,8 @@ class TestWhatItMustShow:
         [
             # The friction hides the spring, and the spring the friction: neither convinces alone.
             ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
+            # Before the pair is known, bounded friction and bristles fit better than either.
+            ("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
             # An offset leaves several times the squared error, most of it in a few folds.
             ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
             # The load changes its sign in five of eight folds.

@@ -26,7 +26,7 @@ _INERTIAS = "wrong_inertia"
 _MOST_KINDS = 2
 _FEW = 3
 """Parameters more that may stand for moved inertias beside what was found: fewer than a body's.
-More of one effect do where there are more bodies than that, all of which stay."""
+More of one effect do: all bodies stay."""
 _ITERATIONS = 6
 _SEVERAL = 4.0
 """Times the squared error that bodies which stay must leave, before effects stand for their way."""
@@ -79,7 +79,8 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
     if other is not None:
         gone = found - _added(other.end, fixed)
         rivals = gone.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in gone))
-        return _answer(case, [other], fixed, rivals, found=trail.rivals)
+        stays = {name: trail.rivals.get(name, ()) for name in found - gone}
+        return _answer(case, [other], fixed, rivals, found=stays)
     if found:
         return Absorbed(case)
     end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable

@@ -84,9 +84,10 @@ def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
 
 
 def fold_agreement(before: Array, after: Array) -> float:
-    """Share of the folds whose loss falls; one that hardly changes counts half, as in a sign test.
+    """Share of the folds whose loss falls.
 
-    Play, for example, shows only in the folds where a load changes its sign.
+    Where it falls clearly in more than half of them, one in which it hardly changes counts half, as
+    in a sign test: play, for example, shows only in the folds where a load changes its sign.
 
     Args:
         before: (F,) loss of every fold before; folds without samples have none.
@@ -96,6 +97,8 @@ def fold_agreement(before: Array, after: Array) -> float:
     if not seen.any():
         return 0.0
     change = (after - before)[seen] / before[seen]
+    if np.mean(change < -_HARDLY) <= 0.5:
+        return float(np.mean(change < 0.0))
     return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))
 
 

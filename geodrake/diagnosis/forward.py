@@ -8,12 +8,14 @@ from dataclasses import dataclass, replace
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.refine import prune, reshape, simplify, swap
-from geodrake.diagnosis.search import Ranked, choose, rank, rank_pairs
+from geodrake.diagnosis.search import Ranked, choose, open_joints, rank, rank_pairs
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
 
 TIGHTER_PRIORS = (0.1, 1.0 / 3.0, 1.0)
 """Widths of the inertial prior, as shares of that assumed, from which the data may choose."""
+
+_FAR = 3.0  # times the noise floor, at a joint
 
 Progress = Callable[[str, float], None]
 """Called with what is going on, in words, and the held-out nrms so far."""
@@ -130,15 +132,37 @@ def next_step(
         fixed: Effects that stay.
         criteria: When an effect counts as found.
     """
-    ranked = rank(hypothesis, criteria) or rank_pairs(hypothesis, criteria)
-    while ranked:
-        if not any(r.tied for r in ranked):
-            ranked[0] = replace(ranked[0], tied=True)
-        chosen = choose(ranked)
-        after = _refined(hypothesis, chosen, fixed, criteria)
-        if after is not None:
-            return Forward(tuple(ranked), chosen, after)
-        ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
+    for ranking in (rank, rank_pairs):
+        ranked = ranking(hypothesis, criteria)
+        while ranked:
+            if not any(r.tied for r in ranked):
+                ranked[0] = replace(ranked[0], tied=True)
+            chosen = choose(ranked)
+            after = _refined(hypothesis, chosen, fixed, criteria)
+            if after is not None:
+                return Forward(tuple(ranked), chosen, after)
+            ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
+    return _anew(hypothesis, fixed, criteria)
+
+
+def _anew(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Forward | None:
+    """A pair of effects in the place of all that was found at a joint, where that is too little.
+
+    Effects that came first may be compromises, which no effect more can mend.
+    """
+    for joint in open_joints(hypothesis, _FAR):
+        present = hypothesis.unknowns.effects
+        gone = [e for e in present if e.where == (joint,) and e.places == "joint"]
+        gone = [e for e in gone if e not in fixed]
+        if gone:
+            bare = hypothesis.without(gone)
+            ranked = rank_pairs(bare, criteria, joints=[joint])
+            chosen = choose(ranked) if ranked else None
+            after = _refined(bare, chosen, fixed, criteria) if chosen else None
+            if chosen and after:
+                more = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
+                if gain_of(hypothesis, after) > PENALTY * max(more, 1):
+                    return Forward(tuple(ranked), chosen, after)
     return None
 
 
@@ -160,7 +184,8 @@ def _settled(
     """The hypothesis once nothing is left to simplify, prune or tune."""
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = reshape(swap(simplify(hypothesis, fixed, criteria), fixed), fixed)
+        hypothesis = swap(simplify(hypothesis, fixed, criteria), fixed, criteria)
+        hypothesis = reshape(hypothesis, fixed)
         hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis
         if set(hypothesis.unknowns.effects) == set(before):
@@ -172,7 +197,7 @@ def _refined(
     hypothesis: Hypothesis, chosen: Ranked, fixed: Sequence[Effect], criteria: Criteria
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
-    simple = swap(simplify(chosen.hypothesis, fixed, criteria), fixed)
+    simple = swap(simplify(chosen.hypothesis, fixed, criteria), fixed, criteria)
     for shaped in (reshape(simple, fixed), reshape(chosen.hypothesis, fixed)):
         after = prune(shaped, fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)

@@ -48,6 +48,7 @@ def highest_peak(
     effective: float,
     gain: Callable[[Array], Array],
     bandwidth: float,
+    least_waves: float = LEAST_WAVES,
 ) -> Peak | None:
     """The order whose waves over position are best seen in a residual.
 
@@ -64,6 +65,8 @@ def highest_peak(
         effective: How many independent samples these are worth.
         gain: Response H of the filter at frequencies in Hz.
         bandwidth: Bandwidth of the filter, Hz.
+        least_waves: Waves that the range of motion must hold; of more than `LEAST_WAVES`, the flank
+            of what is slower is no peak.
 
     Returns:
         The peak; None where the motion is too small or too fast for any order to show.
@@ -86,7 +89,12 @@ def highest_peak(
     around = np.maximum(median_filter(power, width, mode="nearest"), np.median(power))
     around = np.maximum(around, np.finfo(float).tiny)
     height = np.maximum(np.log(4.0) * power / around, -effective * np.log1p(-share))
-    at = int(np.clip(np.argmax(height), 1, len(power) - 2))
+    inner, fast = np.arange(1, len(power) - 1), order[1:-1] >= least_waves * resolution
+    if least_waves > LEAST_WAVES:
+        inner = inner[fast & (height[1:-1] >= height[:-2]) & (height[1:-1] >= height[2:])]
+        if not len(inner):
+            return None
+    at = int(inner[np.argmax(height[inner])])
     low, middle, high = power[at - 1 : at + 2]
     bend = low - 2.0 * middle + high
     shift = np.clip(0.5 * (low - high) / bend, -1.0, 1.0) if bend < 0.0 else 0.0

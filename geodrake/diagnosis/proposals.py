@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.elastic import elastic_joints, loose_joints
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.position_spectrum import highest_peak
+from geodrake.diagnosis.position_spectrum import LEAST_WAVES, highest_peak
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import (
     JointResidual,
@@ -116,20 +116,23 @@ def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
 
 def _ripples(case: Case, joint: JointResidual, known: Collection[Effect]) -> Iterator[Proposal]:
     low_pass = case.trajectories[0].filter
+    beside = any(e.where == (joint.joint,) and e.name in _SMOOTH for e in known)
     peak = highest_peak(
         (joint.q, joint.v),
         joint.residual,
         effective=joint.effective,
         gain=low_pass.response,
         bandwidth=low_pass.bandwidth,
+        least_waves=_WAVES_BESIDE if beside else LEAST_WAVES,
     )
-    beside = any(e.where == (joint.joint,) and e.name in _SMOOTH for e in known)
-    if peak is not None and (not beside or peak.order > _WAVES_BESIDE * peak.resolution):
+    if peak is not None:
         step, whole = peak.resolution, round(peak.order)
         order = float(whole) if abs(peak.order - whole) < _WHOLE * step else peak.order
         # What gravity and springs take away of the slowest waves pushes their peak aside.
         offsets = _FEW_WAVES if order < _FEW * step else _MANY_WAVES
-        ripples = tuple(TorqueRipple(joint.joint, order + x * step) for x in offsets)
+        orders = [order + x * step for x in offsets]
+        least = _WAVES_BESIDE * step if beside else 0.0
+        ripples = tuple(TorqueRipple(joint.joint, n) for n in orders if n >= least)
         alarm = min(1.0, peak.tried * float(chi2.sf(peak.height, 2)))
         yield Proposal(ripples, peak.share, alarm)
 

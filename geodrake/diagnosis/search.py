@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import Kind, Package, hidden_pairs, kind_complexity, kinds
 from geodrake.diagnosis.evidence import (
@@ -16,7 +17,7 @@ from geodrake.diagnosis.evidence import (
     tie_probability,
 )
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis
-from geodrake.diagnosis.trials import PENALTY, Trial, asked_of, gain_of, try_packages
+from geodrake.diagnosis.trials import PENALTY, Trial, acted_upon, asked_of, gain_of, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import normal_matrices
 from geodrake.identification.dataset import is_payload
@@ -29,6 +30,7 @@ __all__ = [
     "choose",
     "convincing",
     "gain_of",
+    "open_joints",
     "rank",
     "rank_pairs",
 ]
@@ -36,6 +38,7 @@ __all__ = [
 
 _CLEARLY = 1.5  # times the noise floor, at a joint
 _MOST = 0.5  # of the squared error
+_FITTED = 4  # pairs of a joint that are fitted in full
 _CANCELLED = 9.0  # times the power of two effects together, in one of them
 _NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
@@ -143,48 +146,51 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
                     min(t.alarm for t in trials),
                 )
             )
-    ranked.sort(key=lambda r: -r.score)
-    tied = [r for r in ranked if _ties(r, ranked[0], criteria)]
-    if not tied:
-        return ranked
-    most = SEVERAL * np.min([r.hypothesis.held_out.mse for r in tied], axis=0)
-    near = [r for r in tied if not np.any(r.hypothesis.held_out.mse > most)]
-    return [replace(r, tied=r in near) for r in ranked]
+    return _with_ties(ranked, criteria)
 
 
-def rank_pairs(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+def open_joints(hypothesis: Hypothesis, least: float = _CLEARLY) -> list[str]:
+    """Joints that err by more than so many times their noise floor."""
+    dataset = hypothesis.dataset
+    errors = zip(dataset.joints, hypothesis.held_out.rms, dataset.noise_floor, strict=True)
+    return [joint for joint, rms, floor in errors if rms > least * floor]
+
+
+def rank_pairs(
+    hypothesis: Hypothesis, criteria: Criteria, *, joints: Sequence[str] | None = None
+) -> list[Ranked]:
     """Pairs of effects at a joint that convince together though none does alone, best first.
 
     What one effect leaves of the residual is coloured by the other, and worth few samples. Only
-    pairs that explain most of what noise does not are told, and none that cancel each other: two
+    pairs that explain most of the squared error are told, and none that cancel each other: two
     smooth functions of the position stand for any other one so.
+
+    Args:
+        hypothesis: What the pairs are added to.
+        criteria: When they count as found.
+        joints: Where to look; by default at joints that err by clearly more than noise.
     """
-    dataset, errors = hypothesis.dataset, hypothesis.held_out.rms
+    dataset, where = hypothesis.dataset, open_joints(hypothesis) if joints is None else joints
     criteria = replace(criteria, reduction=max(criteria.reduction, _MOST))
-    open_joints = [
-        joint
-        for joint, rms, floor in zip(dataset.joints, errors, dataset.noise_floor, strict=True)
-        if rms > _CLEARLY * floor
-    ]
     effects, present = dataset.effects, hypothesis.unknowns.effects
-    pairs = {joint: hidden_pairs(effects, present, joint) for joint in open_joints}
+    pairs = {joint: hidden_pairs(effects, present, joint) for joint in where}
     tried, ranked = sum(map(len, pairs.values())), []
     for joint, packages in pairs.items():
         trials = try_packages(hypothesis, packages, tried, least=criteria)
         good = [trial for trial in trials if trial.convinces(criteria)]
-        if good:
-            best = best_trial(hypothesis, good)
-            found = best.package.effects
+        good.sort(key=lambda trial: -trial.score)
+        for trial in good[:_FITTED]:
+            found = trial.package.effects
             after = hypothesis.with_effects(found)
             if not _cancel(after, found):
                 names = tuple(effect.name for effect in found)
-                gain, parameters = gain_of(hypothesis, after), best.package.parameters
-                ranked.append(Ranked(names, (joint,), found, after, gain, parameters, best.alarm))
-    return sorted(ranked, key=lambda r: -r.score)
+                gain, parameters = gain_of(hypothesis, after), trial.package.parameters
+                ranked.append(Ranked(names, (joint,), found, after, gain, parameters, trial.alarm))
+    return _with_ties(ranked, criteria)
 
 
 def _cancel(hypothesis: Hypothesis, effects: Sequence[Effect]) -> bool:
-    """Whether effects of a joint are much larger each than all of them together."""
+    """Whether one of some effects of a joint is much larger than all of them together."""
     x, unknowns = hypothesis.cv.fit_all(), hypothesis.unknowns
     at = np.concatenate([np.arange(len(x))[unknowns.span(effect)] for effect in effects])
     columns = unknowns.columns[at]
@@ -204,11 +210,28 @@ def choose(ranked: Sequence[Ranked]) -> Ranked:
     return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
 
 
+def _with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
+    """Best first, with those marked that cannot be told from the best."""
+    ordered = sorted(ranked, key=lambda r: -r.score)
+    return [replace(r, tied=_ties(r, ordered[0], criteria)) for r in ordered]
+
+
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
     if candidate is best:
         return True
-    probability = tie_probability(best.hypothesis.loss(), candidate.hypothesis.loss())
-    return probability > criteria.tie
+    after, least = candidate.hypothesis, best.hypothesis
+    joints = _acted_upon(candidate) | _acted_upon(best)
+    if np.any((after.held_out.mse > SEVERAL * least.held_out.mse)[joints]):
+        return False
+    return tie_probability(least.loss(), after.loss()) > criteria.tie
+
+
+def _acted_upon(candidate: Ranked) -> NDArray[np.bool_]:
+    """(nv,) joints that what a candidate adds acts upon; all for a delay or a looser prior."""
+    dataset = candidate.hypothesis.dataset
+    if not candidate.effects:
+        return np.ones(len(dataset.joints), bool)
+    return acted_upon(dataset, Package(candidate.effects, candidate.where))
 
 
 def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:

@@ -272,5 +272,6 @@ def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
         return values, {"mass": float(spread[0]), **deviations}
     names = [p.name for p in fitted.effect.parameters]
     values = dict(zip(names, map(float, fitted.parameters), strict=True))
-    shapes = {k: float(v) for k, v in fitted.effect.shape.items() if v is not None and k != "log"}
-    return {**values, **shapes}, dict(zip(names, map(float, spread), strict=True))
+    shapes = fitted.effect.told_shape.items()
+    values |= {k: float(v) for k, v in shapes if v is not None and k != "log"}
+    return values, dict(zip(names, map(float, spread), strict=True))

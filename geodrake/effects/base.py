@@ -138,6 +138,11 @@ class Effect(abc.ABC):
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
     @property
+    def told_shape(self) -> dict[str, Any]:
+        """The shape parameters that a result tells of."""
+        return self.shape
+
+    @property
     def free_shapes(self) -> int:
         """How many shape parameters the data choose, beside the linear ones."""
         return sum(isinstance(value, float) for value in self.shape.values())

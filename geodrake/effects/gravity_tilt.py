@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +50,11 @@ class GravityTilt(RobotEffect):
     def free_shapes(self) -> int:
         """None: the angles are parameters."""
         return 0
+
+    @property
+    def told_shape(self) -> dict[str, Any]:
+        """None: where the columns are exact is no property of the robot."""
+        return {}
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> GravityTilt:
         """The tilt with columns that are exact at its parameters; itself if they are so already."""

@@ -133,7 +133,7 @@ class CrossValidation:
         """Minimizer within the bounds, and the factor of the unbounded problem."""
         scale = 1.0 / np.sqrt(np.diag(gram))
         factor = cho_factor(gram * scale[:, None] * scale + _ridge(len(gram)), lower=True)
-        x = scale * cho_solve(factor, scale * rhs)
+        x = unbounded = scale * cho_solve(factor, scale * rhs)
         free = np.ones(len(x), bool)
         lower, upper = self.unknowns.lower, self.unknowns.upper
         while np.any(outside := (x < lower - 1e-12) | (x > upper + 1e-12)):
@@ -142,7 +142,7 @@ class CrossValidation:
             sub = gram[np.ix_(free, free)] * scale[free, None] * scale[free]
             right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
             x[free] = scale[free] * cho_solve(cho_factor(sub + _ridge(len(sub)), lower=True), right)
-        return _Fit(x, factor, scale)
+        return _Fit(x, unbounded, factor, scale)
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
@@ -224,17 +224,21 @@ class CrossValidation:
             sse[:, j] = np.square(left[:, :, None] - effect).sum(1)
         return sse
 
-    def without_columns(self, places: Indices) -> HeldOut:
+    def without_columns(self, places: Indices) -> HeldOut | None:
         """Held-out errors without some of the unknowns, all else refitted with the same weights.
 
         Parameters at a bound stay there, and others are not kept from passing theirs.
 
         Args:
             places: (k,) their places among the unknowns.
+
+        Returns:
+            The errors; None where a parameter would leave its bound, which this leaves aside.
         """
         x = self.held_out.x
-        held = (x <= self.unknowns.lower) | (x >= self.unknowns.upper)
-        held[:, places] = False
+        side = 1.0 * (x <= self.unknowns.lower) - (x >= self.unknowns.upper)
+        side[:, places] = 0.0
+        held = side != 0.0
         y = np.empty_like(x)
         for f, fit in enumerate(self._fits):
             at = np.concatenate([places, np.flatnonzero(held[f])])
@@ -242,6 +246,8 @@ class CrossValidation:
             step[: len(places)] = x[f, places]
             moved = fit.solve(np.eye(x.shape[1])[:, at])
             y[f] = x[f] - moved @ np.linalg.solve(moved[at], step)
+            if held[f].any() and np.any(fit.slope(y[f])[held[f]] * side[f, held[f]] < 0.0):
+                return None
         sse = np.empty_like(self.held_out.sse)
         for j, (factor, used, left) in enumerate(self._residuals):
             change = (factor @ (y - x)[:, used, None])[..., 0]
@@ -251,14 +257,21 @@ class CrossValidation:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A solution, and the scaled Cholesky factor of its normal matrix."""
+    """A solution, that without bounds, and the scaled Cholesky factor of the normal matrix."""
 
     x: Array
+    unbounded: Array
     factor: tuple[Array, bool]
     scale: Array
 
     def solve(self, right: Array) -> Array:
         return self.scale[:, None] * cho_solve(self.factor, self.scale[:, None] * right)
+
+    def slope(self, x: Array) -> Array:
+        """(p,) slope of half the weighted squared error at other parameters (p,)."""
+        triangle = np.tril(self.factor[0])
+        step = (x - self.unbounded) / self.scale
+        return np.asarray((triangle @ (triangle.T @ step)) / self.scale)
 
 
 def _ridge(size: int) -> Array:
