@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.pairs import open_joints, rank_pairs
 from geodrake.diagnosis.refine import prune, reshape, simplify, swap
-from geodrake.diagnosis.search import Ranked, choose, open_joints, rank, rank_pairs
+from geodrake.diagnosis.search import Ranked, choose, rank
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
 

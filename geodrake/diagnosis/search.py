@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.candidates import Kind, Package, hidden_pairs, kind_complexity, kinds
+from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
 from geodrake.diagnosis.evidence import (
     SEVERAL,
     Criteria,
@@ -19,7 +19,6 @@ from geodrake.diagnosis.evidence import (
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.trials import PENALTY, Trial, acted_upon, asked_of, gain_of, try_packages
 from geodrake.effects.base import Effect
-from geodrake.identification.cross_validation import normal_matrices
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
@@ -30,16 +29,11 @@ __all__ = [
     "choose",
     "convincing",
     "gain_of",
-    "open_joints",
     "rank",
-    "rank_pairs",
+    "with_ties",
 ]
 
 
-_CLEARLY = 1.5  # times the noise floor, at a joint
-_MOST = 0.5  # of the squared error
-_FITTED = 4  # pairs of a joint that are fitted in full
-_CANCELLED = 9.0  # times the power of two effects together, in one of them
 _NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
@@ -146,63 +140,7 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
                     min(t.alarm for t in trials),
                 )
             )
-    return _with_ties(ranked, criteria)
-
-
-def open_joints(hypothesis: Hypothesis, least: float = _CLEARLY) -> list[str]:
-    """Joints that err by more than so many times their noise floor."""
-    dataset = hypothesis.dataset
-    errors = zip(dataset.joints, hypothesis.held_out.rms, dataset.noise_floor, strict=True)
-    return [joint for joint, rms, floor in errors if rms > least * floor]
-
-
-def rank_pairs(
-    hypothesis: Hypothesis, criteria: Criteria, *, joints: Sequence[str] | None = None
-) -> list[Ranked]:
-    """Pairs of effects at a joint that convince together though none does alone, best first.
-
-    What one effect leaves of the residual is coloured by the other, and worth few samples. Only
-    pairs that explain most of the squared error are told, and none that cancel each other: two
-    smooth functions of the position stand for any other one so.
-
-    Args:
-        hypothesis: What the pairs are added to.
-        criteria: When they count as found.
-        joints: Where to look; by default at joints that err by clearly more than noise.
-    """
-    dataset, where = hypothesis.dataset, open_joints(hypothesis) if joints is None else joints
-    criteria = replace(criteria, reduction=max(criteria.reduction, _MOST))
-    effects, present = dataset.effects, hypothesis.unknowns.effects
-    pairs = {joint: hidden_pairs(effects, present, joint) for joint in where}
-    tried, ranked = sum(map(len, pairs.values())), []
-    for joint, packages in pairs.items():
-        trials = try_packages(hypothesis, packages, tried, least=criteria)
-        good = [trial for trial in trials if trial.convinces(criteria)]
-        good.sort(key=lambda trial: -trial.score)
-        for trial in good[:_FITTED]:
-            found = trial.package.effects
-            after = hypothesis.with_effects(found)
-            if not _cancel(after, found):
-                names = tuple(effect.name for effect in found)
-                gain, parameters = gain_of(hypothesis, after), trial.package.parameters
-                ranked.append(Ranked(names, (joint,), found, after, gain, parameters, trial.alarm))
-    return _with_ties(ranked, criteria)
-
-
-def _cancel(hypothesis: Hypothesis, effects: Sequence[Effect]) -> bool:
-    """Whether one of some effects of a joint is much larger than all of them together."""
-    x, unknowns = hypothesis.cv.fit_all(), hypothesis.unknowns
-    at = np.concatenate([np.arange(len(x))[unknowns.span(effect)] for effect in effects])
-    columns = unknowns.columns[at]
-    gram, _ = normal_matrices(
-        hypothesis.dataset, np.ones(len(hypothesis.dataset.joints)), columns, columns
-    )
-    ends = np.cumsum([len(effect.parameters) for effect in effects])[:-1]
-    own = np.zeros((len(effects), len(at)))
-    for row, part in zip(own, np.split(np.arange(len(at)), ends), strict=True):
-        row[part] = x[at[part]]
-    power = np.einsum("ki,ij,kj->k", own, gram.sum(0), own)
-    return bool(power.max() > _CANCELLED * (x[at] @ gram.sum(0) @ x[at]))
+    return with_ties(ranked, criteria)
 
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
@@ -210,7 +148,7 @@ def choose(ranked: Sequence[Ranked]) -> Ranked:
     return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
 
 
-def _with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
+def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
     """Best first, with those marked that cannot be told from the best."""
     ordered = sorted(ranked, key=lambda r: -r.score)
     return [replace(r, tied=_ties(r, ordered[0], criteria)) for r in ordered]
