@@ -153,8 +153,8 @@ def _anew(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
     """
     for joint in open_joints(hypothesis, _FAR):
         present = hypothesis.unknowns.effects
-        gone = [e for e in present if e.where == (joint,) and e.places == "joint"]
-        gone = [e for e in gone if e not in fixed]
+        here = [e for e in present if e.where == (joint,) and e.places == "joint"]
+        gone = [e for e in here if e not in fixed]
         if gone:
             bare = hypothesis.without(gone)
             ranked = rank_pairs(bare, criteria, joints=[joint])

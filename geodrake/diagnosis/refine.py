@@ -261,7 +261,7 @@ def _shared(
 
 
 def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
-    """Whether a more complex effect convinces against a simpler one in its place."""
+    """Whether what refines an effect, or another one in its place, convinces against it."""
     more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
     joints = acted_upon(refined.dataset, Package((effect,), effect.where))
     left = refined.held_out.mse[joints] / simple.held_out.mse[joints]

@@ -141,7 +141,7 @@ def refit_step(
             now.nrms,
             values,
             {},
-            tuple(sorted({*rivals, *_carried(case, tuple(moved))})),
+            tuple(sorted({*rivals, *_carried(case, moved)})),
             evidence[1],
             was.by_joint(),
             now.by_joint(),
