@@ -111,13 +111,32 @@ def _trial(
 ) -> Trial:
     dataset, before = hypothesis.dataset, hypothesis.held_out
     reduction, agreement = improvement((before, after), acted_upon(dataset, package))
-    if least and (reduction < least.reduction or agreement < least.agreement):
+    few = least and (reduction < least.reduction or agreement < least.agreement)
+    if few or _is_slopes_alone(package, after):
         return Trial(package, 0.0, reduction, agreement, 1.0)
     both = np.concatenate([hypothesis.unknowns.columns, columns_of(dataset, package)])
     effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
     gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
     alarm = false_alarm_probability(gain, package.parameters, tried)
     return Trial(package, gain, reduction, agreement, alarm)
+
+
+def _is_slopes_alone(package: Package, after: HeldOut) -> bool:
+    """Whether the slopes of an effect are all that is fitted of it, in most folds.
+
+    A drag of nothing has no centre that could be elsewhere; its slopes, which have no sign, would
+    stand for a force that drives.
+    """
+    x = after.x[:, len(after.x[0]) - sum(len(e.parameters) for e in package.effects) :]
+    for effect in package.effects:
+        own, x = x[:, : len(effect.parameters)], x[:, len(effect.parameters) :]
+        lower = np.array([p.lower for p in effect.parameters])
+        bounded = np.isfinite(lower)
+        if effect.expandable and bounded.any():
+            nothing = np.all(own[:, bounded] <= lower[bounded], axis=1)
+            if np.mean(nothing) > 0.5:
+                return True
+    return False
 
 
 def quick_fit(hypothesis: Hypothesis, package: Package) -> HeldOut:
