@@ -64,7 +64,7 @@ def test_ur10e_has_dry_and_viscous_friction(ur10e_free):
     assert found.end.nrms <= 0.075
     joints = found.model.joints
     assert set(places(found)["coulomb_friction"]) == set(joints)
-    # Friction of the shoulder pan grows less than the speed, which both logs that took no part bear out.
+    # That of the shoulder pan may grow less than its speed: two logs that took no part bear it out.
     where = places(found)
     power = set(where.get("nonlinear_viscous_friction", ())) - set(where["viscous_friction"])
     assert power <= {"shoulder_pan_joint"}
@@ -73,7 +73,7 @@ def test_ur10e_has_dry_and_viscous_friction(ur10e_free):
 
 
 def test_ur10e_has_no_drag(ur10e_free):
-    # Slopes of a drag of nothing, which have no sign, once stood for friction of a power of the speed.
+    # The slopes of a drag of nothing, which have no sign, once stood for friction that drove.
     assert "aerodynamic_drag" not in places(ur10e_free[0])
 
 
