@@ -177,13 +177,25 @@ class TestWhatItMustShow:
             ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
             # The load changes its sign in five of eight folds.
             ("one", ("backlash",), 2, 9, {"robot": "panda"}),
+            # Bodies that may move take the payload in: then only the other effect is found.
+            ("two", ("payload", "joint_spring"), 9, 103, {"robot": "double_pendulum"}),
+            ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
+            # Bodies that may not move at all make one more rotor of what they are off.
+            ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
+            # On a coarse grid of exponents v and v² stand for |v|^1.7.
+            (
+                "two",
+                ("nonlinear_viscous_friction", "load_dependent_friction"),
+                8,
+                102,
+                {"robot": "arm7"},
+            ),
         ],
     )
     def test_what_single_criteria_hide(self, case, hidden, number, seed, fixed):
         if fixed["robot"] not in robot_names():
             pytest.skip(f"{fixed['robot']} is in the test extra")
-        row = scoring.score_draw(draws.draw(case, hidden, number, seed))
-        assert row["robot"] == fixed["robot"]
+        row = scoring.score_draw(draws.draw(case, hidden, number, seed, **fixed))
         assert row["named"]
         assert not row["extra"]
         assert row["over_floor"] < 1.1

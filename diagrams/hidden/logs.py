@@ -25,8 +25,11 @@ _ACTED_UPON = 0.5
 _ONE_AT_A_JOINT: tuple[set[str], ...] = (
     {"joint_spring", "effort_offset"},
     {"asymmetric_friction", "effort_offset"},
+    {"asymmetric_friction", "coulomb_friction"},
+    {"asymmetric_friction", "viscous_friction"},
 )
-"""A spring with an offset is one of another rest, a friction with one is asymmetric otherwise."""
+"""A spring with an offset is one of another rest; asymmetric friction with an offset, or with more
+friction, is asymmetric friction of other heights and slopes."""
 _TURNS = 6  # changes of the load's sign
 _RUBBING = 0.08
 

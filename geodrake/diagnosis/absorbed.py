@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from geodrake.diagnosis.columns import with_columns
 from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
 from geodrake.diagnosis.forward import Trail, search
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis, settle
+from geodrake.diagnosis.refine import prune
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.trials import PENALTY, gain_of, quick_fit
 from geodrake.effects import JointElasticity
@@ -69,7 +70,7 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
     found = _added(end, start.unknowns.effects)
     explained = error_table(case.dataset, end.held_out).is_noise
     moved = explained if found else refit_evidence(case, end, criteria) is not None
-    if not moved or end.released or end.delay != start.delay or len(found) > _MOST_KINDS:
+    if not moved or end.released or len(found) > _MOST_KINDS:
         return Absorbed(case)
     if not found:
         case, trail = _with_soft_joints(case, trail)
@@ -124,12 +125,33 @@ def _unmoved(
     if unmoved <= (_SEVERAL if found else 1.0) * most:
         return None
     rest = _REST * (unmoved - most)
-    held = start.loosened(HELD / start.looseness)
-    other = search(held, fixed, criteria, max_steps=len(found) + 1)
-    if other.end.loss().sum() > most + rest or not _is_little(other.end, end, found, fixed):
-        return None
-    enough = any(_widened(other.end, width).loss().sum() <= most for width in _WIDTHS)
-    return other if enough else None
+
+    def explains(hypothesis: Hypothesis) -> bool:
+        near = hypothesis.loss().sum() <= most + rest
+        return bool(near) and any(_widened(hypothesis, w).loss().sum() <= most for w in _WIDTHS)
+
+    held = [end] if end.delay != start.delay else [start, end] if found else [start]
+    for begin in (hypothesis.loosened(HELD / hypothesis.looseness) for hypothesis in held):
+        other = search(begin, fixed, criteria, max_steps=len(found) + 1)
+        if explains(other.end) and _is_little(other.end, end, found, fixed):
+            less = _less(other.end, fixed, criteria, explains)
+            return replace(other, start=start.loosened(HELD / start.looseness), end=less)
+    return None
+
+
+def _less(
+    end: Hypothesis,
+    fixed: Sequence[Effect],
+    criteria: Criteria,
+    explains: Callable[[Hypothesis], bool],
+) -> Hypothesis:
+    """The hypothesis without what only bodies that are not quite those of the model need."""
+    pruned = prune(_widened(end, _WIDTHS[-1]), fixed, criteria)
+    for effect in end.unknowns.effects:
+        if effect not in pruned.unknowns.effects:
+            less = settle(end.without([effect]), iterations=_ITERATIONS)
+            end = less if explains(less) else end
+    return end
 
 
 def _is_little(

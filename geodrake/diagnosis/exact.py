@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from geodrake.diagnosis.candidates import DRY_AND_VISCOUS
+from geodrake.diagnosis.candidates import DRY_AND_VISCOUS, is_refinement
 from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.columns import (
     to_expand,
@@ -172,7 +172,7 @@ class _State:
     def _refine(self) -> None:
         """Shapes and places between those that were tried."""
         if to_profile(self.trail.end, self._grid, self._profiled):
-            self.case, trail = with_exact_shapes(self.case, self.trail, self._grid, self._profiled)
+            self.case, trail = with_plain_shapes(self.case, self.trail, self._grid, self._profiled)
             self._profiled.update(trail.end.unknowns.effects)
             end = split_compromises(trail.end, self._fixed, self._criteria)
             self.trail = replace(trail, end=end)
@@ -204,6 +204,27 @@ def to_profile(
     """Effects of a hypothesis that have a shape which nobody refined yet."""
     effects = hypothesis.unknowns.effects
     return [e for e in effects if e not in profiled and free_shape(e, grid) is not None]
+
+
+def with_plain_shapes(
+    case: Case, trail: Trail, grid: Sequence[Effect], fixed: Collection[Effect]
+) -> tuple[Case, Trail]:
+    """The case with exact shapes, less what only made up for a shape that was not.
+
+    On a coarse grid v and v² together may stand for |v|^1.8. See `with_exact_shapes`.
+    """
+    best = with_exact_shapes(case, trail, grid, fixed)
+    effects = trail.end.unknowns.effects
+    for shaped in to_profile(trail.end, grid, fixed):
+        for simple in () if is_refinement(shaped) else effects:
+            beside = simple.where == shaped.where and simple.name in DRY_AND_VISCOUS
+            if beside and simple not in fixed:
+                others = [e for e in effects if e is not shaped]
+                less = reshape(trail.end.without([simple]), others, least=0.0)
+                plain = with_exact_shapes(case, replace(trail, end=less), grid, fixed)
+                if gain_of(plain[1].end, best[1].end) <= PENALTY:
+                    best = plain
+    return best
 
 
 def with_exact_shapes(
