@@ -66,6 +66,8 @@ class RobotModel:
         effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
             or N; None if the model was never fitted.
         fitted_to: Fingerprints of the logs that the model was fitted to.
+        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s, 0 where that is not
+            known; None if the model was never fitted.
         notes: What was noticed while loading: repairs, things left out.
     """
 
@@ -77,6 +79,7 @@ class RobotModel:
     information: Array | None = None
     effort_noise: Array | None = None
     fitted_to: tuple[str, ...] = ()
+    fading_speed: Array | None = None
     notes: tuple[str, ...] = ()
 
     @cached_property
@@ -143,7 +146,8 @@ class RobotModel:
 
         Args:
             motion: (N, ·) positions, velocities and accelerations in Drake's order.
-            sign_width: (nv,) or scalar speed below which the direction of motion is not known.
+            sign_width: (nv,) or scalar speed below which the direction of motion is not known; at
+                least the speed below which dry friction fades.
             regressor: (N, nv, 10·nb) regressor of the motion, if it is known already.
         """
         if regressor is None:
@@ -153,6 +157,7 @@ class RobotModel:
         at_velocity, at_position = self._single_joints
         q[:, at_velocity] = motion.q[:, at_position]
         width = np.broadcast_to(np.asarray(sign_width, float), (len(self.joints),))
+        width = width if self.fading_speed is None else np.maximum(width, self.fading_speed)
         seen = RobotMotion(
             self.joints,
             q,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from geodrake.effects import Effect, EffortDelay, make_effect
@@ -43,6 +44,7 @@ class SavedModel:
         effects: The effects.
         information: Information matrix of the inertial parameters, then of the effects'.
         effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
+        fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
         fitted_to: Fingerprints of the logs that the model was fitted to.
     """
 
@@ -53,6 +55,7 @@ class SavedModel:
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
     effects: list[SavedEffect] = dc.field(default_factory=list)
     effort_noise: dict[str, float] = dc.field(default_factory=dict)
+    fading_speed: dict[str, float] = dc.field(default_factory=dict)
     fitted_to: list[str] = dc.field(default_factory=list)
     information: list[list[float]] = dc.field(default_factory=list)
 
@@ -103,13 +106,20 @@ def save_model(model: RobotModel, path: str | Path) -> None:
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
         effects=[_saved_effect(fitted) for fitted in model.effects],
-        effort_noise={}
-        if model.effort_noise is None
-        else dict(zip(model.joints, model.effort_noise.tolist(), strict=True)),
+        effort_noise=_by_joint(model, model.effort_noise),
+        fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
         information=[] if model.information is None else model.information.tolist(),
     )
     write_whole(path, yaml_dump_typed(saved, schema=SavedModel))
+
+
+def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
+    return {} if values is None else dict(zip(model.joints, values.tolist(), strict=True))
+
+
+def _of_joints(model: RobotModel, values: dict[str, float]) -> NDArray[np.float64] | None:
+    return np.array([values[joint] for joint in model.joints]) if values else None
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
@@ -186,9 +196,6 @@ def _with_parameters(
     information = np.array(saved.information) if saved.information else None
     if information is not None and information.shape != (p, p):
         raise ModelError(f"its information matrix is {information.shape}, and {p} are fitted.")
-    noise = None
-    if saved.effort_noise:
-        noise = np.array([saved.effort_noise[joint] for joint in model.joints])
     notes = model.notes
     if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
         notes += (f"{base.name} has changed since the model was saved.",)
@@ -197,7 +204,8 @@ def _with_parameters(
         phi=phi,
         effects=effects,
         information=information,
-        effort_noise=noise,
+        effort_noise=_of_joints(model, saved.effort_noise),
+        fading_speed=_of_joints(model, saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
         notes=notes,
     )

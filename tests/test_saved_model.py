@@ -73,7 +73,8 @@ def fitted(tmp_path):
         effects.append(FittedEffect(effect, values, rng.uniform(size=k)))
     p = model.phi.size + sum(len(e.parameters) for e in effects)
     root = rng.normal(size=(p, p))
-    return model.with_fit(
+    fading = np.array([0.0, 0.01, 1 / 3, 0.0, 0.0, 0.0])
+    return replace(model, fading_speed=fading).with_fit(
         model.phi * rng.uniform(1.0, 1.1, (len(model.bodies), 1)),
         effects,
         information=root @ root.T,
@@ -94,7 +95,7 @@ def test_comes_back_exactly(fitted, saved):
     for before, after in zip(fitted.effects, again.effects, strict=True):
         np.testing.assert_array_equal(after.parameters, before.parameters)
         np.testing.assert_array_equal(after.deviations, before.deviations)
-    for name in ("phi", "total_phi", "information", "effort_noise"):
+    for name in ("phi", "total_phi", "information", "effort_noise", "fading_speed"):
         np.testing.assert_array_equal(getattr(again, name), getattr(fitted, name))
     assert again.delay == fitted.delay
     assert again.notes == fitted.notes
@@ -125,6 +126,7 @@ def test_unfitted_model_stays_unfitted(tmp_path):
     again = load_model(path)
     assert again.information is None
     assert again.effort_noise is None
+    assert again.fading_speed is None
     assert again.effects == ()
 
 

@@ -25,6 +25,7 @@ from geodrake.diagnosis.columns import (
 )
 from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.fading import with_fading
 from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import DOMINANT
@@ -40,6 +41,7 @@ _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
 """Steps of the finer grids of a shape, as shares of the coarse one's."""
 _LEAST_GAIN = 1.0
 """Gain that a still finer grid must promise."""
+_MOST_FADINGS = 3
 _DEVIATIONS = 3.0
 """Standard deviations by which another delay than before is clearly another one."""
 
@@ -100,6 +102,7 @@ class _State:
         self._profiled, self._expanded = set(fixed), set(fixed)
         self._episodes: tuple[Effect, ...] = ()
         self._looked = False
+        self._fadings: list[tuple[Effect, ...]] = []
 
     def to_pause(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis has something that is to be made exact before the search goes on."""
@@ -121,7 +124,7 @@ class _State:
             self._suggest(least_share=DOMINANT)
             return True
         if not paused:
-            if self._find_episodes():
+            if self._find_episodes() or self._fade():
                 return True
             was = self.case
             self.case, self.trail = with_fitted_loads(self.case, self.trail)
@@ -168,6 +171,14 @@ class _State:
             contacts = [e for e in self.trail.end.unknowns.effects if isinstance(e, Contact)]
             self.held = (*self._fixed, *contacts)
         return bool(found)
+
+    def _fade(self) -> bool:
+        """Let dry friction fade at low speeds, as suits what was found; whether that is new."""
+        was, effects = self.case, self.trail.end.unknowns.effects
+        if effects not in self._fadings[-1:] and len(self._fadings) < _MOST_FADINGS:
+            self._fadings.append(effects)
+            self.case, self.trail = with_fading(self.case, self.trail)
+        return self.case is not was
 
     def _refine(self) -> None:
         """Shapes and places between those that were tried."""

@@ -11,6 +11,7 @@ from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact import searched
+from geodrake.diagnosis.fading import fading_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, not_held
 from geodrake.diagnosis.forward import Progress, Trail
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
@@ -86,6 +87,8 @@ def investigate(
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if steps else before.errors
+    companions = companion_notes(trail.end.unknowns, fit)
+    told = (*companions, *fading_notes(fit.model)) if steps else ()
     explanation = Explanation(
         verdict_of(errors, bool(steps)),
         steps,
@@ -95,7 +98,7 @@ def investigate(
         fit.model if steps else model,
         before,
         after if steps else before,
-        (*case.notes, *(companion_notes(trail.end.unknowns, fit) if steps else ())),
+        (*case.notes, *told),
     )
     end = not_held(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)

@@ -101,13 +101,13 @@ class Layout:
 
     @cached_property
     def origin(self) -> Hashable:
-        """What the columns of effects depend on beside the motion: the efforts of the model."""
+        """What the columns of effects depend on beside the motion: the model's efforts, widths."""
         effects = tuple(
             (fitted.effect, np.asarray(fitted.parameters).tobytes())
             for fitted in self.model.effects
             if not isinstance(fitted.effect, EffortDelay)
         )
-        return self.model.total_phi.tobytes(), effects
+        return self.model.total_phi.tobytes(), effects, self.sign_width.tobytes()
 
     def evaluate(self, motion: Motion, log: int, parts: Iterable[Effect | str]) -> list[Blocks]:
         """Unfiltered columns of some of the parts."""

@@ -123,13 +123,18 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
     return np.where(moving, peak, 0.0)
 
 
+def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
+    """(nv,) speed below which dry friction fades, or the direction of motion is not known."""
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    width = np.maximum(LEAST_SIGN_WIDTH * peak_speeds(trajectories), SIGN_NOISE * noise)
+    return width if model.fading_speed is None else np.maximum(width, model.fading_speed)
+
+
 def _layout(
     model: RobotModel, effects: tuple[Effect, ...], trajectories: Sequence[Trajectory]
 ) -> Layout:
-    peak = peak_speeds(trajectories)
-    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-    sign_width = np.maximum(LEAST_SIGN_WIDTH * peak, SIGN_NOISE * noise)
-    return Layout.of(model, effects, sign_width, STILL_SPEED * peak)
+    still = STILL_SPEED * peak_speeds(trajectories)
+    return Layout.of(model, effects, sign_widths(model, trajectories), still)
 
 
 @dataclass(eq=False)
