@@ -182,6 +182,14 @@ class TestWhatItMustShow:
             ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
             # Bodies that may not move at all make one more rotor of what they are off.
             ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
+            # Dry friction that does not jump at reversals leaves what looks like one more friction.
+            (
+                "two",
+                ("asymmetric_friction", "load_dependent_friction"),
+                0,
+                103,
+                {"robot": "double_pendulum"},
+            ),
             # On a coarse grid of exponents v and v² stand for |v|^1.7.
             (
                 "two",
