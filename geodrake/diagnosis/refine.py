@@ -41,7 +41,6 @@ from geodrake.effects.base import Effect
 _BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
 _CLEARLY = 1e-3  # of a body's largest moment, which its smallest one falls below zero
-_THREE_DEVIATIONS = float(chi2.sf(9.0, 1))
 
 
 def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
@@ -99,22 +98,28 @@ def _clearly_needed(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) 
 
 
 def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
-    """Whether a refinement stands on an effect that is clearly there (by three deviations)."""
-    refined = any(
-        is_refinement(other) and other.where == effect.where
+    """Whether a refinement stands on an effect that is there.
+
+    By three deviations; by one beside |v|^α, which lies between dry and viscous friction and takes
+    the place of either as soon as it is left out.
+    """
+    refined = [
+        other
         for other in hypothesis.unknowns.effects
-    )
+        if is_refinement(other) and other.where == effect.where
+    ]
     if effect.name not in DRY_AND_VISCOUS or not refined:
         return False
-    return stands_out(hypothesis, effect)
+    between = any(other.name == "nonlinear_viscous_friction" for other in refined)
+    return stands_out(hypothesis, effect, deviations=1.0 if between else 3.0)
 
 
-def stands_out(hypothesis: Hypothesis, effect: Effect) -> bool:
-    """Whether the parameters of an effect are together as unlikely as three deviations of one."""
+def stands_out(hypothesis: Hypothesis, effect: Effect, *, deviations: float = 3.0) -> bool:
+    """Whether the parameters of an effect are together as unlikely as some deviations of one."""
     span = hypothesis.unknowns.span(effect)
     x, covariance = hypothesis.cv.fit_all()[span], hypothesis.cv.covariance()[span, span]
     distance = x @ np.linalg.solve(covariance, x)
-    return bool(distance > chi2.isf(_THREE_DEVIATIONS, len(x)))
+    return bool(distance > chi2.isf(chi2.sf(deviations**2, 1), len(x)))
 
 
 def reshape(
