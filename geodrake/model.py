@@ -66,8 +66,8 @@ class RobotModel:
         effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
             or N; None if the model was never fitted.
         fitted_to: Fingerprints of the logs that the model was fitted to.
-        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s, 0 where that is not
-            known; None if the model was never fitted.
+        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s, 0 where it was not
+            seen to; None if that is so at every joint.
         notes: What was noticed while loading: repairs, things left out.
     """
 
@@ -139,6 +139,15 @@ class RobotModel:
                 phi[self.bodies.index(fitted.effect.where[0])] += fitted.parameters
         return phi
 
+    def sign_widths(self, least: ArrayLike) -> Array:
+        """(nv,) speeds below which dry friction fades, at least those that are given, rad/s or m/s.
+
+        `least` (nv,) or scalar is where the direction of motion is not known, or what a simulation
+        asks for.
+        """
+        width = np.broadcast_to(np.asarray(least, float), (len(self.joints),))
+        return width if self.fading_speed is None else np.maximum(width, self.fading_speed)
+
     def motion(
         self, motion: Motion, *, sign_width: ArrayLike = 0.0, regressor: Array | None = None
     ) -> RobotMotion:
@@ -146,8 +155,7 @@ class RobotModel:
 
         Args:
             motion: (N, ·) positions, velocities and accelerations in Drake's order.
-            sign_width: (nv,) or scalar speed below which the direction of motion is not known; at
-                least the speed below which dry friction fades.
+            sign_width: As in `sign_widths`.
             regressor: (N, nv, 10·nb) regressor of the motion, if it is known already.
         """
         if regressor is None:
@@ -156,8 +164,7 @@ class RobotModel:
         q = np.full(motion.v.shape, np.nan)
         at_velocity, at_position = self._single_joints
         q[:, at_velocity] = motion.q[:, at_position]
-        width = np.broadcast_to(np.asarray(sign_width, float), (len(self.joints),))
-        width = width if self.fading_speed is None else np.maximum(width, self.fading_speed)
+        width = self.sign_widths(sign_width)
         seen = RobotMotion(
             self.joints,
             q,

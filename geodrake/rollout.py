@@ -146,10 +146,8 @@ def roll_out(
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     stretches = _stretches(case, horizon)
     chosen = np.unique(np.linspace(0, len(stretches) - 1, most).round().astype(int))
-    width = _SIGN_WIDTH * np.maximum(peak_speeds(case.trajectories), 1e-3)
-    if model.fading_speed is not None:
-        width = np.maximum(width, model.fading_speed)
-    simulation = _Simulation(model, width)
+    least = _SIGN_WIDTH * np.maximum(peak_speeds(case.trajectories), 1e-3)
+    simulation = _Simulation(model, model.sign_widths(least))
     windows = []
     for count, k in enumerate(chosen):
         log, segment = stretches[k]

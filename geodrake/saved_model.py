@@ -122,6 +122,12 @@ def _of_joints(model: RobotModel, values: dict[str, float]) -> NDArray[np.float6
     return np.array([values[joint] for joint in model.joints]) if values else None
 
 
+def _checked_speed(speed: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    if speed is not None and not np.all(np.isfinite(speed) & (speed >= 0.0)):
+        raise ModelError(f"dry friction cannot fade below {speed} rad/s or m/s.")
+    return speed
+
+
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file under a temporary name, then rename it; text is written in UTF-8.
 
@@ -205,7 +211,7 @@ def _with_parameters(
         effects=effects,
         information=information,
         effort_noise=_of_joints(model, saved.effort_noise),
-        fading_speed=_of_joints(model, saved.fading_speed),
+        fading_speed=_checked_speed(_of_joints(model, saved.fading_speed)),
         fitted_to=tuple(saved.fitted_to),
         notes=notes,
     )

@@ -63,8 +63,8 @@ class ControlModel:
         Args:
             model: The robot. Delays of efforts are not part of the regressor; friction that has a
                 memory has slipped far, and friction that drifts has settled.
-            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
-                or (nv,).
+            sign_width: Least speed below which dry friction fades, rad/s or m/s; one for all
+                velocities or (nv,).
             measured_friction: Whether effects see q̇ instead of the reference velocity v. The
                 source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
                 grow with speed; q̇ is for friction that does not, such as Stribeck friction.
@@ -85,7 +85,7 @@ class ControlModel:
         columns = EffectColumns.of(
             joints,
             [fitted.effect for fitted in model.effects],
-            sign_width=_checked_width(sign_width, len(joints)),
+            sign_width=model.sign_widths(_checked_width(sign_width, len(joints))),
             single=single,
             body_columns=lambda body: some[None, bodies.index(body)],
             bodies=RobotBodies(model.tree, q, total_phi),

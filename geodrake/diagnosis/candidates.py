@@ -38,6 +38,7 @@ COMPLEXITY: Mapping[str, int] = {
 """Of candidates that the data cannot tell apart, the one of least complexity is named."""
 
 DRY_AND_VISCOUS = ("coulomb_friction", "viscous_friction")
+_WITHIN_ASYMMETRIC = (*DRY_AND_VISCOUS, "effort_offset")
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
     joint_kinds: set[tuple[str, ...]] = set()
     by_place: dict[tuple[str, ...], dict[str, Effect]] = defaultdict(dict)
     for effect in effects:
-        if (effect.name, effect.where) in taken or not has_base(effect, taken):
+        own = (effect.name, effect.where)
+        if own in taken or not has_base(effect, taken) or _is_within(effect, taken):
             continue
         options[(effect.name,)][effect.where].append(Package((effect,), effect.where))
         by_place[effect.where][effect.name] = effect
@@ -167,6 +169,11 @@ def simple_at(
         and kind_complexity((effect.name,)) <= 1
         and Package((effect,), place).parameters == 1
     ]
+
+
+def _is_within(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
+    """Whether asymmetric friction is there, which with other heights and slopes has the effect."""
+    return effect.name in _WITHIN_ASYMMETRIC and ("asymmetric_friction", effect.where) in taken
 
 
 def is_refinement(effect: Effect) -> bool:

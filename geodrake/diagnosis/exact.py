@@ -6,17 +6,16 @@ effects. So as soon as a step brings one, the logs are reduced again with what l
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from geodrake.diagnosis.candidates import DRY_AND_VISCOUS, is_refinement
+from geodrake.diagnosis.candidates import DRY_AND_VISCOUS
 from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.columns import (
     to_expand,
-    with_columns,
     with_episodes,
     with_exact_episodes,
     with_exact_expansions,
@@ -25,22 +24,17 @@ from geodrake.diagnosis.columns import (
 )
 from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.exact_shapes import to_profile, with_plain_shapes
 from geodrake.diagnosis.fading import with_fading
 from geodrake.diagnosis.forward import Progress, Trail, search
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import DOMINANT
-from geodrake.diagnosis.refine import reshape, split_compromises
-from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.refine import split_compromises
 from geodrake.effects import Contact, EffortDelay
 from geodrake.effects.base import Effect
 from geodrake.model import FittedEffect
 
 _MOST_ROUNDS = 12
-_ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
-"""Steps of the finer grids of a shape, as shares of the coarse one's."""
-_LEAST_GAIN = 1.0
-"""Gain that a still finer grid must promise."""
 _MOST_FADINGS = 3
 _DEVIATIONS = 3.0
 """Standard deviations by which another delay than before is clearly another one."""
@@ -178,7 +172,12 @@ class _State:
         if effects not in self._fadings[-1:] and len(self._fadings) < _MOST_FADINGS:
             self._fadings.append(effects)
             self.case, self.trail = with_fading(self.case, self.trail)
-        return self.case is not was
+        if self.case is was:
+            return False
+        # Shapes and delay were those that suited friction which jumps.
+        self._profiled &= set(self._fixed)
+        self.timed = None if self.timed is None else ()
+        return True
 
     def _refine(self) -> None:
         """Shapes and places between those that were tried."""
@@ -207,73 +206,6 @@ def _rubs(hypothesis: Hypothesis) -> bool:
         effect.name in (*DRY_AND_VISCOUS, "asymmetric_friction")
         for effect in hypothesis.unknowns.effects
     )
-
-
-def to_profile(
-    hypothesis: Hypothesis, grid: Sequence[Effect], profiled: Collection[Effect]
-) -> list[Effect]:
-    """Effects of a hypothesis that have a shape which nobody refined yet."""
-    effects = hypothesis.unknowns.effects
-    return [e for e in effects if e not in profiled and free_shape(e, grid) is not None]
-
-
-def with_plain_shapes(
-    case: Case, trail: Trail, grid: Sequence[Effect], fixed: Collection[Effect]
-) -> tuple[Case, Trail]:
-    """The case with exact shapes, less what only made up for a shape that was not.
-
-    On a coarse grid v and v² together may stand for |v|^1.8. See `with_exact_shapes`.
-    """
-    best = with_exact_shapes(case, trail, grid, fixed)
-    effects = trail.end.unknowns.effects
-    for shaped in to_profile(trail.end, grid, fixed):
-        for simple in () if is_refinement(shaped) else effects:
-            beside = simple.where == shaped.where and simple.name in DRY_AND_VISCOUS
-            if beside and simple not in fixed:
-                others = [e for e in effects if e is not shaped]
-                less = reshape(trail.end.without([simple]), others, least=0.0)
-                plain = with_exact_shapes(case, replace(trail, end=less), grid, fixed)
-                if gain_of(plain[1].end, best[1].end) <= PENALTY:
-                    best = plain
-    return best
-
-
-def with_exact_shapes(
-    case: Case, trail: Trail, grid: Sequence[Effect], fixed: Collection[Effect]
-) -> tuple[Case, Trail]:
-    """The case with finer grids around the shapes that were found, and the best of these taken.
-
-    A round shape of the coarse grid stays unless another one gains more than a parameter must:
-    simple exponents are likelier than odd ones.
-
-    Args:
-        case: The case.
-        trail: A search that found effects with a shape.
-        grid: All effects that are tried, with the coarse grids of their shapes.
-        fixed: Effects whose shape stays.
-    """
-    was = {(e.name, e.where): e for e in to_profile(trail.end, grid, fixed)}
-
-    def chosen(hypothesis: Hypothesis) -> list[Effect]:
-        return [e for e in hypothesis.unknowns.effects if (e.name, e.where) in was]
-
-    for share in _ZOOMS:
-        peaks = [peak(trail.end, effect, grid) for effect in chosen(trail.end)]
-        if share < _ZOOMS[0] and all(gain < _LEAST_GAIN for _, gain in peaks):
-            break
-        near = [other for center, _ in peaks for other in finer(center, grid, share)]
-        case, trail = with_columns(
-            case, trail, [*grid, *trail.end.unknowns.effects, *was.values(), *near]
-        )
-        others = [e for e in trail.end.unknowns.effects if (e.name, e.where) not in was]
-        trail = replace(trail, end=reshape(trail.end, others, least=0.0))
-    end = trail.end
-    for effect in chosen(end):
-        before = was[effect.name, effect.where]
-        if is_round(before, grid):
-            coarse = end.exchanged(effect, [before])
-            end = coarse if gain_of(coarse, end) <= PENALTY else end
-    return case, replace(trail, end=end)
 
 
 def with_exact_delay(case: Case, trail: Trail, *, origin: float, step: float) -> tuple[Case, Trail]:

@@ -80,24 +80,26 @@ def investigate(
     tune = model.information is None
     fixed = effects_of(model)
     case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
+    start = trail.start  # as before, and dry friction fades as it was found to
     hidden = absorbed(case, trail, fixed, criteria) if tune else Absorbed(case)
     case = hidden.case
     after_case, fit, trail = _finished(case, (*hidden.trails, trail), criteria)
     steps = steps_of(case, trail, fit)
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
+    changed = bool(steps) or after_case.model.fading_speed is not model.fading_speed
     after = comparison(after_case, fit.unknowns, fit.held_out)
-    errors = after.errors if steps else before.errors
+    errors = after.errors if changed else before.errors
     companions = companion_notes(trail.end.unknowns, fit)
-    told = (*companions, *fading_notes(fit.model)) if steps else ()
+    told = (*companions, *fading_notes(model, fit.model)) if changed else ()
     explanation = Explanation(
-        verdict_of(errors, bool(steps)),
+        verdict_of(errors, changed),
         steps,
         before.errors,
-        error_table(case.dataset, start.held_out),
+        error_table(start.dataset, start.held_out),
         errors,
-        fit.model if steps else model,
+        fit.model if changed else model,
         before,
-        after if steps else before,
+        after if changed else before,
         (*case.notes, *told),
     )
     end = not_held(trail.end.moved(after_case.dataset, delay=0))

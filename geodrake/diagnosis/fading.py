@@ -7,22 +7,24 @@ which looks like one more friction.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case, reduced
-from geodrake.diagnosis.evidence import log_likelihood_gain
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.trials import PENALTY
+from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.effects.base import Effect
 from geodrake.identification.reduce import peak_speeds, sign_widths
 from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-_DRY = (
+_DRY = (  # friction_drift comes beside one of these
     "coulomb_friction",
     "asymmetric_friction",
     "load_dependent_friction",
@@ -56,16 +58,40 @@ def with_fading(case: Case, trail: Trail) -> tuple[Case, Trail]:
         The case, its model with `fading_speed`, and the trail on its dataset; the same ones if this
         takes half of the squared error from no joint.
     """
-    end, joints = trail.end, case.dataset.joints
-    dry = {joint for e in end.unknowns.effects if e.name in _DRY for joint in e.where}
-    noisy = end.held_out.mse <= np.square(case.dataset.noise_floor) / _CLEARLY
-    tried = np.isin(joints, list(dry)) & ~noisy
+    end, known, error = trail.end, case.model.fading_speed, trail.end.held_out.mse
+    least = sign_widths(replace(case.model, fading_speed=None), case.trajectories)
+    most = _MOST * peak_speeds(case.trajectories)
+    noisy = error <= np.square(case.dataset.noise_floor) / _CLEARLY
+    tried = _rubbing(case.dataset.joints, end.unknowns.effects) & ~noisy & (least < most)
     if not tried.any():
         return case, trail
-    least = sign_widths(replace(case.model, fading_speed=None), case.trajectories)
-    most = np.maximum(_MOST * peak_speeds(case.trajectories), least)
-    before = best = sign_widths(case.model, case.trajectories)
-    error, last, goes_on = end.held_out.mse, np.full(len(best), np.inf), tried & (least < most)
+    before = sign_widths(case.model, case.trajectories)
+    width = np.where(tried, _best_widths(case, end, least, most, tried), before)
+    clear = _errors(case, end, width) <= _CLEARLY * error
+    if not clear.any():
+        return case, trail
+    fading = np.zeros(len(least)) if known is None else known
+    fading = np.where(clear & tried, np.where(width > least, width, 0.0), fading)
+    faded = replace(case, model=replace(case.model, fading_speed=fading), kept={})
+    faded = replace(faded, dataset=reduced(faded, case.dataset.effects))
+    start, after = (h.moved(faded.dataset, delay=h.delay) for h in (trail.start, end))
+    if gain_of(end, after) <= PENALTY * np.count_nonzero(clear & tried):
+        return case, trail
+    return faded, replace(trail, start=start, end=after)
+
+
+def _best_widths(case: Case, end: Hypothesis, least: Array, most: Array, tried: Mask) -> Array:
+    """(nv,) widths with the least error at each joint, the others following theirs.
+
+    Args:
+        case: The case.
+        end: What was found.
+        least: (nv,) narrowest widths.
+        most: (nv,) widest ones.
+        tried: (nv,) whether a joint's width is looked for.
+    """
+    best, error = sign_widths(case.model, case.trajectories), end.held_out.mse
+    last, goes_on = np.full(len(best), np.inf), tried
     for power in range(_DOUBLINGS + 1):
         width = np.where(goes_on, np.minimum(least * 2.0**power, most), best)
         new = _errors(case, end, width)
@@ -73,35 +99,38 @@ def with_fading(case: Case, trail: Trail) -> tuple[Case, Trail]:
         goes_on, last = goes_on & (new < _HARDLY * last) & (width < most), new
         if not goes_on.any():
             break
-    for width in (np.where(tried, np.clip(best * f, least, most), best) for f in _BETWEEN):
+    for factor in _BETWEEN:
+        width = np.where(tried, np.clip(factor * best, least, most), best)
         new = _errors(case, end, width)
         best, error = np.where(new < error, width, best), np.minimum(new, error)
-    gain = log_likelihood_gain(end.held_out.mse, error, end.effective)
-    clear = (error <= _CLEARLY * end.held_out.mse) | (before > least)
-    if not np.any(clear & (gain > PENALTY)):
-        return case, trail
-    width = np.where(clear & (gain > PENALTY), best, before)
-    fading = np.where(width > least, width, 0.0)
-    case = replace(case, model=replace(case.model, fading_speed=fading), kept={})
-    case = replace(case, dataset=reduced(case, case.dataset.effects))
-    start, end = (h.moved(case.dataset, delay=h.delay) for h in (trail.start, trail.end))
-    return case, replace(trail, start=start, end=end)
+    return best
 
 
 def _errors(case: Case, end: Hypothesis, width: Array) -> Array:
     """(nv,) mean squared held-out errors of a hypothesis with other widths."""
-    model = replace(case.model, fading_speed=width)
-    dataset = reduced(replace(case, model=model), end.unknowns.effects)
+    shared = None if case.shared is None else case.shared.read_only()
+    other = replace(case, model=replace(case.model, fading_speed=width), shared=shared)
+    dataset = reduced(other, end.unknowns.effects)
     return end.moved(dataset, delay=end.delay).held_out.mse
 
 
-def fading_notes(model: RobotModel) -> list[str]:
-    """At which speeds dry friction fades, in words."""
-    if model.fading_speed is None:
-        return []
-    unit = dict.fromkeys(model.sliding_joints, "m/s")
+def _rubbing(joints: Sequence[str], effects: Sequence[Effect]) -> Mask:
+    """(nv,) whether a joint has dry friction among some effects."""
+    return np.isin(joints, [joint for e in effects if e.name in _DRY for joint in e.where])
+
+
+def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
+    """At which speeds dry friction was found to fade, in words.
+
+    Args:
+        before: The model as it came.
+        after: The fitted model.
+    """
+    speeds = after.sign_widths(0.0)
+    rubs = _rubbing(after.joints, [fitted.effect for fitted in after.effects])
     return [
-        f"dry friction of {joint} fades below {speed:.2g} {unit.get(joint, 'rad/s')}"
-        for joint, speed in zip(model.joints, model.fading_speed, strict=True)
-        if speed > 0.0
+        f"dry friction of {joint} fades below {speeds[j]:.2g} "
+        f"{'m/s' if joint in after.sliding_joints else 'rad/s'}"
+        for j, joint in enumerate(after.joints)
+        if rubs[j] and speeds[j] not in (0.0, before.sign_widths(0.0)[j])
     ]

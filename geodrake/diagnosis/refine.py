@@ -32,6 +32,7 @@ from geodrake.diagnosis.trials import (
     asked_of,
     gain_of,
     improvement,
+    is_slopes_alone,
     settled_trial,
     try_package,
     try_packages,
@@ -55,7 +56,9 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         weakest: tuple[float, Hypothesis] | None = None
         for effect in hypothesis.unknowns.effects:
             kept = effect in fixed or _is_base(hypothesis, effect)
-            if not kept and not _clearly_needed(hypothesis, effect, criteria):
+            own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
+            stands = not is_slopes_alone([effect], own)
+            if not kept and not (stands and _clearly_needed(hypothesis, effect, criteria)):
                 reduced = hypothesis.without([effect])
                 package = Package((effect,), effect.where)
                 trial = try_package(reduced, package, 1)
@@ -64,7 +67,7 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
                 if not needed:
                     needed = settled_trial(reduced, hypothesis, package).convinces(asked)
                 needed = needed or _spares_bodies(hypothesis, reduced)
-                needed = needed and stands_out(hypothesis, effect)
+                needed = needed and stands and stands_out(hypothesis, effect)
                 if not needed and (weakest is None or trial.score < weakest[0]):
                     weakest = (trial.score, reduced)
         if weakest is None:
@@ -167,7 +170,7 @@ def swap(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) ->
     What suited a residual best before another effect was known may have been the wrong one.
     """
     for effect in hypothesis.unknowns.effects:
-        if effect in fixed or effect.places != "joint" or not _is_free(hypothesis, effect):
+        if effect in fixed or effect.places != "joint" or not is_free(hypothesis, effect):
             continue
         others = [other for other in hypothesis.unknowns.effects if other != effect]
         packages = [
@@ -188,7 +191,7 @@ def swap(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) ->
     return hypothesis
 
 
-def _is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
+def is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
     """Whether no other effect at its place stands on an effect."""
     present = hypothesis.unknowns.effects
     taken = {(other.name, other.where) for other in present}

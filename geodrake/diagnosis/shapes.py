@@ -62,9 +62,16 @@ def finer(effect: Effect, grid: Sequence[Effect], share: float) -> tuple[Effect,
     value, gaps = getattr(effect, name), np.diff(np.log(values))
     above = int(np.clip(np.searchsorted(values, value, side="right") - 1, 0, len(gaps) - 1))
     below = int(np.clip(np.searchsorted(values, value) - 1, 0, len(gaps) - 1))
-    steps = [-2 * gaps[below], -gaps[below], 0.0, gaps[above], 2 * gaps[above]]
-    near = [replace(effect, **{name: float(value * np.exp(share * s))}) for s in steps if s]  # type: ignore[type-var]
-    return (effect, *(e for e in near if _is_alike(e, effect)))
+    near = [effect]
+    for gap in (-gaps[below], gaps[above]):
+        for shrunk in (1.0, 0.5, 0.25):  # toward the border of a kind, |v|^1.5 toward |v|
+            factors = np.exp(shrunk * share * gap * np.array([1.0, 2.0]))
+            side = [replace(effect, **{name: float(value * f)}) for f in factors]  # type: ignore[type-var]
+            alike = [e for e in side if _is_alike(e, effect)]
+            if alike:
+                near += alike
+                break
+    return tuple(near)
 
 
 def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tuple[Effect, float]:

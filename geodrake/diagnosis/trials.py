@@ -17,10 +17,12 @@ from geodrake.diagnosis.evidence import (
     log_likelihood_gain,
 )
 from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
+from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import Candidate, HeldOut
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.unknowns import effect_prior
 
+Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
@@ -31,6 +33,8 @@ _MORE_THAN_HALF = 0.51
 
 PENALTY = 6.0
 """Gain that a parameter must bring before a hypothesis with it is preferred."""
+
+_AT_BOUND = 1e-9  # of a bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,8 @@ def _trial(
     dataset, before = hypothesis.dataset, hypothesis.held_out
     reduction, agreement = improvement((before, after), acted_upon(dataset, package))
     few = least and (reduction < least.reduction or agreement < least.agreement)
-    if few or _is_slopes_alone(package, after):
+    own = after.x[:, len(hypothesis.unknowns.columns) :]
+    if few or is_slopes_alone(package.effects, own):
         return Trial(package, 0.0, reduction, agreement, 1.0)
     both = np.concatenate([hypothesis.unknowns.columns, columns_of(dataset, package)])
     effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
@@ -121,20 +126,23 @@ def _trial(
     return Trial(package, gain, reduction, agreement, alarm)
 
 
-def _is_slopes_alone(package: Package, after: HeldOut) -> bool:
-    """Whether the slopes of an effect are all that is fitted of it, in most folds.
+def is_slopes_alone(effects: Sequence[Effect], x: Array) -> bool:
+    """Whether the slopes of one of some effects are all that is fitted of it, in most folds.
 
     A drag of nothing has no centre that could be elsewhere; its slopes, which have no sign, would
     stand for a force that drives.
+
+    Args:
+        effects: Effects.
+        x: (F, p) their parameters, one after the other, for each fold.
     """
-    x = after.x[:, len(after.x[0]) - sum(len(e.parameters) for e in package.effects) :]
-    for effect in package.effects:
-        own, x = x[:, : len(effect.parameters)], x[:, len(effect.parameters) :]
-        lower = np.array([p.lower for p in effect.parameters])
+    ends = np.cumsum([len(effect.parameters) for effect in effects])
+    for effect, own in zip(effects, np.split(x, ends[:-1], axis=1), strict=True):
+        lower = np.array([parameter.lower for parameter in effect.parameters])
         bounded = np.isfinite(lower)
         if effect.expandable and bounded.any():
-            nothing = np.all(own[:, bounded] <= lower[bounded], axis=1)
-            if np.mean(nothing) > 0.5:
+            nothing = own[:, bounded] <= lower[bounded] + _AT_BOUND * np.abs(lower[bounded])
+            if nothing.all(axis=1).mean() > 0.5:
                 return True
     return False
 

@@ -211,7 +211,6 @@ def make_target(
     Raises:
         ArgumentError: The noise is not positive, or there is no such body, or nothing is unknown.
     """
-    nv = len(model.joints)
     if bodies is None:
         bodies = model.bodies
     if effects is None:
@@ -248,7 +247,7 @@ def make_target(
         tuple(bodies),
         ordered,
         _checked_noise(noise, rows),
-        widths if sign_width is None else np.broadcast_to(np.asarray(sign_width, float), (nv,)),
+        model.sign_widths(widths if sign_width is None else sign_width),
         X_WP,
         seed,
     )

@@ -51,10 +51,16 @@ class SharedRows:
         """What is kept under a key, if anything is."""
         return self._kept.get(key)
 
+    def read_only(self) -> SharedRows:
+        """What is kept here, for reductions whose columns are not needed again."""
+        reader = SharedRows(0)
+        reader._kept = self._kept
+        return reader
+
     def keep(self, key: Hashable, blocks: Blocks) -> None:
         """Keeps blocks as long as there is room."""
         size = sum(block.size for block in blocks.values())
-        if size <= self._room and key not in self._kept:
+        if 0 < size <= self._room and key not in self._kept:
             self._room -= size
             self._kept[key] = {at: np.ascontiguousarray(block) for at, block in blocks.items()}
 

@@ -126,8 +126,8 @@ def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
 def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
     """(nv,) speed below which dry friction fades, or the direction of motion is not known."""
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-    width = np.maximum(LEAST_SIGN_WIDTH * peak_speeds(trajectories), SIGN_NOISE * noise)
-    return width if model.fading_speed is None else np.maximum(width, model.fading_speed)
+    least = np.maximum(LEAST_SIGN_WIDTH * peak_speeds(trajectories), SIGN_NOISE * noise)
+    return model.sign_widths(least)
 
 
 def _layout(

@@ -74,7 +74,8 @@ class EffectForce(LeafSystem):
         Args:
             plant: A finalized plant, with the joints and bodies that the effects name.
             effects: Effects and their linear parameters μ, in SI units.
-            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
+            sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
+                has those of a fitted model); one for all velocities
                 or (nv,).
             phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
                 than the default ones; such as `model.total_phi`.
