@@ -11,7 +11,16 @@ from effort_logs import MODELS, effort_log
 from scipy.special import erf
 
 from geodrake import load_model, save_model
-from geodrake.diagnosis import compare, explain
+from geodrake.control_regressor import ControlModel
+from geodrake.diagnosis import add, compare, explain
+from geodrake.diagnosis.case import open_case
+from geodrake.diagnosis.fading import fading_notes, with_fading
+from geodrake.diagnosis.forward import Trail
+from geodrake.diagnosis.hypothesis import first_hypothesis
+from geodrake.effects import CoulombFriction
+from geodrake.identification.model_fit import model_unknowns
+from geodrake.model import FittedEffect
+from geodrake.motion import Motion
 
 HEIGHT = np.array([0.1, 0.04])  # N·m
 
@@ -57,8 +66,57 @@ def test_it_holds_on_another_log(faded, tmp_path):
     assert again < 0.5 * jumping
 
 
-def test_the_same_log_needs_nothing_more(faded):
-    assert explain(faded.model, [rubbing(3, 0.02).log]).steps == ()
+def test_another_log_needs_nothing_more(faded):
+    found = explain(faded.model, [rubbing(3, 0.02).log])
+    assert found.steps == ()
+    np.testing.assert_array_equal(found.model.fading_speed, faded.model.fading_speed)
+    assert found.end.nrms < 0.02
+
+
+def test_dry_friction_that_is_known_is_seen_to_fade(model, faded):
+    jumping = replace(faded.model, fading_speed=None)
+    found = explain(jumping, [rubbing(3, 0.02).log])
+    assert found.steps == ()
+    assert found.end.nrms < 0.2 * found.start.nrms
+    assert any("fades below" in note for note in found.notes)
+    assert found.model.fading_speed == pytest.approx(faded.model.fading_speed, rel=0.3)
+
+
+def test_what_is_added_fades_too(model, faded):
+    added = add("coulomb_friction", model, [rubbing(1, 0.02).log])
+    assert added.model.fading_speed == pytest.approx(faded.model.fading_speed, rel=0.1)
+    assert added.end.nrms == pytest.approx(faded.end.nrms, rel=0.05)
+
+
+def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):
+    log = rubbing(1, 0.02).log
+    known = replace(model, fading_speed=np.array([0.0, 2e-4]))
+    case = open_case(known, [log], candidates=True)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, known))
+    trail = Trail(start, start.with_effects([CoulombFriction("shoulder")]), {})
+    after = with_fading(case, trail)[0].model
+    assert 0.01 < after.fading_speed[0] < 0.025
+    assert after.fading_speed[1] == 2e-4
+    fitted = replace(
+        after, effects=(FittedEffect(CoulombFriction("elbow"), np.ones(1), np.ones(1)),)
+    )
+    assert fading_notes(known, fitted) == []
+
+
+def test_controllers_know_it(model):
+    fitted = replace(
+        model,
+        fading_speed=np.array([0.05, 0.0]),
+        effects=tuple(
+            FittedEffect(CoulombFriction(joint), np.ones(1), np.ones(1)) for joint in model.joints
+        ),
+    )
+    control, still = ControlModel.of(fitted, sign_width=1e-2), np.zeros(2)
+    slow = np.array([0.02, 0.02])
+    regressor = control.at(still, slow, slow, still).regressor
+    motion = Motion(still[None], slow[None], still[None])
+    expected = fitted.effort(motion, sign_width=1e-2)[0]
+    np.testing.assert_allclose(regressor @ control.prior, expected, rtol=1e-9)
 
 
 def test_friction_that_jumps_is_left_alone(model):

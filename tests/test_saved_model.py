@@ -267,3 +267,12 @@ def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
         write_whole(target, "new")
     assert target.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["model.yaml"]
+
+
+@pytest.mark.parametrize("speed", ["-0.1", ".nan"])
+def test_impossible_fading_speed_is_refused(saved, speed):
+    text = saved.read_text()
+    joint = load_model(saved).joints[1]
+    saved.write_text(text.replace(f"{joint}: 0.01\n", f"{joint}: {speed}\n"))
+    with pytest.raises(ModelError, match="cannot fade"):
+        load_model(saved)

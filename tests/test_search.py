@@ -14,8 +14,9 @@ from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
 from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.evidence import Criteria, effective_samples, log_likelihood_gain
 from geodrake.diagnosis.exact import searched
+from geodrake.diagnosis.exact_shapes import with_exact_shapes, with_plain_shapes
 from geodrake.diagnosis.final_fit import companion_notes
-from geodrake.diagnosis.forward import search, tuned
+from geodrake.diagnosis.forward import Trail, search, tuned
 from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
 from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
 from geodrake.diagnosis.refine import prune, simplify
@@ -319,6 +320,39 @@ def test_search_profiles_a_shape(model, power):
         options={"xtol": 1e-3},
     )
     assert effect.exponent == pytest.approx(best.x, rel=0.01)
+
+
+def test_what_only_made_up_for_a_grid_is_left_out_at_every_joint(model):
+    """On a coarse grid of exponents v and v² together stand for |v|^1.7."""
+
+    def hidden(q, v, vd, load):
+        return np.array([0.2, 0.1]) * np.sign(v) * np.abs(v) ** 1.7
+
+    case = open_case(model, [pendulum_log(9, hidden)], candidates=True, bandwidth=6.0)
+    grid = case.dataset.effects
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    squares = [NonlinearViscousFriction(joint, 2.0) for joint in JOINTS]
+    trail = Trail(start, start.with_effects([*VISCOUS, *squares]), {})
+    _, exact = with_plain_shapes(case, trail, grid, ())
+    assert {e.name for e in exact.end.unknowns.effects} == {"nonlinear_viscous_friction"}
+    for effect in exact.end.unknowns.effects:
+        assert effect.exponent == pytest.approx(1.7, rel=0.05)
+    _, kept = with_plain_shapes(case, trail, grid, VISCOUS)
+    assert set(VISCOUS) <= set(kept.end.unknowns.effects)
+
+
+def test_exponents_next_to_one_are_reached(model):
+    power = 1.4
+
+    def hidden(q, v, vd, load):
+        return np.stack([np.zeros(len(q)), 0.2 * np.sign(v[:, 1]) * np.abs(v[:, 1]) ** power], 1)
+
+    case = open_case(model, [pendulum_log(9, hidden)], candidates=True, bandwidth=6.0)
+    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
+    found = start.with_effects([NonlinearViscousFriction("elbow", 1.5)])
+    _, exact = with_exact_shapes(case, Trail(start, found, {}), case.dataset.effects, ())
+    (effect,) = exact.end.unknowns.effects
+    assert effect.exponent == pytest.approx(power, rel=0.03)
 
 
 def nrms_with(case, effect, hypothesis):
