@@ -95,6 +95,24 @@ def test_motions(kind, engines):
 
 
 class TestLogs:
+    @pytest.mark.parametrize(
+        ("names", "together"),
+        [
+            (("joint_spring", "effort_offset"), False),
+            (("asymmetric_friction", "coulomb_friction"), False),
+            (("viscous_friction", "asymmetric_friction"), False),
+            (("joint_spring", "viscous_friction"), True),
+        ],
+    )
+    def test_what_no_log_can_tell_apart_is_not_at_one_joint(self, names, together):
+        places = []
+        for number in range(8):
+            small = {**PLAIN, "robot": "double_pendulum", "duration": 4.0, "shares": (0.1, 0.1)}
+            draw = draws.draw("two", names, number, 0, **small)
+            made = logs.make_recording(draw, robot_model("double_pendulum").bodies)
+            places.append([secret.where for secret in made.secrets])
+        assert any(first == second for first, second in places) == together
+
     @pytest.mark.parametrize("name", [*TRUTHS, *OUTSIDE])
     def test_effects_have_the_size_that_was_asked_for(self, name):
         draw = draws.draw("one", (name,), 0, 0, **{**PLAIN, "duration": 8.0, "shares": (0.04,)})
