@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case, reduced
 from geodrake.diagnosis.forward import Trail
-from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.hypothesis import Hypothesis, residual_blocks
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
 from geodrake.identification.reduce import peak_speeds, sign_widths
@@ -33,6 +33,8 @@ _DRY = (  # friction_drift comes beside one of these
 )
 _MOST = 0.1
 """Share of its peak speed below which a joint's dry friction may fade."""
+_SLOW = 0.15
+"""Share of its peak speed below which most of a joint's squared error is, if friction fades."""
 _DOUBLINGS = 7
 _HARDLY = 1.01
 """Times the squared error that a width may leave of that of the one before, to try more."""
@@ -60,13 +62,17 @@ def with_fading(case: Case, trail: Trail) -> tuple[Case, Trail]:
     """
     end, known, error = trail.end, case.model.fading_speed, trail.end.held_out.mse
     least = sign_widths(replace(case.model, fading_speed=None), case.trajectories)
-    most = _MOST * peak_speeds(case.trajectories)
-    noisy = error <= np.square(case.dataset.noise_floor) / _CLEARLY
-    tried = _rubbing(case.dataset.joints, end.unknowns.effects) & ~noisy & (least < most)
+    peak = peak_speeds(case.trajectories)
+    tried = _rubbing(case.dataset.joints, end.unknowns.effects) & (least < _MOST * peak)
+    tried &= error > np.square(case.dataset.noise_floor) / _CLEARLY
+    if not tried.any():
+        return case, trail
+    tried &= _share_of_slow(end, _SLOW * peak) > _CLEARLY
     if not tried.any():
         return case, trail
     before = sign_widths(case.model, case.trajectories)
-    width = np.where(tried, _best_widths(case, end, least, most, tried), before)
+    best = _best_widths(case, end, least, _MOST * peak, tried)
+    width = np.where(tried, best, before)
     clear = _errors(case, end, width) <= _CLEARLY * error
     if not clear.any():
         return case, trail
@@ -104,6 +110,17 @@ def _best_widths(case: Case, end: Hypothesis, least: Array, most: Array, tried: 
         new = _errors(case, end, width)
         best, error = np.where(new < error, width, best), np.minimum(new, error)
     return best
+
+
+def _share_of_slow(end: Hypothesis, speed: Array) -> Array:
+    """(nv,) share of the squared held-out error that lies below a speed (nv,)."""
+    blocks = residual_blocks(end.dataset, end.unknowns.columns, end.held_out.x, delay=end.delay)
+    shares = []
+    for data, residuals, slow in zip(end.dataset.data, blocks, speed, strict=True):
+        v = np.concatenate([rows.motion[:, 1] for fold in data.rows for rows in fold])
+        square = np.square(np.concatenate(residuals))
+        shares.append(square[np.abs(v) < slow].sum() / max(square.sum(), np.finfo(float).tiny))
+    return np.array(shares)
 
 
 def _errors(case: Case, end: Hypothesis, width: Array) -> Array:
