@@ -22,7 +22,9 @@ from geodrake.motion import Motion, Segment
 Array = NDArray[np.float64]
 
 _LEAST_REVERSALS = 4
-_NEAR, _EXCESS = 0.3, 1.3  # share of the load's RMS, and of the squared error elsewhere
+_NEAR = ((0.3, 1.3), (0.1, 1.6), (0.05, 2.0))
+"""Shares of the load's RMS, and times the squared error elsewhere, of which any gives play away."""
+_ENOUGH = 20  # samples next to a change of the load's sign
 _SAMPLES = 5_000  # of a segment that are looked at
 
 
@@ -88,12 +90,14 @@ def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
     known = np.isfinite(load)
     if not known.any():
         return False
-    near = known & (np.abs(load) < _NEAR * np.sqrt(np.mean(np.square(load[known]))))
-    far = known & ~near
-    if not near.any() or not far.any():
-        return False
-    squares = np.square(joint.residual)
-    return bool(squares[near].mean() > _EXCESS * squares[far].mean())
+    squares, size = np.square(joint.residual), np.abs(load)
+    rms = np.sqrt(np.mean(np.square(load[known])))
+    for share, excess in _NEAR:
+        near, far = known & (size < share * rms), known & (size >= share * rms)
+        enough = near.sum() >= (_ENOUGH if share < _NEAR[0][0] else 1)
+        if enough and far.any() and squares[near].mean() > excess * squares[far].mean():
+            return True
+    return False
 
 
 def _looked_at(

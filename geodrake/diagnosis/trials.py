@@ -194,7 +194,12 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
 
 
 def acted_upon(dataset: Dataset, package: Package) -> Mask:
-    """(nv,) whether the effects of a package act on a joint."""
+    """(nv,) whether the effects of a package act on a joint.
+
+    Effects of a joint are judged there, wherever else bodies carry what they do.
+    """
+    if all(effect.places == "joint" for effect in package.effects):
+        return np.isin(dataset.joints, [joint for e in package.effects for joint in e.where])
     columns = columns_of(dataset, package)
     return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
 

@@ -11,7 +11,7 @@ from geodrake.effects.deflection import Deflection, DeflectionEffect
 from geodrake.effort_slopes import EffortSlopes
 
 _SUBSTEPS = 4
-_HALF_WIDTHS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+_HALF_WIDTHS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
 @dataclass(frozen=True)
