@@ -66,8 +66,8 @@ class RobotModel:
         effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
             or N; None if the model was never fitted.
         fitted_to: Fingerprints of the logs that the model was fitted to.
-        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s, 0 where it was not
-            seen to; None if that is so at every joint.
+        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
+            where it was not seen to.
         notes: What was noticed while loading: repairs, things left out.
     """
 
@@ -140,11 +140,7 @@ class RobotModel:
         return phi
 
     def sign_widths(self, least: ArrayLike) -> Array:
-        """(nv,) speeds below which dry friction fades, at least those that are given, rad/s or m/s.
-
-        `least` (nv,) or scalar is where the direction of motion is not known, or what a simulation
-        asks for.
-        """
+        """(nv,) speeds below which dry friction fades, at least those given (nv,), rad/s or m/s."""
         width = np.broadcast_to(np.asarray(least, float), (len(self.joints),))
         return width if self.fading_speed is None else np.maximum(width, self.fading_speed)
 
