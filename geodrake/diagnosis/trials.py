@@ -196,9 +196,9 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
 def acted_upon(dataset: Dataset, package: Package) -> Mask:
     """(nv,) whether the effects of a package act on a joint.
 
-    Effects of a joint are judged there, wherever else bodies carry what they do.
+    The blows of play reach other joints too, but are lost there in larger errors.
     """
-    if all(effect.places == "joint" for effect in package.effects):
+    if all(effect.name == "backlash" for effect in package.effects):
         return np.isin(dataset.joints, [joint for e in package.effects for joint in e.where])
     columns = columns_of(dataset, package)
     return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
