@@ -82,10 +82,9 @@ def test_dry_friction_that_is_known_is_seen_to_fade(model, faded):
     assert found.model.fading_speed == pytest.approx(faded.model.fading_speed, rel=0.3)
 
 
-def test_what_is_added_fades_too(model, faded):
-    added = add("coulomb_friction", model, [rubbing(1, 0.02).log])
-    assert added.model.fading_speed == pytest.approx(faded.model.fading_speed, rel=0.1)
-    assert added.end.nrms == pytest.approx(faded.end.nrms, rel=0.05)
+def test_one_effect_alone_is_not_said_to_fade(model):
+    # What the others are is not known yet: at low speeds the error may be theirs.
+    assert add("coulomb_friction", model, [rubbing(1, 0.02).log]).model.fading_speed is None
 
 
 def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):

@@ -10,7 +10,6 @@ from geodrake.diagnosis.columns import with_columns
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.exact_shapes import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
-from geodrake.diagnosis.fading import fading_notes, with_fading
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.forward import Trail, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
@@ -80,7 +79,6 @@ def add(
     trail, present = Trail(start, end, {}), set(start.unknowns.effects)
     if to_profile(end, case.dataset.effects, present):
         case, trail = with_exact_shapes(case, trail, case.dataset.effects, present)
-    case, trail = with_fading(case, trail)
     after_case, fit, _ = final_fit(case, trail.end)
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
@@ -92,7 +90,7 @@ def add(
         fit.model,
         before,
         after,
-        (*case.notes, *fading_notes(model, fit.model)),
+        case.notes,
     )
 
 
