@@ -112,6 +112,9 @@ def _unmoved(
 ) -> Trail | None:
     """A search with the inertias held, if they would have to move and it explains as much.
 
+    It starts anew, and if that fails from what was found; after a delay only from there, as efforts
+    were advanced by it.
+
     Args:
         trail: The search where they may move.
         fixed: Effects that stay.
@@ -130,9 +133,10 @@ def _unmoved(
         near = hypothesis.loss().sum() <= most + rest
         return bool(near) and any(_widened(hypothesis, w).loss().sum() <= most for w in _WIDTHS)
 
-    held = [end] if end.delay != start.delay else [start, end] if found else [start]
-    for begin in (hypothesis.loosened(HELD / hypothesis.looseness) for hypothesis in held):
-        other = search(begin, fixed, criteria, max_steps=len(found) + 1)
+    begins = [end] if end.delay != start.delay else [start, end] if found else [start]
+    for begin in begins:
+        held = begin.loosened(HELD / begin.looseness)
+        other = search(held, fixed, criteria, max_steps=len(found) + 1)
         if explains(other.end) and _is_little(other.end, end, found, fixed):
             less = _less(other.end, fixed, criteria, explains)
             return replace(other, start=start.loosened(HELD / start.looseness), end=less)
@@ -145,7 +149,14 @@ def _less(
     criteria: Criteria,
     explains: Callable[[Hypothesis], bool],
 ) -> Hypothesis:
-    """The hypothesis without what only bodies that are not quite those of the model need."""
+    """The hypothesis without what only bodies that are not quite those of the model need.
+
+    Args:
+        end: What was found with every body as the model has it.
+        fixed: Effects that stay.
+        criteria: When an effect counts as found.
+        explains: Whether a hypothesis explains the logs as well as moved inertias do.
+    """
     pruned = prune(_widened(end, _WIDTHS[-1]), fixed, criteria)
     for effect in end.unknowns.effects:
         if effect not in pruned.unknowns.effects:

@@ -22,9 +22,8 @@ from geodrake.motion import Motion, Segment
 Array = NDArray[np.float64]
 
 _LEAST_REVERSALS = 4
-_NEAR = ((0.3, 1.3), (0.1, 1.6), (0.05, 2.0))
-"""Shares of the load's RMS, and times the squared error elsewhere, of which any gives play away."""
-_ENOUGH = 20  # samples next to a change of the load's sign
+_NEAR = ((0.3, 1.3, 1), (0.1, 1.6, 20), (0.05, 2.0, 20))
+"""Share of the load's RMS, times the squared error elsewhere, and samples: any gives play away."""
 _SAMPLES = 5_000  # of a segment that are looked at
 
 
@@ -92,10 +91,10 @@ def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
         return False
     squares, size = np.square(joint.residual), np.abs(load)
     rms = np.sqrt(np.mean(np.square(load[known])))
-    for share, excess in _NEAR:
+    for share, excess, enough in _NEAR:
         near, far = known & (size < share * rms), known & (size >= share * rms)
-        enough = near.sum() >= (_ENOUGH if share < _NEAR[0][0] else 1)
-        if enough and far.any() and squares[near].mean() > excess * squares[far].mean():
+        told = near.sum() >= enough and far.any()
+        if told and squares[near].mean() > excess * squares[far].mean():
             return True
     return False
 

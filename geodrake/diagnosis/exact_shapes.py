@@ -40,8 +40,8 @@ def with_plain_shapes(
     powers = [e for e in to_profile(trail.end, grid, fixed) if not is_refinement(e)]
     for simple in trail.end.unknowns.effects:
         beside = any(power.where == simple.where for power in powers)
-        simple_one = simple.name in DRY_AND_VISCOUS and simple not in fixed
-        if beside and simple_one and is_free(trail.end, simple):
+        spare = beside and simple.name in DRY_AND_VISCOUS and simple not in fixed
+        if spare and is_free(trail.end, simple):
             shaped = {(power.name, power.where) for power in powers}
             less = trail.end.without([simple])
             others = [e for e in less.unknowns.effects if (e.name, e.where) not in shaped]

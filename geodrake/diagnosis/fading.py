@@ -143,11 +143,11 @@ def fading_notes(before: RobotModel, after: RobotModel) -> list[str]:
         before: The model as it came.
         after: The fitted model.
     """
-    speeds = after.sign_widths(0.0)
+    speeds, known = after.sign_widths(0.0), before.sign_widths(0.0)
     rubs = _rubbing(after.joints, [fitted.effect for fitted in after.effects])
     return [
         f"dry friction of {joint} fades below {speeds[j]:.2g} "
         f"{'m/s' if joint in after.sliding_joints else 'rad/s'}"
         for j, joint in enumerate(after.joints)
-        if rubs[j] and speeds[j] not in (0.0, before.sign_widths(0.0)[j])
+        if rubs[j] and speeds[j] not in (0.0, known[j])
     ]
