@@ -61,7 +61,7 @@ def with_suggestions(
         trail.end,
         (*had, *known),
         least_share=least_share,
-        soft_joints=least_share == 0.0,
+        hidden=least_share == 0.0,
     )
     more = _convincing_ones(case, trail.end, more, criteria) if more else ()
     return with_columns(case, trail, [*had, *more]) if more else (case, trail)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case, reduced
+from geodrake.diagnosis.case import Case, error_table, reduced
 from geodrake.diagnosis.contact_window import (
     FEW,
     SHORTEST,
@@ -26,7 +26,7 @@ from geodrake.diagnosis.contact_window import (
     refined,
     with_point,
 )
-from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
@@ -68,6 +68,11 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
     """
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
+    if not windows and not error_table(case.dataset, hypothesis.held_out).is_noise:
+        # Bodies that are free to follow a contact spread its error all over the log.
+        hypothesis = hypothesis.loosened(HELD / hypothesis.looseness)
+        scale = _scaled(case, hypothesis)
+        windows = _unknown_windows(case, hypothesis, scale)
     found, promising = _contacts(case, scale, windows)
     if found or not promising:
         return found

@@ -37,6 +37,7 @@ DOMINANT = 0.3
 
 _ALARM = 3e-5  # of one joint and kind, about 40 a log; what is offered must still convince
 _ALARM_OF_MUCH = 0.01  # where the error is made mostly of it: noise never has so large a share
+_HIDDEN_SHARE = 0.1  # of a joint's squared error that bristles must explain to be tried anyway
 _TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)  # of drift, as shares of the longest log
 _BREAKAWAY_ANGLES = (0.003, 0.01, 0.03, 0.1, 0.3)  # as shares of the range of motion
 _FEW = 5.0  # waves in the range of motion
@@ -55,7 +56,7 @@ def suggested(
     known: Collection[Effect],
     *,
     least_share: float = 0.0,
-    soft_joints: bool = False,
+    hidden: bool = False,
 ) -> tuple[Effect, ...]:
     """Effects that the residual suggests, with the shapes to try.
 
@@ -64,16 +65,16 @@ def suggested(
         hypothesis: What is known so far.
         known: Effects that have columns; what is among them, or in the model, comes no more.
         least_share: Share of the squared error at its joint that an effect must explain.
-        soft_joints: Whether the elasticity of all joints is among them where more than noise is
-            left: inertias may hide what it does, so that only a fit with both tells.
+        hidden: Whether effects that others may hide are among them where more than noise is left:
+            only a fit with both tells.
     """
     taken = {(e.name, e.where) for e in (*known, *hypothesis.unknowns.effects)}
-    soft = soft_joints and not error_table(case.dataset, hypothesis.held_out).is_noise
+    hidden = hidden and not error_table(case.dataset, hypothesis.held_out).is_noise
     return tuple(
         effect
         for proposal in proposals(case, hypothesis)
         if (_is_clear(proposal) and proposal.share >= least_share)
-        or (soft and isinstance(proposal.effects[0], JointElasticity))
+        or (hidden and _may_be_hidden(proposal))
         for effect in proposal.effects
         if (effect.name, effect.where) not in taken
     )
@@ -100,6 +101,13 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
 def _is_clear(proposal: Proposal) -> bool:
     """Whether what the residual shows is more than chance, as many as are looked for."""
     return proposal.alarm <= (_ALARM_OF_MUCH if proposal.share >= DOMINANT else _ALARM)
+
+
+def _may_be_hidden(proposal: Proposal) -> bool:
+    """Whether inertias may hide what is proposed, or other friction all but a good part of it."""
+    effect = proposal.effects[0]
+    bristles = isinstance(effect, Hysteresis) and proposal.share >= _HIDDEN_SHARE
+    return bristles or isinstance(effect, JointElasticity)
 
 
 def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:

@@ -31,6 +31,9 @@ from geodrake.model import FittedEffect
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
+_HEAVIER = 0.01
+"""Share of its mass by which a last body, fitted heavier, may be one that carries something."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Group:
@@ -87,7 +90,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 tables[i + 1].nrms,
                 parameters,
                 deviations,
-                _rivals(case, trail, group, where),
+                _rivals(case, trail, group, where, fit.model.phi),
                 false_alarm_probability(gain, count, tried),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
@@ -141,7 +144,7 @@ def refit_step(
             now.nrms,
             values,
             {},
-            tuple(sorted({*rivals, *_carried(case, moved)})),
+            tuple(sorted({*rivals, *_carried(case, moved, fit.model.phi)})),
             evidence[1],
             was.by_joint(),
             now.by_joint(),
@@ -188,17 +191,27 @@ def _groups(trail: Trail) -> list[_Group]:
     return groups
 
 
-def _rivals(case: Case, trail: Trail, group: _Group, where: tuple[str, ...]) -> tuple[str, ...]:
+def _rivals(
+    case: Case, trail: Trail, group: _Group, where: tuple[str, ...], phi: Array
+) -> tuple[str, ...]:
     found = {effect.name for effect in trail.end.unknowns.effects}
     tied = set(trail.rivals.get(group.name, ()))
     if group.looseness is not None:
-        tied.update(_carried(case, where))
+        tied.update(_carried(case, where, phi))
     return tuple(sorted(tied - found))
 
 
-def _carried(case: Case, bodies: Collection[str]) -> tuple[str, ...]:
-    """What a wrong body may be as well: one at the end of the robot that carries a payload."""
-    return (Payload.name,) if set(bodies).intersection(case.model.last_bodies) else ()
+def _carried(case: Case, bodies: Collection[str], phi: Array) -> tuple[str, ...]:
+    """What wrong bodies may be as well: one at the end of the robot that carries a payload.
+
+    Args:
+        case: The case.
+        bodies: Those that moved far.
+        phi: (nb, 10) all bodies as fitted.
+    """
+    mass, was = phi[:, 0], case.model.phi[:, 0]
+    heavier = np.asarray(case.model.bodies)[mass > (1.0 + _HEAVIER) * was]
+    return (Payload.name,) if {*bodies, *heavier}.intersection(case.model.last_bodies) else ()
 
 
 def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:
