@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.diagnosis.case import Case, open_case
+from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.compare import compare
 from geodrake.diagnosis.explain import Investigation, explain, investigate
 from geodrake.diagnosis.results import Step
@@ -42,7 +42,7 @@ def score_draw(draw: Draw) -> dict[str, Any]:
         "secrets": [asdict(secret) for secret in recording.secrets],
         "steps": [_step_row(step) for step in steps],
         "verdict": explanation.verdict,
-        "over_floor": _over_floor(draw, recording, case, found),
+        "over_floor": _over_floor(draw, recording, found),
         "start_nrms": explanation.start.nrms,
         "end_nrms": explanation.end.nrms,
         "seconds": seconds,
@@ -70,9 +70,9 @@ def _step_row(step: Step) -> dict[str, Any]:
     }
 
 
-def _over_floor(draw: Draw, recording: Recording, case: Case, found: Investigation) -> float:
+def _over_floor(draw: Draw, recording: Recording, found: Investigation) -> float:
     """Final held-out error over that of the true model, which noise of all sensors makes alone."""
-    bandwidth = case.trajectories[0].filter.bandwidth
+    bandwidth = found.case.trajectories[0].filter.bandwidth
     bare = compare(robot_model(draw.robot), [recording.bare], bandwidth=bandwidth).errors
     pairs = zip(bare.joints, found.explanation.end.joints, strict=True)
     floor = np.sqrt(np.mean([(alone.rms / joint.std) ** 2 for alone, joint in pairs]))

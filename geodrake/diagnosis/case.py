@@ -33,6 +33,23 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
+class Asked:
+    """What a case was opened with.
+
+    Attributes:
+        logs: The logs, joints in the model's order.
+        extra: Effect classes of the user's own.
+        bandwidth: Bandwidth asked for, Hz; None if it was chosen from the data.
+        blocks: Blocks asked for.
+    """
+
+    logs: tuple[JointLog, ...]
+    extra: tuple[type[Effect], ...]
+    bandwidth: float | None
+    blocks: int | None
+
+
+@dataclass(frozen=True, eq=False)
 class Case:
     """A model and its logs.
 
@@ -43,6 +60,7 @@ class Case:
         dataset: The reduced logs, with columns for the model's effects and the candidates.
         fingerprints: Fingerprints of the logs.
         notes: What was done to the logs and noticed about the model.
+        asked: What it was opened with.
         kept: What was computed of model and motion alone, and serves again.
         shared: What reductions of the logs share.
         loads: (nb, 10) inertial parameters that efforts of bodies are computed with, which
@@ -55,6 +73,7 @@ class Case:
     dataset: Dataset
     fingerprints: tuple[str, ...]
     notes: tuple[str, ...]
+    asked: Asked
     kept: dict[Hashable, Any] = field(default_factory=dict, repr=False)
     shared: SharedRows = field(default_factory=SharedRows, repr=False)
     loads: Array | None = None
@@ -73,6 +92,7 @@ def open_case(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
+    how: str = "as asked for",
 ) -> Case:
     """Prepare and reduce logs for a model.
 
@@ -84,6 +104,7 @@ def open_case(
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
+        how: Where a given bandwidth comes from, for the notes.
 
     Raises:
         LogError: A log cannot be used.
@@ -104,7 +125,7 @@ def open_case(
         trajectories, changed = prepare_for_model(model, matched)
         hints += [changed] if changed else []
     else:
-        trajectories = prepare_logs(matched, bandwidth=bandwidth)
+        trajectories = prepare_logs(matched, bandwidth=bandwidth, how=how)
     folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
@@ -127,7 +148,29 @@ def open_case(
     notes += _trained_on(model, matched)
     fingerprints = tuple(log.fingerprint for log in matched)
     said = tuple(dict.fromkeys(notes))
-    return Case(model, trajectories, folds, dataset, fingerprints, said, shared=shared)
+    asked = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
+    return Case(model, trajectories, folds, dataset, fingerprints, said, asked, shared=shared)
+
+
+def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) -> Case:
+    """The logs and the model of a case, opened at another bandwidth.
+
+    Args:
+        case: The case.
+        bandwidth: Bandwidth of the filter, Hz.
+        candidates: Whether effects that the model lacks get columns too.
+        how: Where the bandwidth comes from, for the notes.
+    """
+    asked = case.asked
+    return open_case(
+        case.model,
+        asked.logs,
+        candidates=candidates,
+        extra=asked.extra,
+        bandwidth=bandwidth,
+        blocks=asked.blocks,
+        how=how,
+    )
 
 
 def reopen(case: Case, model: RobotModel) -> Case:

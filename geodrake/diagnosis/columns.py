@@ -63,14 +63,21 @@ def with_suggestions(
         least_share=least_share,
         hidden=least_share == 0.0,
     )
-    more = _convincing_ones(case, trail.end, more, criteria) if more else ()
+    more = convincing_ones(case, trail.end, more, criteria) if more else ()
     return with_columns(case, trail, [*had, *more]) if more else (case, trail)
 
 
-def _convincing_ones(
+def convincing_ones(
     case: Case, end: Hypothesis, effects: Sequence[Effect], criteria: Criteria
 ) -> tuple[Effect, ...]:
-    """Effects of which a shape convinces at their place, frictions beside other frictions."""
+    """Effects of which a shape convinces at their place, frictions beside other frictions.
+
+    Args:
+        case: The case.
+        end: What is known so far.
+        effects: Effects to try, which need no columns yet.
+        criteria: When an effect counts as found.
+    """
     present = end.unknowns.effects
     simple = [
         base(effect.joint)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geodrake.diagnosis.absorbed import Absorbed, absorbed
-from geodrake.diagnosis.case import Case, error_table, open_case
+from geodrake.diagnosis.case import Case, at_bandwidth, error_table, open_case
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact import searched
@@ -15,8 +15,10 @@ from geodrake.diagnosis.fading import fading_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, not_held
 from geodrake.diagnosis.forward import Progress, Trail
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+from geodrake.diagnosis.play import WHERE_PLAY_SHOWS, bandwidth_of_play
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import refit_step, steps_of
+from geodrake.effects import Backlash
 from geodrake.effects.base import Effect
 from geodrake.errors import IdentificationError
 from geodrake.identification.model_fit import ModelFit, effects_of, model_unknowns
@@ -74,7 +76,26 @@ def investigate(
     case: Case, *, criteria: Criteria | None = None, progress: Progress | None = None
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
-    criteria, model = criteria or Criteria(), case.model
+    criteria = criteria or Criteria()
+    found = _investigated(case, criteria, progress)
+    bandwidth = bandwidth_of_play(found.case, found.hypothesis, criteria)
+    if bandwidth is None:
+        return found
+    sharp = at_bandwidth(case, bandwidth, candidates=True, how=WHERE_PLAY_SHOWS)
+    again = _investigated(sharp, criteria, progress)
+    return again if _is_play_alone(found.explanation, again.explanation) else found
+
+
+def _is_play_alone(before: Explanation, after: Explanation) -> bool:
+    """Whether all that is new in an explanation is play; bodies may be wrong in either."""
+    had, has = ({step.effect for step in each.steps} for each in (before, after))
+    new = had.symmetric_difference(has) - {"wrong_inertia"}
+    return new == {Backlash.name} and after.verdict == "explained"
+
+
+def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> Investigation:
+    """An investigation at the bandwidth of a case."""
+    model = case.model
     before = comparison(case)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     tune = model.information is None

@@ -12,6 +12,7 @@ from geodrake.diagnosis.evidence import effective_samples
 from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.dataset import Dataset, is_payload
+from geodrake.identification.model_fit import held_out_physical
 from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
 
@@ -20,6 +21,9 @@ Indices = NDArray[np.intp]
 
 HELD = 1e-3
 """Width of the inertial prior, as a share of that assumed, at which inertias stay as they are."""
+
+CLEARLY_IMPOSSIBLE = 1e-3
+"""Share of its largest moment by which the smallest one of a body that cannot be is negative."""
 
 _SETTLED = 0.3
 """Relative change of the weights below which they count as settled."""
@@ -84,6 +88,11 @@ class Hypothesis:
             if is_payload(effect):
                 phi[bodies.index(effect.where[0])] += x[self.unknowns.span(effect)]
         return is_physical(phi, tolerance=tolerance)
+
+    def physical_loss(self) -> float:
+        """Held-out squared error with bodies that can be, the sum of `loss`."""
+        fitted = held_out_physical(self.dataset, self.unknowns, self.weights, delay=self.delay)
+        return float((fitted.sse / self.dataset.effort_std**2).sum())
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""

@@ -23,7 +23,7 @@ from geodrake.diagnosis.evidence import (
     log_likelihood_gain,
     tie_probability,
 )
-from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.hypothesis import CLEARLY_IMPOSSIBLE, Hypothesis
 from geodrake.diagnosis.search import best_trial
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
@@ -41,7 +41,6 @@ from geodrake.effects.base import Effect
 
 _BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
-_CLEARLY = 1e-3  # of a body's largest moment, which its smallest one falls below zero
 
 
 def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
@@ -77,7 +76,7 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
 
 def _spares_bodies(hypothesis: Hypothesis, reduced: Hypothesis) -> bool:
     """Whether some body can be as it is fitted, and clearly could not without an effect."""
-    impossible = ~reduced.physical(tolerance=-_CLEARLY)
+    impossible = ~reduced.physical(tolerance=-CLEARLY_IMPOSSIBLE)
     return bool(np.any(hypothesis.physical() & impossible))
 
 

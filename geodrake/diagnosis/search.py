@@ -16,7 +16,7 @@ from geodrake.diagnosis.evidence import (
     fold_agreement,
     tie_probability,
 )
-from geodrake.diagnosis.hypothesis import HELD, Hypothesis
+from geodrake.diagnosis.hypothesis import CLEARLY_IMPOSSIBLE, HELD, Hypothesis
 from geodrake.diagnosis.trials import PENALTY, Trial, acted_upon, asked_of, gain_of, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.dataset import is_payload
@@ -151,7 +151,22 @@ def choose(ranked: Sequence[Ranked]) -> Ranked:
 def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
     """Best first, with those marked that cannot be told from the best."""
     ordered = sorted(ranked, key=lambda r: -r.score)
-    return [replace(r, tied=_ties(r, ordered[0], criteria)) for r in ordered]
+    marked = [replace(r, tied=_ties(r, ordered[0], criteria)) for r in ordered]
+    return _only_possible_ties(marked) if sum(r.tied for r in marked) > 1 else marked
+
+
+def _only_possible_ties(marked: Sequence[Ranked]) -> list[Ranked]:
+    """Candidates without ties that are as good only with bodies which cannot be, if others can."""
+    tied = [r.hypothesis for r in marked if r.tied]
+    possible = np.array([after.physical(tolerance=-CLEARLY_IMPOSSIBLE) for after in tied])
+    whole = [after for after, can_be in zip(tied, possible, strict=True) if can_be.all()]
+    if len(whole) in (0, len(tied)):
+        return list(marked)
+    most = SEVERAL * min(float(after.loss().sum()) for after in whole)
+    return [
+        replace(r, tied=r.tied and (r.hypothesis in whole or r.hypothesis.physical_loss() <= most))
+        for r in marked
+    ]
 
 
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
