@@ -105,10 +105,10 @@ def test_is_no_force():
         EffectForce(MODEL.plant, [(Backlash("elbow", 1e-3), [1.0])])
 
 
-@pytest.mark.parametrize("seed", [1])
-def test_found(seed):
+def loose_log(half_width, *, noise=0.005, seed=1):
+    """A log of the pendulum whose elbow has play, its shoulder all but at rest."""
     rng = np.random.default_rng(seed)
-    time, link, torque = played(8e-3, 40.0)
+    time, link, torque = played(half_width, 40.0)
     every = slice(0, None, 8)
     q, v, vd = motor(time)
     slow = 0.02 * np.sin(1.1 * time)
@@ -130,15 +130,19 @@ def test_found(seed):
     effort = effort[: len(effort) // 8 * 8].reshape(-1, 8, 2).mean(1)
     at = time[every] + 3.5 / 2000.0
     states = [np.stack([np.interp(at, time, x) for x in pair.T], 1) for pair in (base.q, base.v)]
-    log = JointLog(
+    return JointLog(
         "loose",
         MODEL.joints,
         at,
         states[0],
-        effort + 0.005 * effort.std(0) * rng.normal(size=effort.shape),
+        effort + noise * effort.std(0) * rng.normal(size=effort.shape),
         states[1],
     )
-    found = explain(MODEL, [log], bandwidth=6.0)
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_found(seed):
+    found = explain(MODEL, [loose_log(8e-3, seed=seed)], bandwidth=6.0)
     (step,) = found.steps
     assert (step.effect, step.where) == ("backlash", ("elbow",))
     values = step.parameters["elbow"]

@@ -15,10 +15,9 @@ from geodrake.diagnosis.fading import fading_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, not_held
 from geodrake.diagnosis.forward import Progress, Trail
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
-from geodrake.diagnosis.play import WHERE_PLAY_SHOWS, bandwidth_of_play
+from geodrake.diagnosis.other_bandwidth import comes_closer, other_bandwidths
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import refit_step, steps_of
-from geodrake.effects import Backlash
 from geodrake.effects.base import Effect
 from geodrake.errors import IdentificationError
 from geodrake.identification.model_fit import ModelFit, effects_of, model_unknowns
@@ -78,19 +77,28 @@ def investigate(
     """Explain a case that has columns for candidates; see `explain`."""
     criteria = criteria or Criteria()
     found = _investigated(case, criteria, progress)
-    bandwidth = bandwidth_of_play(found.case, found.hypothesis, criteria)
-    if bandwidth is None:
-        return found
-    sharp = at_bandwidth(case, bandwidth, candidates=True, how=WHERE_PLAY_SHOWS)
-    again = _investigated(sharp, criteria, progress)
-    return again if _is_play_alone(found.explanation, again.explanation) else found
+    for other in other_bandwidths(found.case, found.hypothesis, criteria):
+        if progress is not None:
+            progress(f"{other.effect.name} at {other.bandwidth:.3g} Hz", found.explanation.end.nrms)
+        there = at_bandwidth(case, other.bandwidth, candidates=True, how=other.how)
+        again = _investigated(there, criteria, progress)
+        if _tells_more(again.explanation, found.explanation, other.effect):
+            return again
+    return found
 
 
-def _is_play_alone(before: Explanation, after: Explanation) -> bool:
-    """Whether all that is new in an explanation is play; bodies may be wrong in either."""
+def _tells_more(after: Explanation, before: Explanation, effect: type[Effect]) -> bool:
+    """Whether an explanation at another bandwidth has an effect and is the better one for it.
+
+    Where all was explained, nothing else may be new, but that bodies are wrong; where it was not,
+    all must be, or the error come clearly closer to the noise.
+    """
     had, has = ({step.effect for step in each.steps} for each in (before, after))
-    new = had.symmetric_difference(has) - {"wrong_inertia"}
-    return new == {Backlash.name} and after.verdict == "explained"
+    if effect.name not in has:
+        return False
+    if before.verdict != "unexplained":
+        return after.verdict == "explained" and has - had <= {effect.name, "wrong_inertia"}
+    return comes_closer(before.end, after.end)
 
 
 def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> Investigation:

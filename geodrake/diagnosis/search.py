@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 
-_NEAR = 0.8  # of the largest gain: places that are fitted in full before one of them is named
+_NEAR = 0.5  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
 
