@@ -148,3 +148,20 @@ def test_found(seed):
     values = step.parameters["elbow"]
     assert values["gap_share"] * values["half_width"] == pytest.approx(8e-3, rel=0.15)
     assert step.error_after < 0.35 * step.error_before
+
+
+@pytest.mark.parametrize("half_width", [3e-4, 8e-3])
+def test_shows_above_the_bandwidth_of_the_motion(half_width):
+    """Low-passed as suits the motion, the blows are gone, or look like ripple."""
+    log = loose_log(half_width, noise=0.01)
+    found = explain(MODEL, [log])
+    (step,) = found.steps
+    assert (step.effect, step.where, found.verdict) == ("backlash", ("elbow",), "explained")
+    values = step.parameters["elbow"]
+    assert values["gap_share"] * values["half_width"] == pytest.approx(half_width, rel=0.15)
+    assert any("Hz at which backlash shows" in note for note in found.notes)
+
+
+def test_a_bandwidth_that_was_asked_for_stays():
+    found = explain(MODEL, [loose_log(3e-4, noise=0.01)], bandwidth=1.3)
+    assert (found.steps, found.verdict) == ((), "adequate")

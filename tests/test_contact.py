@@ -39,7 +39,8 @@ def pushed(joint, point, force, window, *, ramp=0.03, friction=0.0):
     def hidden(seen):
         start, end = window
         on = expit(2.0 * (seen.time - start) / ramp) - expit(2.0 * (seen.time - end) / ramp)
-        effort = friction * FRICTION * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)
+        size = friction * FRICTION[: seen.model.nv]
+        effort = size * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)
         for i in np.flatnonzero(on > 1e-9):
             pin.forwardKinematics(seen.model, seen.data, seen.q[i])
             J = pin.computeJointJacobian(seen.model, seen.data, seen.q[i], joint)
@@ -219,6 +220,22 @@ class TestDiagnosis:
         (step,) = explain(ARM, [recording.log]).steps
         assert (step.effect, step.where) == ("contact", ("flange",))
         assert step.error_after < 0.2 * step.error_before
+
+    def test_that_free_bodies_follow(self):
+        """Two bodies that may move fit a long push half, at the cost of all the rest of the log."""
+        hidden = pushed(2, [0.0, 0.0, 0.2], np.array([1.0, 0.0, 0.6]), (7.7, 11.6), ramp=0.3)
+        pendulum = load_model(MODELS / "double_pendulum.urdf")
+        found = explain(pendulum, [effort_log("double_pendulum", 1, hidden, share=0.01).log])
+        (step,) = found.steps
+        assert (step.effect, step.where, found.verdict) == (
+            "contact",
+            ("lower_link",),
+            "explained",
+        )
+        ((_, values),) = step.parameters.items()
+        assert (values["start"], values["end"]) == pytest.approx((7.7, 11.6), abs=0.05)
+        ((_, deviations),) = step.deviations.items()
+        assert np.isinf(deviations["force_y"])  # across the plane of motion
 
     def test_named_by_one_diagnosis(self):
         hidden = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 0.0, -40.0]), (8.0, 9.5))

@@ -97,7 +97,17 @@ def recording(law, seed, *, seconds=24.0):
     return record("invented", rows, rng, joints=file.names[1:]).log
 
 
-@pytest.mark.parametrize("name", INVENTED)
+THOROUGH = "damper that another joint's position opens"
+"""One whose formula is much like that of the brake."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.thorough) if name == THOROUGH else name
+        for name in INVENTED
+    ],
+)
 def test_invented_effects(name, tmp_path):
     law, joint, signals = INVENTED[name]
     log, model = recording(law, 3), load_model(MODELS / "arm6.urdf")

@@ -195,6 +195,8 @@ class TestWhatItMustShow:
             ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
             # The load changes its sign in five of eight folds.
             ("one", ("backlash",), 2, 9, {"robot": "panda"}),
+            # Single rotors do as well, beside a body that cannot be.
+            ("one", ("coupled_rotor_inertia",), 1, 18, {"robot": "double_pendulum"}),
             # Bodies that may move take the payload in: then only the other effect is found.
             ("two", ("payload", "joint_spring"), 9, 103, {"robot": "double_pendulum"}),
             ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
@@ -218,10 +220,20 @@ class TestWhatItMustShow:
         assert not row["extra"]
         assert row["over_floor"] < 1.1
 
-    def test_friction_that_does_not_jump_is_no_further_one(self):
-        # It fades by another law than geodrake's, so that a little is left.
-        names = ("asymmetric_friction", "load_dependent_friction")
-        row = scoring.score_draw(draws.draw("two", names, 0, 103, robot="double_pendulum"))
+    @pytest.mark.parametrize(
+        ("case", "hidden", "number", "seed"),
+        [
+            # Friction that does not jump where a joint turns round.
+            ("two", ("asymmetric_friction", "load_dependent_friction"), 0, 103),
+            # Viscous friction does half of what bristles do, and hides them.
+            ("one", ("hysteresis",), 1, 15),
+            # The link's acceleration is known only at a lower bandwidth than the motor's.
+            ("one", ("joint_elasticity",), 1, 18),
+        ],
+    )
+    def test_other_laws_than_those_of_the_library(self, case, hidden, number, seed):
+        """The effect is named, and no further one for what its law leaves."""
+        row = scoring.score_draw(draws.draw(case, hidden, number, seed, robot="double_pendulum"))
         assert row["named"]
         assert not row["extra"]
         assert row["over_floor"] < 1.3
