@@ -21,6 +21,7 @@ from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.diagnosis.results import ErrorTable
 from geodrake.effects import Backlash, JointElasticity
 from geodrake.effects.deflection import DeflectionEffect
+from geodrake.errors import LogError
 from geodrake.filtering import HIGHEST_BANDWIDTH
 from geodrake.identification.coherent_bandwidth import coherent_bandwidth
 
@@ -68,17 +69,26 @@ def other_bandwidths(case: Case, end: Hypothesis, criteria: Criteria) -> Iterato
     found = any(isinstance(each, effect) for each in end.unknowns.effects)
     if case.asked.bandwidth is not None or (found and explained):
         return
+    own = case.trajectories[0].filter.bandwidth
+    for other in (OtherBandwidth(factor * own, effect) for factor in factors):
+        there = _opened(case, other)
+        if there is not None:
+            known = end.moved(there.dataset, delay=0)
+            after = known if found else _with_shown(effect, there, known, criteria)
+            if after is not None and (explained or comes_closer(_errors(end), _errors(after))):
+                yield other
+
+
+def _opened(case: Case, other: OtherBandwidth) -> Case | None:
+    """The case at another bandwidth, if logs are fast, long and clear enough for it."""
     highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in case.trajectories)
-    for factor in factors:
-        bandwidth = factor * case.trajectories[0].filter.bandwidth
-        if bandwidth <= highest:
-            other = OtherBandwidth(bandwidth, effect)
-            there = at_bandwidth(case, bandwidth, candidates=False, how=other.how)
-            if coherent_bandwidth(case.model, there.trajectories) is None:
-                known = end.moved(there.dataset, delay=0)
-                after = known if found else _with_shown(effect, there, known, criteria)
-                if after is not None and (explained or comes_closer(_errors(end), _errors(after))):
-                    yield other
+    if other.bandwidth > highest:
+        return None
+    try:
+        there = at_bandwidth(case, other.bandwidth, candidates=False, how=other.how)
+    except LogError:  # too few samples would be left
+        return None
+    return there if coherent_bandwidth(case.model, there.trajectories) is None else None
 
 
 def comes_closer(before: ErrorTable, after: ErrorTable) -> bool:
