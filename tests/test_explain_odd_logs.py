@@ -101,3 +101,14 @@ def test_too_few_blocks_are_refused_by_name(model, blocks):
 def test_no_log_is_refused(model):
     with pytest.raises(ArgumentError, match="There is no log"):
         compare(model, [])
+
+
+def test_a_log_too_short_for_a_lower_bandwidth(model):
+    """Soft joints, which show at half the bandwidth, are looked for as far as samples reach."""
+
+    def oscillation(q, v, vd, load):
+        wave = 0.8 * np.sin(0.44 * np.arange(len(q)))
+        return np.stack([wave, np.zeros_like(wave)], 1)
+
+    log = pendulum_log(3, oscillation, rate=10.0, seconds=12.0)
+    assert explain(model, [log]).verdict == "unexplained"
