@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
+from geodrake.diagnosis.case import open_case
 from geodrake.effects import Backlash
 from geodrake.errors import ArgumentError
 from geodrake.motion import JointLog, Motion
@@ -163,5 +164,7 @@ def test_shows_above_the_bandwidth_of_the_motion(half_width):
 
 
 def test_a_bandwidth_that_was_asked_for_stays():
-    found = explain(MODEL, [loose_log(3e-4, noise=0.01)], bandwidth=1.3)
+    log = loose_log(3e-4, noise=0.01)
+    assert open_case(MODEL, [log], candidates=False).trajectories[0].filter.bandwidth < 1.5
+    found = explain(MODEL, [log], bandwidth=1.3)
     assert (found.steps, found.verdict) == ((), "adequate")

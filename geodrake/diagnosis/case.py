@@ -39,7 +39,7 @@ class Asked:
     Attributes:
         logs: The logs, joints in the model's order.
         extra: Effect classes of the user's own.
-        bandwidth: Bandwidth asked for, Hz; None if it was chosen from the data.
+        bandwidth: Bandwidth that it was to have, Hz; None if it was chosen from the data.
         blocks: Blocks asked for.
     """
 
@@ -92,6 +92,7 @@ def open_case(
     extra: Sequence[type[Effect]] = (),
     bandwidth: float | None = None,
     blocks: int | None = None,
+    motion_bandwidth: float | None = None,
     how: str = "as asked for",
 ) -> Case:
     """Prepare and reduce logs for a model.
@@ -104,6 +105,7 @@ def open_case(
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
+        motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
         how: Where a given bandwidth comes from, for the notes.
 
     Raises:
@@ -125,7 +127,9 @@ def open_case(
         trajectories, changed = prepare_for_model(model, matched)
         hints += [changed] if changed else []
     else:
-        trajectories = prepare_logs(matched, bandwidth=bandwidth, how=how)
+        trajectories = prepare_logs(
+            matched, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+        )
     folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
@@ -157,11 +161,15 @@ def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) ->
 
     Args:
         case: The case.
-        bandwidth: Bandwidth of the filter, Hz.
+        bandwidth: Bandwidth of the filter, Hz. For a lower one the motion is smoothed as much as
+            efforts were, as above that it may not belong to them.
         candidates: Whether effects that the model lacks get columns too.
         how: Where the bandwidth comes from, for the notes.
+
+    Raises:
+        LogError: Too little of a log would be left.
     """
-    asked = case.asked
+    asked, own = case.asked, case.trajectories[0].filter.bandwidth
     return open_case(
         case.model,
         asked.logs,
@@ -169,6 +177,7 @@ def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) ->
         extra=asked.extra,
         bandwidth=bandwidth,
         blocks=asked.blocks,
+        motion_bandwidth=own if bandwidth < own else None,
         how=how,
     )
 

@@ -47,7 +47,7 @@ def diagnose(
 
     Returns:
         Convincing candidates, each refitted with everything that may move. The first is the step
-        that `explain` would take: the simplest of those that the logs cannot tell from the best,
+        that `explain` takes at this bandwidth: the simplest of those not told from the best,
         with complex effects swapped for simpler ones wherever these stand within the criteria.
 
     Raises:

@@ -68,7 +68,8 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
     """
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
-    if not windows and not error_table(case.dataset, hypothesis.held_out).is_noise:
+    noise = error_table(case.dataset, hypothesis.held_out).is_noise
+    if not windows and not noise and hypothesis.looseness > HELD:
         # Bodies that are free to follow a contact spread its error all over the log.
         hypothesis = hypothesis.loosened(HELD / hypothesis.looseness)
         scale = _scaled(case, hypothesis)

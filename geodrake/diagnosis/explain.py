@@ -15,7 +15,11 @@ from geodrake.diagnosis.fading import fading_notes
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, not_held
 from geodrake.diagnosis.forward import Progress, Trail
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
-from geodrake.diagnosis.other_bandwidth import comes_closer, other_bandwidths
+from geodrake.diagnosis.other_bandwidth import (
+    OtherBandwidth,
+    errors_at,
+    other_bandwidths,
+)
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
 from geodrake.diagnosis.steps import refit_step, steps_of
 from geodrake.effects.base import Effect
@@ -23,6 +27,9 @@ from geodrake.errors import IdentificationError
 from geodrake.identification.model_fit import ModelFit, effects_of, model_unknowns
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
+
+_NO_MORE = 1.05
+"""Times the error of another explanation that count as no more than it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +63,8 @@ def explain(
         model: The model as it stands.
         logs: Logs or their files; several logs are several trajectories.
         extra: Effect classes of the user's own to try beside the catalogue's.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data, and another one
+            where play or a soft joint shows only there (a note says so).
         blocks: Blocks into which every log is cut for validation.
         criteria: When an effect counts as found.
         progress: Told about each step, in words and with the held-out nrms.
@@ -77,28 +85,54 @@ def investigate(
     """Explain a case that has columns for candidates; see `explain`."""
     criteria = criteria or Criteria()
     found = _investigated(case, criteria, progress)
-    for other in other_bandwidths(found.case, found.hypothesis, criteria):
-        if progress is not None:
-            progress(f"{other.effect.name} at {other.bandwidth:.3g} Hz", found.explanation.end.nrms)
-        there = at_bandwidth(case, other.bandwidth, candidates=True, how=other.how)
-        again = _investigated(there, criteria, progress)
-        if _tells_more(again.explanation, found.explanation, other.effect):
-            return again
+    explained = found.explanation.verdict != "unexplained"
+    for other in other_bandwidths(found.case, found.hypothesis, criteria, explained=explained):
+        how = f"at which {other.effect.name} shows"
+        there = at_bandwidth(case, other.bandwidth, candidates=True, how=how)
+        again = _investigated(there, criteria, None)
+        if _tells_more(again, found, other):
+            if progress is not None:
+                words = f"{other.effect.name} at {other.bandwidth:.3g} Hz"
+                progress(words, again.explanation.end.nrms)
+            return _with_bandwidths_told(again, found)
     return found
 
 
-def _tells_more(after: Explanation, before: Explanation, effect: type[Effect]) -> bool:
-    """Whether an explanation at another bandwidth has an effect and is the better one for it.
+def _tells_more(after: Investigation, before: Investigation, other: OtherBandwidth) -> bool:
+    """Whether an investigation at another bandwidth has an effect and is the better one for it.
 
-    Where all was explained, nothing else may be new, but that bodies are wrong; where it was not,
-    all must be, or the error come clearly closer to the noise.
+    Where all was explained, nothing else may be new, but that bodies are wrong, and what was
+    explained before must be still; where it was not, clearly less must be left.
     """
-    had, has = ({step.effect for step in each.steps} for each in (before, after))
-    if effect.name not in has:
+    had, has = ({step.effect for step in each.explanation.steps} for each in (before, after))
+    if other.effect.name not in has:
         return False
-    if before.verdict != "unexplained":
-        return after.verdict == "explained" and has - had <= {effect.name, "wrong_inertia"}
-    return comes_closer(before.end, after.end)
+    if before.explanation.verdict == "unexplained":
+        return other.explains(after.explanation.end)
+    if not has - had <= {other.effect.name, "wrong_inertia"}:
+        return False
+    own = before.case.trajectories[0].filter.bandwidth
+    still = errors_at(after.case, after.hypothesis, own).nrms <= _NO_MORE * _errors(before).nrms
+    return after.explanation.verdict == "explained" and still
+
+
+def _errors(found: Investigation) -> ErrorTable:
+    """Held-out errors of what was found."""
+    return error_table(found.case.dataset, found.hypothesis.held_out)
+
+
+def _with_bandwidths_told(after: Investigation, before: Investigation) -> Investigation:
+    """The investigation with a note on its bandwidth and, if that is lower, on what is above it."""
+    own, now = (each.case.trajectories[0].filter.bandwidth for each in (before, after))
+    told = f"errors are those at {now:.3g} Hz: compare others with --bandwidth {now:.3g}"
+    if now < own:
+        above = errors_at(after.case, after.hypothesis, own)
+        told += (
+            f"; at {own:.3g} Hz, {above.nrms / above.floor_nrms:.1f} times the noise is left, as a "
+            "log hardly tells how soft joints swing there"
+        )
+    notes = (*after.explanation.notes, told)
+    return replace(after, explanation=replace(after.explanation, notes=notes))
 
 
 def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> Investigation:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.evidence import effective_samples
 from geodrake.effects.base import Effect
+from geodrake.errors import IdentificationError
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.dataset import Dataset, is_payload
 from geodrake.identification.model_fit import held_out_physical
@@ -89,10 +90,12 @@ class Hypothesis:
                 phi[bodies.index(effect.where[0])] += x[self.unknowns.span(effect)]
         return is_physical(phi, tolerance=tolerance)
 
-    def physical_loss(self) -> float:
-        """Held-out squared error with bodies that can be, the sum of `loss`."""
-        fitted = held_out_physical(self.dataset, self.unknowns, self.weights, delay=self.delay)
-        return float((fitted.sse / self.dataset.effort_std**2).sum())
+    def physical_held_out(self) -> HeldOut | None:
+        """Held-out errors of physically consistent fits; None if no solver finds one."""
+        try:
+            return held_out_physical(self.dataset, self.unknowns, self.weights, delay=self.delay)
+        except IdentificationError:
+            return None
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""

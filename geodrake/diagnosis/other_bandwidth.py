@@ -19,7 +19,8 @@ from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
 from geodrake.diagnosis.results import ErrorTable
-from geodrake.effects import Backlash, JointElasticity
+from geodrake.effects import Backlash, Contact, JointElasticity
+from geodrake.effects.base import Effect
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import LogError
 from geodrake.filtering import HIGHEST_BANDWIDTH
@@ -32,89 +33,100 @@ _LOWER = (0.5,)
 """The same for soft joints."""
 
 _CLEARLY_LESS = 0.5
-"""Of how many times its floor an error was, that it must be at another bandwidth."""
+"""Share of an error that a soft joint must leave at most, unless it leaves nothing but noise."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OtherBandwidth:
     """A bandwidth at which an effect shows that does not at that of the log.
 
     Attributes:
         bandwidth: The bandwidth, Hz.
         effect: The effect.
+        known: Errors there of what was found without it.
     """
 
     bandwidth: float
     effect: type[DeflectionEffect]
+    known: ErrorTable
 
-    @property
-    def how(self) -> str:
-        """Where the bandwidth comes from, for the notes."""
-        return f"at which {self.effect.name} shows"
+    def explains(self, errors: ErrorTable) -> bool:
+        """Whether errors at this bandwidth leave noise alone, or clearly less than what is known.
+
+        Args:
+            errors: Those with the effect.
+        """
+        return errors.is_noise or errors.nrms <= _CLEARLY_LESS * self.known.nrms
 
 
-def other_bandwidths(case: Case, end: Hypothesis, criteria: Criteria) -> Iterator[OtherBandwidth]:
+def other_bandwidths(
+    case: Case, end: Hypothesis, criteria: Criteria, *, explained: bool
+) -> Iterator[OtherBandwidth]:
     """Other bandwidths at which a joint turns out to be loose or soft.
 
     Play is looked for only where all else is explained, as what is unknown would pass for it, and
-    soft joints only where it is not. A bandwidth that was asked for stays.
+    soft joints only where it is not. A bandwidth that was asked for stays, and that of a log with
+    contacts, whose pieces were dealt out to the folds.
 
     Args:
         case: The case with what was found.
         end: What was found, on that case.
         criteria: When an effect counts as found.
+        explained: Whether nothing but noise is left of it.
     """
-    explained = error_table(case.dataset, end.held_out).is_noise
     effect, factors = (Backlash, _HIGHER) if explained else (JointElasticity, _LOWER)
-    found = any(isinstance(each, effect) for each in end.unknowns.effects)
-    if case.asked.bandwidth is not None or (found and explained):
+    stays = any(isinstance(each, effect | Contact) for each in end.unknowns.effects)
+    if case.asked.bandwidth is not None or stays:
         return
     own = case.trajectories[0].filter.bandwidth
-    for other in (OtherBandwidth(factor * own, effect) for factor in factors):
-        there = _opened(case, other)
+    for bandwidth in (factor * own for factor in factors):
+        there = _opened(case, bandwidth)
         if there is not None:
             known = end.moved(there.dataset, delay=0)
-            after = known if found else _with_shown(effect, there, known, criteria)
-            if after is not None and (explained or comes_closer(_errors(end), _errors(after))):
+            other = OtherBandwidth(bandwidth, effect, _errors(known))
+            shown = _shown(effect, there, known, criteria)
+            if shown and (explained or other.explains(_errors(_with(there, known, shown)))):
                 yield other
 
 
-def _opened(case: Case, other: OtherBandwidth) -> Case | None:
+def errors_at(case: Case, end: Hypothesis, bandwidth: float) -> ErrorTable:
+    """Held-out errors at another bandwidth of what was found, refitted.
+
+    Args:
+        case: The case with what was found.
+        end: What was found, on that case.
+        bandwidth: Bandwidth of the filter, Hz.
+    """
+    there = at_bandwidth(case, bandwidth, candidates=False, how="to compare")
+    return _errors(end.moved(there.dataset, delay=0))
+
+
+def _opened(case: Case, bandwidth: float) -> Case | None:
     """The case at another bandwidth, if logs are fast, long and clear enough for it."""
-    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in case.trajectories)
-    if other.bandwidth > highest:
+    if bandwidth > HIGHEST_BANDWIDTH / max(t.filter.period for t in case.trajectories):
         return None
     try:
-        there = at_bandwidth(case, other.bandwidth, candidates=False, how=other.how)
+        there = at_bandwidth(case, bandwidth, candidates=False, how="to compare")
     except LogError:  # too few samples would be left
         return None
     return there if coherent_bandwidth(case.model, there.trajectories) is None else None
-
-
-def comes_closer(before: ErrorTable, after: ErrorTable) -> bool:
-    """Whether nothing but noise is left, or half as many times as much of it as before.
-
-    Args:
-        before: Errors that are not noise.
-        after: Errors at another bandwidth.
-    """
-    was, left = (each.nrms / each.floor_nrms for each in (before, after))
-    return after.is_noise or left <= _CLEARLY_LESS * was
 
 
 def _errors(hypothesis: Hypothesis) -> ErrorTable:
     return error_table(hypothesis.dataset, hypothesis.held_out)
 
 
-def _with_shown(
+def _shown(
     effect: type[DeflectionEffect], case: Case, end: Hypothesis, criteria: Criteria
-) -> Hypothesis | None:
-    """What was found with an effect at all joints where it convinces; None if it does nowhere."""
+) -> tuple[Effect, ...]:
+    """An effect at all joints where it convinces beside what was found, in all its shapes."""
     look = loose_joints if effect is Backlash else elastic_joints
     proposals = look(case, joint_residuals(case, end), full_motion(case))
     effects = [each for proposal in proposals for each in proposal.effects]
-    shown = convincing_ones(case, end, effects, criteria) if effects else ()
-    if not shown:
-        return None
-    dataset = reduced(case, [*end.unknowns.effects, *shown])
-    return end.moved(dataset, delay=0).with_effects(shown)
+    return convincing_ones(case, end, effects, criteria) if effects else ()
+
+
+def _with(case: Case, end: Hypothesis, effects: tuple[Effect, ...]) -> Hypothesis:
+    """What was found and further effects, which need no columns yet."""
+    dataset = reduced(case, [*end.unknowns.effects, *effects])
+    return end.moved(dataset, delay=0).with_effects(effects)

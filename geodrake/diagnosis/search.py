@@ -19,6 +19,7 @@ from geodrake.diagnosis.evidence import (
 from geodrake.diagnosis.hypothesis import CLEARLY_IMPOSSIBLE, HELD, Hypothesis
 from geodrake.diagnosis.trials import PENALTY, Trial, acted_upon, asked_of, gain_of, try_packages
 from geodrake.effects.base import Effect
+from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
@@ -51,7 +52,7 @@ class Ranked:
         gain: Twice the held-out log-likelihood ratio.
         parameters: How many parameters were added, shapes counted.
         alarm: Probability of a false alarm.
-        tied: Whether the best candidate cannot be told from this one.
+        tied: Whether the best of those that can be cannot be told from this one.
     """
 
     names: tuple[str, ...]
@@ -149,34 +150,39 @@ def choose(ranked: Sequence[Ranked]) -> Ranked:
 
 
 def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
-    """Best first, with those marked that cannot be told from the best."""
+    """Best first, with those marked that cannot be told from the best.
+
+    What is as good only with bodies that cannot be is none of them, even if it is the best, as long
+    as another one is as good with bodies that can.
+    """
     ordered = sorted(ranked, key=lambda r: -r.score)
-    marked = [replace(r, tied=_ties(r, ordered[0], criteria)) for r in ordered]
-    return _only_possible_ties(marked) if sum(r.tied for r in marked) > 1 else marked
-
-
-def _only_possible_ties(marked: Sequence[Ranked]) -> list[Ranked]:
-    """Candidates without ties that are as good only with bodies which cannot be, if others can."""
-    tied = [r.hypothesis for r in marked if r.tied]
-    possible = np.array([after.physical(tolerance=-CLEARLY_IMPOSSIBLE) for after in tied])
-    whole = [after for after, can_be in zip(tied, possible, strict=True) if can_be.all()]
-    if len(whole) in (0, len(tied)):
-        return list(marked)
-    most = SEVERAL * min(float(after.loss().sum()) for after in whole)
-    return [
-        replace(r, tied=r.tied and (r.hypothesis in whole or r.hypothesis.physical_loss() <= most))
-        for r in marked
-    ]
+    tied = [r for r in ordered if _ties(r, ordered[0], criteria)]
+    possible = [r for r in tied if r.hypothesis.physical(tolerance=-CLEARLY_IMPOSSIBLE).all()]
+    if possible:
+        tied = [r for r in tied if r in possible or _stays_physical(r, possible[0])]
+    return [replace(r, tied=r in tied) for r in ordered]
 
 
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
     if candidate is best:
         return True
     after, least = candidate.hypothesis, best.hypothesis
-    joints = _acted_upon(candidate) | _acted_upon(best)
-    if np.any((after.held_out.mse > SEVERAL * least.held_out.mse)[joints]):
+    if _is_far(after.held_out, candidate, best):
         return False
     return tie_probability(least.loss(), after.loss()) > criteria.tie
+
+
+def _is_far(errors: HeldOut, candidate: Ranked, best: Ranked) -> bool:
+    """Whether errors of a candidate are several times those of the best where either acts."""
+    joints = _acted_upon(candidate) | _acted_upon(best)
+    least = best.hypothesis.held_out
+    return bool(np.any((errors.mse > SEVERAL * least.mse)[joints]))
+
+
+def _stays_physical(candidate: Ranked, best: Ranked) -> bool:
+    """Whether a candidate is no worse by far with bodies that can be."""
+    errors = candidate.hypothesis.physical_held_out()
+    return errors is not None and not _is_far(errors, candidate, best)
 
 
 def _acted_upon(candidate: Ranked) -> NDArray[np.bool_]:

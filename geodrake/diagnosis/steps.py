@@ -31,8 +31,8 @@ from geodrake.model import FittedEffect
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
-_HEAVIER = 0.01
-"""Share of its mass by which a last body, fitted heavier, may be one that carries something."""
+_HEAVIER = 0.25
+"""Share of the farthest body's way from which on a last body, if heavier, may carry something."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,9 +209,10 @@ def _carried(case: Case, bodies: Collection[str], phi: Array) -> tuple[str, ...]
         bodies: Those that moved far.
         phi: (nb, 10) all bodies as fitted.
     """
-    mass, was = phi[:, 0], case.model.phi[:, 0]
-    heavier = np.asarray(case.model.bodies)[mass > (1.0 + _HEAVIER) * was]
-    return (Payload.name,) if {*bodies, *heavier}.intersection(case.model.last_bodies) else ()
+    distance = _distances(case, phi)
+    heavier = (phi[:, 0] > case.model.phi[:, 0]) & (distance >= _HEAVIER * distance.max())
+    may = {*bodies, *np.asarray(case.model.bodies)[heavier]}
+    return (Payload.name,) if may.intersection(case.model.last_bodies) else ()
 
 
 def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:

@@ -20,8 +20,8 @@ from geodrake.identification.solvers import check_solver, cone_multiplier, run_s
 from geodrake.inertia import Array, pullback_metric
 from geodrake.reduction import triangular_factor
 
-_NOTHING = 1e-290
-"""Information up to which a parameter counts as untold: that of priors which leave all to data."""
+_NOTHING = 1e-24
+"""Share of the largest information up to which a parameter counts as untold: rounding's."""
 _BOUNDARY = 1e-5
 """Distance, in scaled units, within which a bound counts as reached."""
 
@@ -60,7 +60,7 @@ class FitResult:
         information by the share of effective samples first.
         """
         told = np.diagonal(self.information)
-        size = np.sqrt(np.where(told > _NOTHING, told, 1.0))
+        size = np.sqrt(np.where(told > _NOTHING * told.max(initial=0.0), told, 1.0))
         values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         known = values > len(values) * np.finfo(float).eps * values[-1]
         variances = (vectors[:, known] ** 2 / values[known]).sum(1)
