@@ -171,3 +171,20 @@ def test_folds_that_hardly_change_count_half():
     assert fold_agreement(before[:2], np.array([falls, stays])) == 0.5
     assert fold_agreement(np.append(before, 0.0), np.array([falls] * 8 + [0.0])) == 1.0
     assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("after", "agreement"),
+    [
+        ([0.9, 0.9, 0.9, 1.1], 0.75),
+        # Most fall; one that stays counts half.
+        ([0.9, 0.9, 0.9, 1.001], 0.875),
+        # Two are halved, each predicted by the others: those that hardly rise do not speak against.
+        ([0.3, 0.3, 1.02, 1.02], 1.0),
+        ([0.3, 0.3, 1.02, 1.2], 0.75),
+        # One may be an accident.
+        ([0.1, 1.02, 1.02, 1.02], 0.25),
+    ],
+)
+def test_agreement_of_folds(after, agreement):
+    assert fold_agreement(np.ones(4), np.array(after)) == agreement

@@ -16,7 +16,8 @@ from scipy.stats import chi2, t
 
 Array = NDArray[np.float64]
 
-_HARDLY = 0.01  # of a fold's loss
+_HARDLY, _NO_RISE, _HALF = 0.01, 0.05, 0.5  # of a fold's loss
+_FEW = 2  # folds
 _CLEARLY = 2.0
 SEVERAL = 4.0
 """Times the squared error of another hypothesis at a joint that make it no tie: few or coloured
@@ -86,8 +87,10 @@ def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
 def fold_agreement(before: Array, after: Array) -> float:
     """Share of the folds whose loss falls.
 
-    Where it falls clearly in more than half of them, one in which it hardly changes counts half, as
-    in a sign test: play, for example, shows only in the folds where a load changes its sign.
+    Play, for example, shows only in the folds where a load changes its sign. Where the loss falls
+    clearly in more than half of the folds, one in which it hardly changes therefore counts half, as
+    in a sign test; and where it is halved in two or more, each predicted by the others, only those
+    count against it in which it rises.
 
     Args:
         before: (F,) loss of every fold before; folds without samples have none.
@@ -97,6 +100,8 @@ def fold_agreement(before: Array, after: Array) -> float:
     if not seen.any():
         return 0.0
     change = (after - before)[seen] / before[seen]
+    if np.sum(change < -_HALF) >= _FEW:
+        return float(np.mean(change < _NO_RISE))
     if np.mean(change < -_HARDLY) <= 0.5:
         return float(np.mean(change < 0.0))
     return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))
