@@ -253,3 +253,11 @@ class TestWhatItMustShow:
         assert row["verdict"] == "unexplained"
         assert row["right_joint"]
         assert row["right_correlate"]
+
+    def test_a_hose_that_free_bodies_follow(self):
+        """It goes with the pendulum's weight, so that bodies spread it over both joints."""
+        hose = "hose on the sum of two angles"
+        row = scoring.score_draw(draws.draw("outside", (hose,), 0, 22, robot="double_pendulum"))
+        assert row["verdict"] == "unexplained"
+        assert row["right_joint"]
+        assert row["right_correlate"]

@@ -11,7 +11,7 @@ from geodrake.diagnosis.case import error_table, open_case
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.explain import Investigation, investigate
 from geodrake.diagnosis.forward import Progress
-from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.refine import prune
 from geodrake.diagnosis.results import NOISE_MARGIN, Explanation
 from geodrake.drafting.results import Array, Correlate, Draft, DraftedEffect
@@ -78,7 +78,7 @@ def draft_rest(
         progress: Told about each formula.
     """
     criteria = criteria or Criteria()
-    start = hypothesis = investigation.hypothesis
+    start = hypothesis = _where_fewest_joints_err(investigation.hypothesis)
     drafted: list[DraftedEffect] = []
     correlates: list[Correlate] = []
     for joint in _worst_first(start):
@@ -103,6 +103,17 @@ def draft_rest(
         error_table(hypothesis.dataset, hypothesis.held_out),
         start.dataset.logs,
     )
+
+
+def _where_fewest_joints_err(hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis, or with bodies that stay as the model has them if fewer joints err then.
+
+    Bodies that follow what is unknown at one joint, as a hose on the sum of two angles goes with a
+    pendulum's weight, spread it over the joints further in.
+    """
+    held = hypothesis.loosened(HELD / hypothesis.looseness)
+    free, fewer = (sum(_left(each, j) for j in each.dataset.joints) for each in (hypothesis, held))
+    return held if fewer < free else hypothesis
 
 
 def _worst_first(hypothesis: Hypothesis) -> list[str]:
