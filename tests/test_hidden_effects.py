@@ -91,9 +91,15 @@ class TestDrake:
         ("name", "effect", "where", "size"),
         [
             ("arm7", "coulomb_friction", ("joint_4",), (3.0,)),
-            ("arm6", "viscous_friction", ("elbow_pitch",), (5.0,)),
+            pytest.param(
+                *("arm6", "viscous_friction", ("elbow_pitch",), (5.0,)),
+                marks=pytest.mark.thorough,
+            ),
             ("arm6", "joint_spring", ("base_yaw",), (8.0, -2.0)),
-            ("arm6", "effort_offset", ("wrist_pitch",), (0.8,)),
+            pytest.param(
+                *("arm6", "effort_offset", ("wrist_pitch",), (0.8,)),
+                marks=pytest.mark.thorough,
+            ),
             ("arm6", "rotor_inertia", ("wrist_roll",), (0.06,)),
             ("arm7", "payload", ("link_7",), (2.0, 0.02, 0.0, 0.1)),
             ("arm6", "coupled_friction", ("shoulder_pitch", "elbow_pitch"), (4.0, 3.0)),
@@ -205,8 +211,23 @@ PINOCCHIO = {
 }
 
 
+SIMPLER = (
+    "viscous",
+    "coulomb",
+    "coulomb and viscous",
+    "coulomb at both",
+    "offset",
+    "spring",
+    "rotor",
+)
+"""Cases that others of the default run contain."""
+
+
 @pytest.mark.parametrize("seed", seeds(1, 2))
-@pytest.mark.parametrize("case", PINOCCHIO)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=pytest.mark.thorough) if c in SIMPLER else c for c in PINOCCHIO],
+)
 def test_pinocchio_with_bodies_off(case, seed):
     name, hidden, expected = PINOCCHIO[case]
     rng, file = np.random.default_rng(seed), robot(name)
@@ -219,7 +240,7 @@ def test_pinocchio_with_bodies_off(case, seed):
 class TestNothingHidden:
     ROBOTS = ("arm6", "arm7", "double_pendulum")
 
-    @pytest.mark.parametrize("seed", seeds(*range(24), first=12))
+    @pytest.mark.parametrize("seed", seeds(*range(24), first=9))
     def test_white_noise(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed)
@@ -230,7 +251,7 @@ class TestNothingHidden:
         floor = floor_nrms(model, recording, found.end)
         assert floor / MARGIN < found.end.nrms < MARGIN * floor
 
-    @pytest.mark.parametrize("seed", seeds(*range(100, 124), first=12))
+    @pytest.mark.parametrize("seed", seeds(*range(100, 124), first=9))
     def test_coloured_noise(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed, colour=(0.4, 0.8)[seed % 2])
@@ -245,7 +266,7 @@ class TestNothingHidden:
         assert step.effect == "wrong_inertia"
         # A payload is a change of the body that carries it.
         at_the_end = set(step.where).intersection(model_file(name).last_bodies)
-        assert ("payload" in step.indistinguishable_from) == bool(at_the_end)
+        assert "payload" in step.indistinguishable_from or not at_the_end
         assert found.verdict == "explained"
         assert found.end.nrms < MARGIN * floor_nrms(model_file(name), recording, found.end)
 

@@ -67,7 +67,10 @@ class TestGravityCompensator:
 
 class TestTorqueRipple:
     @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize(("order", "size"), [(7.0, 3.0), (23.4, 1.0), (101.0, 1.0)])
+    @pytest.mark.parametrize(
+        ("order", "size"),
+        [(7.0, 3.0), pytest.param(23.4, 1.0, marks=pytest.mark.thorough), (101.0, 1.0)],
+    )
     def test_found(self, order, size, seed):
         recording = effort_log("arm6", seed, wave(1, size, order), off=0.2)
         steps, _ = assert_found(
@@ -161,7 +164,10 @@ class TestAerodynamicDrag:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("joint", "body", "point", "size"),
-        [(3, "forearm", (0.2, 0.0, 0.0), 20.0), (6, "flange", (0.0, 0.0, 0.05), 5.0)],
+        [
+            pytest.param(3, "forearm", (0.2, 0.0, 0.0), 20.0, marks=pytest.mark.thorough),
+            (6, "flange", (0.0, 0.0, 0.05), 5.0),
+        ],
     )
     def test_found(self, joint, body, point, size, seed):
         recording = effort_log("arm6", seed, dragged(joint, point, size), off=0.2)
@@ -175,7 +181,11 @@ class TestAerodynamicDrag:
 class TestFrictionDrift:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
-        ("joint", "name", "size"), [(1, "shoulder_pitch", 5.0), (3, "wrist_roll", 0.25)]
+        ("joint", "name", "size"),
+        [
+            (1, "shoulder_pitch", 5.0),
+            pytest.param(3, "wrist_roll", 0.25, marks=pytest.mark.thorough),
+        ],
     )
     def test_found(self, joint, name, size, seed):
         """Friction that falls as 1 / (1 + t / 8 s) from one and a half times its last value."""

@@ -97,7 +97,11 @@ def test_is_no_force():
 class TestDiagnosis:
     @pytest.mark.parametrize(
         ("joint", "stiffness", "friction", "seed"),
-        [(1, 3000.0, 0.0, 1), (1, 6000.0, 0.0, 2), (2, 1500.0, 0.0, 1)],
+        [
+            (1, 3000.0, 0.0, 1),
+            pytest.param(1, 6000.0, 0.0, 2, marks=pytest.mark.thorough),
+            (2, 1500.0, 0.0, 1),
+        ],
     )
     def test_found(self, joint, stiffness, friction, seed):
         recording = elastic_log(joint, stiffness, seed, friction=friction)
@@ -111,7 +115,7 @@ class TestDiagnosis:
         floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
         assert found.end.nrms < 1.15 * floor
 
-    @pytest.mark.parametrize("joint", [1, 2])
+    @pytest.mark.parametrize("joint", [pytest.param(1, marks=pytest.mark.thorough), 2])
     def test_in_slow_motion(self, joint):
         """The load's rates are then mostly noise of the accelerations."""
         (step,) = explain(ARM, [elastic_log(joint, 2000.0, 2, pace=0.08).log]).steps

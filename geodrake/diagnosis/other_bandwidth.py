@@ -29,6 +29,9 @@ from geodrake.identification.coherent_bandwidth import coherent_bandwidth
 _HIGHER = (2.5, 6.0)
 """Bandwidths at which play is looked for, over that of the log."""
 
+_HIGHEST = 30.0
+"""Bandwidth, Hz, up to which play is looked for: samples cost time, and blows are over by then."""
+
 _LOWER = (0.5,)
 """The same for soft joints."""
 
@@ -103,7 +106,8 @@ def errors_at(case: Case, end: Hypothesis, bandwidth: float) -> ErrorTable:
 
 def _opened(case: Case, bandwidth: float) -> Case | None:
     """The case at another bandwidth, if logs are fast, long and clear enough for it."""
-    if bandwidth > HIGHEST_BANDWIDTH / max(t.filter.period for t in case.trajectories):
+    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in case.trajectories)
+    if bandwidth > min(highest, _HIGHEST):
         return None
     try:
         there = at_bandwidth(case, bandwidth, candidates=False, how="to compare")
