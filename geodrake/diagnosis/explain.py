@@ -18,6 +18,7 @@ from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.other_bandwidth import (
     OtherBandwidth,
     errors_at,
+    errors_of,
     other_bandwidths,
 )
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
@@ -112,13 +113,8 @@ def _tells_more(after: Investigation, before: Investigation, other: OtherBandwid
     if not has - had <= {other.effect.name, "wrong_inertia"}:
         return False
     own = before.case.trajectories[0].filter.bandwidth
-    still = errors_at(after.case, after.hypothesis, own).nrms <= _NO_MORE * _errors(before).nrms
-    return after.explanation.verdict == "explained" and still
-
-
-def _errors(found: Investigation) -> ErrorTable:
-    """Held-out errors of what was found."""
-    return error_table(found.case.dataset, found.hypothesis.held_out)
+    was, now = errors_of(before.hypothesis), errors_at(after.case, after.hypothesis, own)
+    return after.explanation.verdict == "explained" and now.nrms <= _NO_MORE * was.nrms
 
 
 def _with_bandwidths_told(after: Investigation, before: Investigation) -> Investigation:

@@ -29,11 +29,11 @@ from geodrake.identification.coherent_bandwidth import coherent_bandwidth
 _HIGHER = (2.5, 6.0)
 """Bandwidths at which play is looked for, over that of the log."""
 
-_HIGHEST = 30.0
-"""Bandwidth, Hz, up to which play is looked for: samples cost time, and blows are over by then."""
-
 _LOWER = (0.5,)
 """The same for soft joints."""
+
+_HIGHEST = 30.0
+"""Bandwidth, Hz, up to which play is looked for: samples cost time, and blows show below it."""
 
 _CLEARLY_LESS = 0.5
 """Share of an error that a soft joint must leave at most, unless it leaves nothing but noise."""
@@ -86,10 +86,15 @@ def other_bandwidths(
         there = _opened(case, bandwidth)
         if there is not None:
             known = end.moved(there.dataset, delay=0)
-            other = OtherBandwidth(bandwidth, effect, _errors(known))
+            other = OtherBandwidth(bandwidth, effect, errors_of(known))
             shown = _shown(effect, there, known, criteria)
-            if shown and (explained or other.explains(_errors(_with(there, known, shown)))):
+            if shown and (explained or other.explains(errors_of(_with(there, known, shown)))):
                 yield other
+
+
+def errors_of(hypothesis: Hypothesis) -> ErrorTable:
+    """Held-out errors of a hypothesis."""
+    return error_table(hypothesis.dataset, hypothesis.held_out)
 
 
 def errors_at(case: Case, end: Hypothesis, bandwidth: float) -> ErrorTable:
@@ -101,7 +106,7 @@ def errors_at(case: Case, end: Hypothesis, bandwidth: float) -> ErrorTable:
         bandwidth: Bandwidth of the filter, Hz.
     """
     there = at_bandwidth(case, bandwidth, candidates=False, how="to compare")
-    return _errors(end.moved(there.dataset, delay=0))
+    return errors_of(end.moved(there.dataset, delay=0))
 
 
 def _opened(case: Case, bandwidth: float) -> Case | None:
@@ -114,10 +119,6 @@ def _opened(case: Case, bandwidth: float) -> Case | None:
     except LogError:  # too few samples would be left
         return None
     return there if coherent_bandwidth(case.model, there.trajectories) is None else None
-
-
-def _errors(hypothesis: Hypothesis) -> ErrorTable:
-    return error_table(hypothesis.dataset, hypothesis.held_out)
 
 
 def _shown(
