@@ -98,11 +98,12 @@ def recording(law, seed, *, seconds=24.0):
 
 
 THOROUGH = (
+    "friction that grows with a neighbour's speed",
     "damper that another joint's position opens",
     "brake that another joint's position tightens",
     "hose that hangs from the sum of two angles",
 )
-"""Those that the benchmark's quick form and its tests draft, too."""
+"""Those of kinds that the benchmark has, too."""
 
 
 @pytest.mark.parametrize(

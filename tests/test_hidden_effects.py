@@ -95,7 +95,10 @@ class TestDrake:
                 *("arm6", "viscous_friction", ("elbow_pitch",), (5.0,)),
                 marks=pytest.mark.thorough,
             ),
-            ("arm6", "joint_spring", ("base_yaw",), (8.0, -2.0)),
+            pytest.param(
+                *("arm6", "joint_spring", ("base_yaw",), (8.0, -2.0)),
+                marks=pytest.mark.thorough,
+            ),
             pytest.param(
                 *("arm6", "effort_offset", ("wrist_pitch",), (0.8,)),
                 marks=pytest.mark.thorough,

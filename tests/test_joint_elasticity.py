@@ -100,7 +100,7 @@ class TestDiagnosis:
         [
             (1, 3000.0, 0.0, 1),
             pytest.param(1, 6000.0, 0.0, 2, marks=pytest.mark.thorough),
-            (2, 1500.0, 0.0, 1),
+            pytest.param(2, 1500.0, 0.0, 1, marks=pytest.mark.thorough),
         ],
     )
     def test_found(self, joint, stiffness, friction, seed):
