@@ -1,16 +1,24 @@
 """Bandwidths other than that which suits a motion: what they must not be used for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from pendulum_logs import PENDULUM, pendulum_log
+from pendulum_logs import PENDULUM, friction, pendulum_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
 from geodrake.diagnosis.case import open_case, reduced
 from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.explain import _tells_more, investigate
 from geodrake.diagnosis.hypothesis import first_hypothesis
-from geodrake.diagnosis.other_bandwidth import errors_at, other_bandwidths
-from geodrake.effects import Backlash, Contact, JointElasticity
+from geodrake.diagnosis.other_bandwidth import (
+    OtherBandwidth,
+    errors_at,
+    errors_of,
+    other_bandwidths,
+)
+from geodrake.effects import Backlash, Contact, CoulombFriction, JointElasticity
 from geodrake.identification.model_fit import model_unknowns
 
 MODEL = load_model(PENDULUM)
@@ -64,3 +72,62 @@ def test_a_bandwidth_that_was_asked_for_stays():
     case = open_case(MODEL, [pendulum_log(3)], candidates=False, bandwidth=5.0)
     known = first_hypothesis(case.dataset, model_unknowns(case.dataset, MODEL))
     assert not list(other_bandwidths(case, known, Criteria(), explained=True))
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    """Dry friction at both joints, found and explained."""
+    log = pendulum_log(4, friction((0.2, 0.1)))
+    found = investigate(open_case(MODEL, [log], candidates=True))
+    assert [step.effect for step in found.explanation.steps] == ["coulomb_friction"]
+    return found
+
+
+def told(found, *names, verdict="explained", end=None):
+    """The same investigation with further steps."""
+    more = [replace(found.explanation.steps[0], effect=name) for name in names]
+    steps = (*found.explanation.steps, *more)
+    explanation = replace(found.explanation, steps=steps, verdict=verdict)
+    return replace(found, explanation=explanation, hypothesis=end or found.hypothesis)
+
+
+def play_at(found):
+    return OtherBandwidth(10.0, Backlash, errors_of(found.hypothesis))
+
+
+def test_play_that_comes_alone_or_with_bodies_tells_more(rubbing):
+    for names in (["backlash"], ["backlash", "wrong_inertia"]):
+        assert _tells_more(told(rubbing, *names), rubbing, play_at(rubbing))
+
+
+@pytest.mark.parametrize(
+    ("names", "verdict"),
+    [
+        ([], "explained"),
+        (["torque_ripple"], "explained"),
+        (["backlash", "torque_ripple"], "explained"),
+        (["backlash"], "unexplained"),
+    ],
+)
+def test_without_play_alone_or_without_an_explanation_nothing_more_is_told(rubbing, names, verdict):
+    assert not _tells_more(told(rubbing, *names, verdict=verdict), rubbing, play_at(rubbing))
+
+
+def test_what_was_explained_must_be_still(rubbing):
+    """Where a bandwidth comes without the friction, it says less of the log at its own."""
+    rid = [CoulombFriction(joint) for joint in ("shoulder", "elbow")]
+    end = rubbing.hypothesis.without(rid)
+    assert not _tells_more(told(rubbing, "backlash", end=end), rubbing, play_at(rubbing))
+
+
+@pytest.mark.parametrize(("left", "more"), [(0.45, True), (0.55, False)])
+def test_softness_must_take_half_of_what_is_unexplained(rubbing, left, more):
+    ten_times = [
+        replace(joint, rms=10 * joint.rms) for joint in errors_of(rubbing.hypothesis).joints
+    ]
+    known = replace(errors_of(rubbing.hypothesis), joints=tuple(ten_times))
+    was = told(rubbing, verdict="unexplained")
+    now = told(rubbing, "joint_elasticity", verdict="unexplained")
+    part = tuple(replace(joint, rms=left * joint.rms) for joint in known.joints)
+    now = replace(now, explanation=replace(now.explanation, end=replace(known, joints=part)))
+    assert _tells_more(now, was, OtherBandwidth(1.0, JointElasticity, known)) == more

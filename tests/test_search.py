@@ -9,6 +9,7 @@ from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
 from scipy.optimize import minimize_scalar
 
 from geodrake import load_model
+from geodrake.diagnosis import proposals as proposals_module
 from geodrake.diagnosis import search as search_module
 from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
 from geodrake.diagnosis.case import open_case
@@ -19,8 +20,10 @@ from geodrake.diagnosis.final_fit import companion_notes
 from geodrake.diagnosis.forward import Trail, search, tuned
 from geodrake.diagnosis.hypothesis import first_hypothesis, residual_blocks
 from geodrake.diagnosis.library import LONGEST_DELAY, candidate_delays, candidate_effects
+from geodrake.diagnosis.proposal import Proposal
+from geodrake.diagnosis.proposals import suggested
 from geodrake.diagnosis.refine import prune, simplify
-from geodrake.diagnosis.search import Ranked, choose, convincing, rank
+from geodrake.diagnosis.search import Ranked, choose, convincing, rank, with_ties
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.diagnosis.trials import Trial, asked_of, gain_of, try_package
 from geodrake.effects import (
@@ -28,13 +31,16 @@ from geodrake.effects import (
     CoupledFriction,
     CoupledRotorInertia,
     EffortOffset,
+    Hysteresis,
     JointEffect,
+    JointElasticity,
     JointSpring,
     NonlinearViscousFriction,
     Parameter,
     Payload,
     RotorInertia,
     StribeckFriction,
+    TorqueRipple,
     ViscousFriction,
     catalogue,
 )
@@ -467,6 +473,58 @@ def test_what_leaves_several_times_the_error_is_no_tie(with_friction):
     ranked = rank(with_friction, CRITERIA)
     least = min(r.hypothesis.loss().sum() for r in ranked if r.tied)
     assert all(r.hypothesis.loss().sum() <= 4.0 * least for r in ranked if r.tied)
+
+
+@pytest.mark.parametrize(
+    ("effect", "share", "offered"),
+    [
+        (Hysteresis("elbow", breakaway_angle=0.1), 0.05, False),
+        (Hysteresis("elbow", breakaway_angle=0.1), 0.2, True),
+        (JointElasticity("elbow"), 0.0, True),
+        (TorqueRipple("elbow", order=5.0), 0.2, False),
+    ],
+)
+def test_what_others_may_hide_is_tried_where_more_than_noise_is_left(
+    with_friction, without, monkeypatch, effect, share, offered
+):
+    """Bristles beside friction, and soft joints, though the residual shows nothing for sure."""
+    monkeypatch.setattr(
+        proposals_module, "proposals", lambda *_: [Proposal((effect,), share, alarm=0.5)]
+    )
+    cases = [SimpleNamespace(dataset=h.dataset) for h in (with_friction, without)]
+    found = suggested(cases[0], with_friction, (), hidden=True)
+    assert found == ((effect,) if offered else ())
+    assert suggested(cases[0], with_friction, ()) == ()
+    assert suggested(cases[0], with_friction, [effect], hidden=True) == ()
+    assert suggested(cases[1], without, (), hidden=True) == ()
+
+
+def candidate(name, hypothesis, gain, *, mse=1.0, possible=True, physical_mse=None):
+    """One that would tie with any other, with the errors of fits that know what bodies can be."""
+    errors = None if physical_mse is None else SimpleNamespace(mse=np.full(2, physical_mse))
+    stand_in = SimpleNamespace(
+        dataset=hypothesis.dataset,
+        loss=hypothesis.loss,
+        held_out=SimpleNamespace(mse=np.full(2, mse)),
+        physical=lambda tolerance: np.array([True, possible]),
+        physical_held_out=lambda: errors,
+    )
+    return Ranked((name,), (), (), stand_in, gain, 1, 0.0)
+
+
+@pytest.mark.parametrize(("physical_mse", "tied"), [(1.0, True), (100.0, False), (None, False)])
+@pytest.mark.parametrize("gain", [10.0, 1000.0])
+def test_what_needs_impossible_bodies_is_no_tie(with_friction, gain, physical_mse, tied):
+    """Even if it is the best; unless it is as good with bodies that can be."""
+    good = candidate("good", with_friction, 100.0)
+    odd = candidate("odd", with_friction, gain, possible=False, physical_mse=physical_mse)
+    found = {r.names[0]: r.tied for r in with_ties([good, odd], CRITERIA)}
+    assert found == {"good": True, "odd": tied}
+
+
+def test_impossible_bodies_tie_where_all_have_them(with_friction):
+    ranked = [candidate(name, with_friction, 1.0, possible=False) for name in "ab"]
+    assert all(r.tied for r in with_ties(ranked, CRITERIA))
 
 
 def test_more_of_the_same_is_no_rival(with_friction):

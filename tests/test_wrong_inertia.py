@@ -1,5 +1,7 @@
 """Bodies whose inertia is not that of the model file: which one it is, and what it gains alone."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
+from geodrake.diagnosis.steps import _carried
 
 ARM = load_model(MODELS / "arm6.urdf")
 BODIES = ("column", "upper_arm", "forearm", "wrist_barrel", "wrist", "flange")
@@ -49,3 +52,24 @@ def test_many_bodies():
     assert step.effect == "wrong_inertia"
     assert len(step.where) > 1
     assert all("gain_alone" in values for values in step.parameters.values())
+
+
+@pytest.mark.parametrize(
+    ("flange", "forearm", "payload"),
+    [
+        (1.2, 1.0, True),  # heavier at the end
+        (1.2, 1.5, True),  # … and elsewhere, where it moved the farthest
+        (1.02, 2.0, False),  # … but hardly, next to a body that moved far
+        (0.8, 1.5, False),  # lighter
+    ],
+)
+def test_a_heavier_last_body_may_carry_something(flange, forearm, payload):
+    phi = ARM.phi.copy()
+    phi[BODIES.index("flange")] *= flange
+    phi[BODIES.index("forearm")] *= forearm
+    rivals = _carried(SimpleNamespace(model=ARM), ["forearm"], phi)
+    assert rivals == (("payload",) if payload else ())
+
+
+def test_a_last_body_that_is_named_may_carry_something():
+    assert _carried(SimpleNamespace(model=ARM), ["flange"], ARM.phi) == ("payload",)
