@@ -11,6 +11,7 @@ from geodrake.diagnosis.evidence import (
     log_likelihood_gain,
     tie_probability,
 )
+from geodrake.diagnosis.results import ErrorTable, JointError
 
 
 def autoregressive(rng, n, rho):
@@ -188,3 +189,20 @@ def test_folds_that_hardly_change_count_half():
 )
 def test_agreement_of_folds(after, agreement):
     assert fold_agreement(np.ones(4), np.array(after)) == agreement
+
+
+@pytest.mark.parametrize(
+    ("over_floor", "is_noise"),
+    [
+        ([1.2] * 7, True),
+        ([1.3] * 7, False),
+        ([1.0] * 6 + [1.5], True),
+        ([1.0] * 6 + [2.0], False),  # 1.2 times on the whole
+    ],
+)
+def test_noise_of_other_joints_covers_nothing_up(over_floor, is_noise):
+    """Seven joints with the same noise, in units of their own efforts."""
+    sizes = np.geomspace(0.1, 100.0, 7)
+    joints = zip("abcdefg", sizes, over_floor, strict=True)
+    table = ErrorTable(tuple(JointError(j, f * 0.01 * s, s, 0.01 * s) for j, s, f in joints))
+    assert table.is_noise == is_noise

@@ -527,6 +527,18 @@ def test_impossible_bodies_tie_where_all_have_them(with_friction):
     assert all(r.tied for r in with_ties(ranked, CRITERIA))
 
 
+@pytest.mark.parametrize(("stiffness", "is_spring"), [(0.3, True), (-0.3, False)])
+def test_a_spring_without_stiffness_is_none(model, stiffness, is_spring):
+    """Though its preload alone explains an offset."""
+    hypothesis = start_of(model, lambda q, v, vd, load: [0.0, 0.5] + stiffness * q * [0.0, 1.0])
+    spring = JointSpring("elbow")
+    trial = try_package(hypothesis, Package((spring,), ("elbow",)), 1)
+    assert trial.reduction > 0.5
+    assert trial.convinces(CRITERIA) == is_spring
+    kept = prune(hypothesis.with_effects([spring]), [], CRITERIA).unknowns.effects
+    assert kept == ((spring,) if is_spring else ())
+
+
 def test_more_of_the_same_is_no_rival(with_friction):
     alone = Ranked(("a",), (), (COULOMB[0],), with_friction, 1.0, 1, 0.0)
     both = replace(alone, effects=(COULOMB[0], VISCOUS[0]))

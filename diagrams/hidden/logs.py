@@ -19,7 +19,8 @@ from hidden.truths import BODY, JOINT, PAIR, ROBOT, Array, Hidden, Seen, Site, T
 
 _ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
 _COLOURS = (0.005, 0.05)  # s, time constants of coloured noise
-_LATE = "effort_delay"
+_LATE, _HELD = "effort_delay", "payload"
+_TURN = {_HELD: 0, _LATE: 2}
 _CLOSE = 0.03
 _ACTED_UPON = 0.5
 _ONE_AT_A_JOINT: tuple[set[str], ...] = (
@@ -97,11 +98,14 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
         seen = replace(seen, load=seen.load + _rubbing(seen, sizes))
     sites = _sites(kinds, seen.load, on_site)
     total, secrets = seen.load.copy(), dict[int, Secret]()
-    # A delay is in the measurement: it is that of all efforts.
-    for k in sorted(range(len(kinds)), key=lambda k: kinds[k].name == _LATE):
-        acting = replace(seen, load=total) if kinds[k].name == _LATE else seen
-        effort, secrets[k] = _hide(kinds[k], sites[k], draw.shares[k], acting, bodies)
+    # Gears bear what the last body holds; a delay, in the measurement, is that of all efforts.
+    for k in sorted(range(len(kinds)), key=lambda k: _TURN.get(kinds[k].name, 1)):
+        if kinds[k].name == _LATE:
+            seen = replace(seen, load=total)
+        effort, secrets[k] = _hide(kinds[k], sites[k], draw.shares[k], seen, bodies)
         total = total + effort
+        if kinds[k].name == _HELD:
+            seen = replace(seen, load=total)
     log = _measured(draw, seen, total, on_noise)
     engine.set_bodies(file)
     bare = replace(log, effort=log.effort - total + engine.efforts(seen.q, seen.v, seen.a))
@@ -158,7 +162,7 @@ def _sites(kinds: list[Truth | Outside], load: Array, rng: np.random.Generator) 
             joint = min(joint, n - 2)
             other = joint + 1
         elif isinstance(kind, Truth) and kind.places == BODY and kind.name != "wrong_inertia":
-            joint = n - 1 if kind.name == "payload" else int(rng.integers(n // 2, n))
+            joint = n - 1 if kind.name == _HELD else int(rng.integers(n // 2, n))
         elif isinstance(kind, Outside) and kind.in_link:
             joint = int(rng.integers(n // 2, n))
         found.append(Site(joint, other, own))

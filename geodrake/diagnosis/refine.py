@@ -32,7 +32,7 @@ from geodrake.diagnosis.trials import (
     asked_of,
     gain_of,
     improvement,
-    is_slopes_alone,
+    is_nothing,
     settled_trial,
     try_package,
     try_packages,
@@ -56,7 +56,7 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         for effect in hypothesis.unknowns.effects:
             kept = effect in fixed or _is_base(hypothesis, effect)
             own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
-            stands = not is_slopes_alone([effect], own)
+            stands = not is_nothing([effect], own)
             if not kept and not (stands and _clearly_needed(hypothesis, effect, criteria)):
                 reduced = hypothesis.without([effect])
                 package = Package((effect,), effect.where)

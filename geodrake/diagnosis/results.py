@@ -15,7 +15,13 @@ Array = NDArray[np.float64]
 Verdict = Literal["adequate", "explained", "unexplained"]
 
 NOISE_MARGIN = 1.25
-"""Errors up to this many times the noise floor count as noise."""
+"""Errors of all joints together, up to this many times the noise floor, count as noise."""
+
+JOINT_MARGIN = 1.6
+"""The same of each joint by itself, whose floor is known less well.
+
+The others' noise must not cover up one joint at which most of the squared error is none.
+"""
 
 
 @dataclass(frozen=True)
@@ -67,8 +73,9 @@ class ErrorTable:
 
     @property
     def is_noise(self) -> bool:
-        """Whether no more than sensor noise is left."""
-        return self.nrms <= NOISE_MARGIN * self.floor_nrms
+        """Whether no more than sensor noise is left, on the whole and at every joint."""
+        joints = all(joint.rms <= JOINT_MARGIN * joint.floor for joint in self.joints)
+        return joints and self.nrms <= NOISE_MARGIN * self.floor_nrms
 
     @property
     def pooled_rms(self) -> float:

@@ -117,7 +117,7 @@ def _trial(
     reduction, agreement = improvement((before, after), acted_upon(dataset, package))
     few = least and (reduction < least.reduction or agreement < least.agreement)
     own = after.x[:, len(hypothesis.unknowns.columns) :]
-    if few or is_slopes_alone(package.effects, own):
+    if few or is_nothing(package.effects, own):
         return Trial(package, 0.0, reduction, agreement, 1.0)
     both = np.concatenate([hypothesis.unknowns.columns, columns_of(dataset, package)])
     effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
@@ -126,11 +126,11 @@ def _trial(
     return Trial(package, gain, reduction, agreement, alarm)
 
 
-def is_slopes_alone(effects: Sequence[Effect], x: Array) -> bool:
-    """Whether the slopes of one of some effects are all that is fitted of it, in most folds.
+def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
+    """Whether what makes one of some effects what it is, is zero in most folds.
 
-    A drag of nothing has no centre that could be elsewhere; its slopes, which have no sign, would
-    stand for a force that drives.
+    A spring without stiffness is an offset, whatever its preload. A drag of nothing has no centre
+    that could be elsewhere; its slopes, which have no sign, would stand for a force that drives.
 
     Args:
         effects: Effects.
@@ -140,10 +140,9 @@ def is_slopes_alone(effects: Sequence[Effect], x: Array) -> bool:
     for effect, own in zip(effects, np.split(x, ends[:-1], axis=1), strict=True):
         lower = np.array([parameter.lower for parameter in effect.parameters])
         bounded = np.isfinite(lower)
-        if effect.expandable and bounded.any():
-            nothing = own[:, bounded] <= lower[bounded] + _AT_BOUND * np.abs(lower[bounded])
-            if nothing.all(axis=1).mean() > 0.5:
-                return True
+        nothing = own[:, bounded] <= lower[bounded] + _AT_BOUND * np.abs(lower[bounded])
+        if bounded.any() and nothing.all(axis=1).mean() > 0.5:
+            return True
     return False
 
 
