@@ -12,11 +12,19 @@ coloured noise, `--smallest N` of the smallest effect that is found, by bisectio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
-from adaptive.options import make_parser, run_draws, show, write_json
+from adaptive.options import (
+    make_parser,
+    positive_number,
+    run_draws,
+    show,
+    whole_number,
+    write_json,
+)
 from hidden.bars import Line, bars, confusions, coverage_line, smallest_lines
 from hidden.draws import (
     COVERAGE,
@@ -40,15 +48,22 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     return {COVERAGE: coverage_of, SMALLEST: smallest_of}.get(draw.case, score_draw)(draw)
 
 
-def wanted_draws(draws: int, coverage: int, smallest: int, seed: int, *, quick: bool) -> list[Draw]:
-    """What the options ask for."""
-    if not quick:
-        return [
+def wanted_draws(draws: int, coverage: int, smallest: int, seeds: Iterable[int]) -> list[Draw]:
+    """What the options ask for, for one seed after the other."""
+    return [
+        each
+        for seed in seeds
+        for each in (
             *all_draws(draws, seed),
             *(timing_draws(seed) if draws else ()),
             *coverage_draws(coverage, seed),
             *smallest_draws(smallest, seed),
-        ]
+        )
+    ]
+
+
+def quick_draws(seed: int) -> list[Draw]:
+    """A few short logs of every study."""
     short = {"robot": "double_pendulum", "duration": 12.0, "rate": 100.0}
     found = all_draws(1, seed, effects=QUICK_EFFECTS, outside=QUICK_OUTSIDE, others=(1, 2), **short)
     found += coverage_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)
@@ -69,12 +84,20 @@ def _shown(line: Line) -> dict[str, Any]:
     found = line.value is not None
     return {
         "figure": line.figure,
-        "asked": None if line.bar is None else f"{'≤' if line.most else '≥'} {form(line.bar)}",
+        "asked": _asked(line, form),
         "reached": form(line.value) if found else None,
         "interval": f"{form(line.low)} – {form(line.high)}" if found else None,
         "logs": line.logs,
         "": {True: "reached", False: "missed", None: ""}[line.reached],
     }
+
+
+def _asked(line: Line, form: Callable[[float], str]) -> str | None:
+    if line.bar is None:
+        return None
+    if line.highest is not None:
+        return f"{form(line.bar)} – {form(line.highest)}"
+    return f"{'≤' if line.most else '≥'} {form(line.bar)}"
 
 
 def _is_share(line: Line) -> bool:
@@ -84,12 +107,19 @@ def _is_share(line: Line) -> bool:
 def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
-    parser.add_argument("--draws", type=int, default=6, help="logs an effect; 0 for none")
-    parser.add_argument("--coverage", type=int, default=0, metavar="N", help="logs an effect")
-    parser.add_argument("--smallest", type=int, default=0, metavar="N", help="logs an effect")
+    parser.add_argument(
+        "--seeds", type=positive_number, default=1, help="seeds, from --seed on, that are pooled"
+    )
+    number = partial(parser.add_argument, type=whole_number, metavar="N")
+    number("--draws", default=6, help="logs an effect and seed; 0 for none")
+    number("--coverage", default=0, help="logs an effect and seed")
+    number("--smallest", default=0, help="logs an effect and seed")
     options = parser.parse_args()
-    wanted = wanted_draws(
-        options.draws, options.coverage, options.smallest, options.seed, quick=options.quick
+    seeds = range(options.seed, options.seed + options.seeds)
+    wanted = (
+        quick_draws(options.seed)
+        if options.quick
+        else wanted_draws(options.draws, options.coverage, options.smallest, seeds)
     )
     rows = run_draws(parser, options, run_draw, wanted)
     lines = [*bars(rows), coverage_line(rows)]

@@ -82,6 +82,16 @@ class RobotModel:
     fading_speed: Array | None = None
     notes: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raises an ArgumentError for a delay of one joint: a model's is that of all efforts."""
+        for fitted in self.effects:
+            if isinstance(fitted.effect, EffortDelay) and fitted.effect.joint is not None:
+                raise ArgumentError(
+                    f"A model's {EffortDelay.name} is that of all efforts; one has "
+                    f"{fitted.effect.delay:g} s at {fitted.effect.joint} alone.",
+                    advice="Advance that joint's effort in the log, and leave the delay out.",
+                )
+
     @cached_property
     def tree(self) -> KinematicTree:
         """The plant's kinematics, read once."""

@@ -12,7 +12,7 @@ import pinocchio as pin
 from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
-from geodrake.diagnosis import Criteria, explain
+from geodrake.diagnosis import Criteria, diagnose, explain
 from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.forward import rivals_of_swapped
 from geodrake.diagnosis.hypothesis import first_hypothesis, settle
@@ -54,8 +54,13 @@ def lighter(share):
 def test_small_payload(seed):
     """It would pass into the last link, whose mass it changes by less than the prior's width."""
     log = effort_log("arm7", seed, with_last_link(holding(0.1)), duration=16.0, share=0.02).log
-    (step,) = explain(model_file("arm7"), [log]).steps
+    found = explain(model_file("arm7"), [log])
+    (step,) = found.steps
     assert (step.effect, step.where) == ("payload", ("link_7",))
+    assert step.error_before == found.refitted.nrms > step.error_after
+    first, other = diagnose(model_file("arm7"), [log]).candidates
+    assert (first.effect, first.where, first.tied) == ("payload", ("link_7",), True)
+    assert (other.effect, other.tied) == ("wrong_inertia", True)
     mass, deviation = (v["link_7"]["mass"] for v in (step.parameters, step.deviations))
     assert mass == pytest.approx(0.1, abs=2.0 * deviation)
     assert mass == pytest.approx(0.1, rel=0.2)

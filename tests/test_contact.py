@@ -17,7 +17,7 @@ from scipy.special import expit
 from test_effects import hand_robot, random_motion
 
 from geodrake import load_model
-from geodrake.diagnosis import compare, diagnose, explain
+from geodrake.diagnosis import add, compare, diagnose, explain
 from geodrake.diagnosis.contact_window import Window, WrenchColumns, columns
 from geodrake.effects import Contact
 from geodrake.effects.body_motion import RobotBodies
@@ -242,9 +242,13 @@ class TestDiagnosis:
 
     def test_named_by_one_diagnosis(self):
         hidden = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 0.0, -40.0]), (8.0, 9.5))
-        found = diagnose(ARM, [effort_log("arm6", 2, hidden, off=0.2).log])
+        log = effort_log("arm6", 2, hidden, off=0.2).log
+        found = diagnose(ARM, [log])
         assert (found.candidates[0].effect, found.candidates[0].where) == ("contact", ("flange",))
         assert found.candidates[0].error_after < 0.1 * found.candidates[0].error_before
+        (step,) = add("contact", ARM, [log]).steps
+        assert (step.effect, step.where) == ("contact", ("flange",))
+        assert step.error_after < 0.1 * step.error_before
 
     def test_two_pushes_and_another_log(self, tmp_path):
         first = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 30.0, 0.0]), (5.0, 6.0))

@@ -368,10 +368,6 @@ class TestDelay:
         delayed = effects.EffortDelay(0.5).delayed(ramp, 1.0)
         np.testing.assert_allclose(delayed, np.maximum(ramp - 0.5, 0.0), atol=1e-12)
 
-    def test_candidates(self):
-        found = effects.EffortDelay.candidates(period=0.005, longest=0.02)
-        np.testing.assert_allclose([e.delay for e in found], [0.005, 0.01, 0.015, 0.02])
-
     def test_bad_arguments(self):
         with pytest.raises(ArgumentError, match="finite delay"):
             effects.EffortDelay(np.nan)

@@ -394,6 +394,8 @@ def test_add_whatever_the_evidence(model):
 def test_add_a_pair_and_a_body(model, logs):
     pair = add("coupled_friction", model, logs, where=JOINTS, bandwidth=BANDWIDTH)
     assert pair.steps[0].where == JOINTS
+    swapped = add("coupled_friction", model, logs, where=JOINTS[::-1], bandwidth=BANDWIDTH)
+    assert swapped.end == pair.end
     body = add("payload", model, logs, where=["lower_link"], bandwidth=BANDWIDTH)
     assert body.steps[0].where == ("lower_link",)
     anywhere = add("payload", model, logs, bandwidth=BANDWIDTH)
@@ -409,6 +411,10 @@ def test_add_a_pair_and_a_body(model, logs):
         ("coulomb_friction", ["lower_link"], "cannot be added at lower_link"),
         ("payload", ["elbow"], "cannot be added at elbow"),
         ("coupled_friction", ["elbow"], "cannot be added at elbow"),
+        ("effort_delay", ["elbow"], "one of the whole robot and takes no place"),
+        ("effort_scale", None, "inertias that are known"),
+        ("contact", ["lower_link"], "where the residual shows it and takes no place"),
+        ("contact", None, "No contact stands out"),
     ],
 )
 def test_add_refuses_what_cannot_be(model, logs, effect, where, words):

@@ -151,3 +151,9 @@ def test_position_order_is_drakes(arm):
     np.testing.assert_array_equal(arm.positions(by_joint), by_joint)
     for i, name in enumerate(arm.joints):
         assert arm.plant.GetJointByName(name).velocity_start() == i
+
+
+def test_delay_of_one_joint_is_refused(arm):
+    late = FittedEffect(EffortDelay(0.01, "elbow_pitch"), np.empty(0))
+    with pytest.raises(ArgumentError, match=r"0\.01 s at elbow_pitch alone"):
+        replace(arm, effects=(late,))

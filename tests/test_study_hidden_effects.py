@@ -152,6 +152,9 @@ class TestLines:
         assert not bars.share("x", [True] * 18 + [False] * 2, 0.95).reached
         assert bars.share("x", [False] * 3, 0.01, most=True).reached
         assert bars.share("x", [], 0.9).reached is None
+        for inside, reached in ((19, True), (20, False), (17, False)):
+            line = bars.share("x", [k < inside for k in range(20)], 0.9, highest=0.98)
+            assert line.reached == reached
         assert bars.median("x", [1.0, 1.01, 2.0], 1.05).reached
 
     def test_smallest_is_that_of_nine_in_ten(self):

@@ -14,7 +14,7 @@ from resumable.draws import results_of
 from rich.console import Console
 from rich.table import Table
 
-VERSION = 1
+VERSION = 2
 """Of what a draw is; one more when kept draws of older versions must not be used."""
 
 

@@ -40,8 +40,9 @@ def bars_figure(lines: Sequence[Line]) -> Figure:
         color = {True: _REACHED, False: _MISSED, None: _OTHER}[line.reached]
         axes.plot([line.low, line.high], [k, k], color=color, linewidth=5.0, alpha=0.35)
         axes.plot(line.value, k, "o", color=color, markersize=6.0)
-        if line.bar is not None:
-            axes.plot([line.bar, line.bar], [k - 0.38, k + 0.38], color=style.INK, linewidth=1.4)
+        for at in (line.bar, line.highest):
+            if at is not None:
+                axes.plot([at, at], [k - 0.38, k + 0.38], color=style.INK, linewidth=1.4)
         text = f"{100 * line.value:.1f} %  of {line.logs}"
         axes.text(1.03, k, text, va="center", **style.plain(style.SMALL, style.QUIET))
     axes.set_yticks(range(len(shares)), [line.figure for line in shares])

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geodrake.diagnosis.case import Case, error_table, open_case
-from geodrake.diagnosis.columns import with_columns
+from geodrake.diagnosis.columns import with_columns, with_episodes
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.exact_shapes import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
@@ -18,7 +18,7 @@ from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import LOOSER_PRIORS
 from geodrake.diagnosis.steps import steps_of
 from geodrake.diagnosis.trials import gain_of
-from geodrake.effects import effect_class
+from geodrake.effects import Contact, effect_class
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 from geodrake.identification.model_fit import model_unknowns
@@ -42,10 +42,12 @@ def add(
     """Add an effect to a model and refit, whatever the evidence for it.
 
     Args:
-        effect: Name of the effect, or "wrong_inertia" to let the inertial parameters go.
+        effect: Name of the effect; "wrong_inertia" lets the inertial parameters go, and contacts
+            are those that the residual shows.
         model: The model as it stands.
         logs: Logs or their files.
-        where: Joints or bodies; by default all joints, or the body or pair that helps most.
+        where: Joints or bodies, or the two joints of a pair; by default all joints, or the body or
+            pair that helps most.
         extra: Effect classes of the user's own that may be named.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
         blocks: Blocks into which every log is cut for validation.
@@ -54,31 +56,20 @@ def add(
         An explanation of one step, with held-out errors before and after.
 
     Raises:
-        ArgumentError: There is no such effect or place, or the model has the effect there already.
+        ArgumentError: There is no such effect or place, the effect takes no place, the model has it
+            there already, or it cannot be told by these logs or this model.
         LogError: A log cannot be used.
     """
     where = tuple(dict.fromkeys(where or ())) or None
-    looked_for = effect not in WHOLE and effect_class(effect, extra).from_residual
-    if effect in WHOLE and where:
-        raise ArgumentError(f"{effect} is one of the whole robot and takes no place.")
-    known = (*model.joints, *model.bodies)
-    for name in where or ():
-        if name not in known:
-            raise ArgumentError(
-                f"There is no joint or body {name!r}.", advice=f"There are: {', '.join(known)}."
-            )
+    _refuse_what_cannot_be(effect, model, where, extra)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     if model.information is None:
         start = tuned(start)
-    if looked_for:
-        shapes = suggested_of(case, start, effect)
-        case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *shapes])
-        start = trail.start
-    end = _with(effect, start, case, where)
-    trail, present = Trail(start, end, {}), set(start.unknowns.effects)
-    if to_profile(end, case.dataset.effects, present):
-        case, trail = with_exact_shapes(case, trail, case.dataset.effects, present)
+    if effect == Contact.name:
+        case, trail = _with_contacts(case, start)
+    else:
+        case, trail = _with_shapes(effect, case, start, where, extra)
     after_case, fit, _ = final_fit(case, trail.end)
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
@@ -92,6 +83,60 @@ def add(
         after,
         case.notes,
     )
+
+
+def _refuse_what_cannot_be(
+    effect: str,
+    model: RobotModel,
+    where: Sequence[str] | None,
+    extra: Sequence[type[Effect]],
+) -> None:
+    """Raises an ArgumentError for what no log could add."""
+    cls = None if effect in WHOLE else effect_class(effect, extra)
+    if where and (cls is None or cls is Contact):
+        whose = "where the residual shows it" if cls is Contact else "one of the whole robot"
+        raise ArgumentError(f"{effect} is {whose} and takes no place.")
+    if cls is not None and cls.needs_known_inertia and model.information is None:
+        raise ArgumentError(
+            f"{effect} can be told only by inertias that are known, and this model's are not.",
+            advice="Take a model that was fitted to other logs: explain those, with --save.",
+        )
+    known = (*model.joints, *model.bodies)
+    for name in where or ():
+        if name not in known:
+            raise ArgumentError(
+                f"There is no joint or body {name!r}.", advice=f"There are: {', '.join(known)}."
+            )
+
+
+def _with_contacts(case: Case, start: Hypothesis) -> tuple[Case, Trail]:
+    """The contacts that the residual shows."""
+    case, trail, found = with_episodes(case, Trail(start, start, {}))
+    if not found:
+        raise ArgumentError(
+            f"No {Contact.name} stands out of what the model gets wrong in these logs.",
+            advice="Friction may cover it up: explain the logs, or add what else is missing first.",
+        )
+    return case, trail
+
+
+def _with_shapes(
+    effect: str,
+    case: Case,
+    start: Hypothesis,
+    where: Sequence[str] | None,
+    extra: Sequence[type[Effect]],
+) -> tuple[Case, Trail]:
+    """An effect where it is told or helps most, in the shape that explains most."""
+    if effect not in WHOLE and effect_class(effect, extra).from_residual:
+        shapes = suggested_of(case, start, effect)
+        case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *shapes])
+        start = trail.start
+    end = _with(effect, start, case, where)
+    trail, present = Trail(start, end, {}), set(start.unknowns.effects)
+    if to_profile(end, case.dataset.effects, present):
+        case, trail = with_exact_shapes(case, trail, case.dataset.effects, present)
+    return case, trail
 
 
 def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:
@@ -128,8 +173,8 @@ def _places(
             f"{effect} can be added nowhere: the model has it already, or no joint that moves in "
             "the logs, pair of joints or body can have it."
         )
-    if tuple(where) in options:
-        return [tuple(where)]
+    if pair := [place for place in options if sorted(place) == sorted(where)]:
+        return pair
     missing = [name for name in where if (name,) not in options]
     possible = ", ".join(" & ".join(place) for place in options)
     if missing:

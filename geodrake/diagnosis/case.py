@@ -110,6 +110,7 @@ def open_case(
 
     Raises:
         LogError: A log cannot be used.
+        ArgumentError: There is no log, or a setting is no usable number.
     """
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     read = [

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from geodrake.diagnosis.absorbed import absorbed
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table, open_case
@@ -47,11 +48,13 @@ def diagnose(
 
     Returns:
         Convincing candidates, each refitted with everything that may move. The first is the step
-        that `explain` takes at this bandwidth: the simplest of those not told from the best,
+        that `explain` takes next at this bandwidth: the simplest of those not told from the best,
         with complex effects swapped for simpler ones wherever these stand within the criteria.
+        Where no effect is needed beside bodies that move, those that spare them the way come first.
 
     Raises:
         LogError: A log cannot be used.
+        ArgumentError: There is no log, or a setting is no usable number.
     """
     criteria = criteria or Criteria()
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
@@ -71,7 +74,10 @@ def diagnose(
             others = [r for r in others if r.hypothesis is not step.chosen.hypothesis]
         candidates = [_candidate(r, hypothesis.nrms) for r in (first, *others)]
     else:
-        candidates = _episodes(case, trail) or _refitted(case, start, criteria)
+        candidates = _episodes(case, trail) or [
+            *_absorbed(case, start, criteria),
+            *_refitted(case, start, criteria),
+        ]
     refitted = error_table(case.dataset, hypothesis.held_out)
     before = comparison(case)
     return Diagnosis(
@@ -86,10 +92,17 @@ def diagnose(
 
 def _first(case: Case, before: Hypothesis, step: Forward) -> Ranked:
     """What a step added once it was simplified and pruned, the most frequent effect first."""
-    after = step.after
+    return _added(case, before, step.after) or step.chosen
+
+
+def _added(case: Case, before: Hypothesis, after: Hypothesis) -> Ranked | None:
+    """The effects that a hypothesis has more than another.
+
+    None for a delay, a looser prior or a payload that was let go.
+    """
     effects = [e for e in after.unknowns.effects if e not in before.unknowns.effects]
-    if not effects:  # a delay, a looser prior or a payload that was let go
-        return step.chosen
+    if not effects:
+        return None
     names = Counter(sorted(effect.name for effect in effects))
     places = {place for effect in effects for place in effect.where}
     gain = gain_of(before, after)
@@ -117,6 +130,15 @@ def _episodes(case: Case, trail: Trail) -> list[Candidate]:
     places = tuple(dict.fromkeys(place for effect in found for place in effect.where))
     ranked = Ranked((found[0].name,), places, found, after.end, gain, parameters, alarm, tied=True)
     return [_candidate(ranked, without.nrms)]
+
+
+def _absorbed(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:
+    """What explains the logs as well as moved inertias do, if they are not well known."""
+    if case.model.information is not None:
+        return []
+    hidden = absorbed(case, Trail(start, start, {}), effects_of(case.model), criteria)
+    found = [(t.start, _added(hidden.case, t.start, t.end)) for t in hidden.trails]
+    return [_candidate(ranked, held.nrms) for held, ranked in found if ranked is not None]
 
 
 def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:

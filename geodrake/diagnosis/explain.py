@@ -75,6 +75,7 @@ def explain(
 
     Raises:
         LogError: A log cannot be used.
+        ArgumentError: There is no log, or a setting is no usable number.
     """
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     return investigate(case, criteria=criteria, progress=progress).explanation
@@ -154,7 +155,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         verdict_of(errors, changed),
         steps,
         before.errors,
-        error_table(start.dataset, start.held_out),
+        error_table(trail.start.dataset, trail.start.held_out),
         errors,
         fit.model if changed else model,
         before,

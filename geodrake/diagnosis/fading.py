@@ -125,8 +125,8 @@ def _share_of_slow(end: Hypothesis, speed: Array) -> Array:
 
 def _errors(case: Case, end: Hypothesis, width: Array) -> Array:
     """(nv,) mean squared held-out errors of a hypothesis with other widths."""
-    shared = None if case.shared is None else case.shared.read_only()
-    other = replace(case, model=replace(case.model, fading_speed=width), shared=shared)
+    model = replace(case.model, fading_speed=width)
+    other = replace(case, model=model, shared=case.shared.read_only())
     dataset = reduced(other, end.unknowns.effects)
     return end.moved(dataset, delay=end.delay).held_out.mse
 

@@ -20,7 +20,7 @@ NOISE_MARGIN = 1.25
 JOINT_MARGIN = 1.6
 """The same of each joint by itself, whose floor is known less well.
 
-The others' noise must not cover up one joint at which most of the squared error is none.
+The others' noise must not cover up one joint at which most of the squared error is something else.
 """
 
 

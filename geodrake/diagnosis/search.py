@@ -23,18 +23,6 @@ from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
-__all__ = [
-    "PENALTY",
-    "Ranked",
-    "best_trial",
-    "choose",
-    "convincing",
-    "gain_of",
-    "rank",
-    "with_ties",
-]
-
-
 _NEAR = 0.5  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""

@@ -34,8 +34,6 @@ _MORE_THAN_HALF = 0.51
 PENALTY = 6.0
 """Gain that a parameter must bring before a hypothesis with it is preferred."""
 
-_AT_BOUND = 1e-9  # of a bound
-
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -85,7 +83,7 @@ def try_package(
         package: The effects to try together.
         tried: Number of candidates that compete, for the probability of a false alarm.
         least: Spare the effective samples of a package that reduces too little by these criteria;
-            its gain is then given as zero.
+            its gain is then given as zero, as is that of effects that are nothing.
     """
     return try_packages(hypothesis, [package], tried, least=least)[0]
 
@@ -127,7 +125,7 @@ def _trial(
 
 
 def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
-    """Whether what makes one of some effects what it is, is zero in most folds.
+    """Whether one of some effects has, in most folds, none of what cannot be negative.
 
     A spring without stiffness is an offset, whatever its preload. A drag of nothing has no centre
     that could be elsewhere; its slopes, which have no sign, would stand for a force that drives.
@@ -138,10 +136,8 @@ def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
     """
     ends = np.cumsum([len(effect.parameters) for effect in effects])
     for effect, own in zip(effects, np.split(x, ends[:-1], axis=1), strict=True):
-        lower = np.array([parameter.lower for parameter in effect.parameters])
-        bounded = np.isfinite(lower)
-        nothing = own[:, bounded] <= lower[bounded] + _AT_BOUND * np.abs(lower[bounded])
-        if bounded.any() and nothing.all(axis=1).mean() > 0.5:
+        sizes = own[:, [parameter.lower == 0.0 for parameter in effect.parameters]]
+        if sizes.shape[1] and (sizes <= 0.0).all(axis=1).mean() > 0.5:
             return True
     return False
 

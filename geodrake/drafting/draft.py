@@ -122,7 +122,7 @@ def _worst_first(hypothesis: Hypothesis) -> list[str]:
 
 
 def _left(hypothesis: Hypothesis, joint: str) -> bool:
-    """Whether a joint has more error than noise."""
+    """Whether a joint has more error than noise; a verdict lets more pass at a single joint."""
     j = hypothesis.dataset.joints.index(joint)
     return bool(hypothesis.held_out.rms[j] > NOISE_MARGIN * hypothesis.dataset.noise_floor[j])
 

@@ -109,7 +109,7 @@ class Factor:
 
     @property
     def unit(self) -> str:
-        """The unit, such as "rad²"; empty for a number."""
+        """The unit, such as "rad" or "(rad)²"; empty for a number."""
         unit, power = _SIGNALS[self.signal][1], FUNCTIONS[self.function].power
         if not unit or power == 0:
             return ""
@@ -214,7 +214,7 @@ class Formula:
         return np.stack(values, -1)
 
     def words(self) -> str:
-        """In words: "elbow: its direction of motion times the position of wrist"."""
+        """In words: "its direction of motion times the position of wrist"."""
         return " + ".join(term.words(self.joint) for term in self.terms)
 
     @property

@@ -16,7 +16,7 @@ from geodrake.diagnosis.evidence import (
     tie_probability,
 )
 from geodrake.diagnosis.hypothesis import Hypothesis, settle
-from geodrake.diagnosis.search import PENALTY, gain_of
+from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.drafting.clock import clock_correlates
 from geodrake.drafting.formula import Formula, Term
 from geodrake.drafting.results import Correlate

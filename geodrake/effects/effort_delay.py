@@ -28,7 +28,7 @@ class EffortDelay(Effect):
 
     Attributes:
         delay: δ, s; negative if the efforts are ahead.
-        joint: The joint whose effort lags; all joints of the log if None.
+        joint: The joint whose effort lags; all joints of the log if None, as in every model.
     """
 
     delay: float
@@ -80,17 +80,3 @@ class EffortDelay(Effect):
         degree = min(_DEGREE, len(signal) - 1)
         spline = make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
         return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
-
-    @classmethod
-    def candidates(
-        cls, joint: str | None = None, *, period: float, longest: float = 0.02
-    ) -> tuple[EffortDelay, ...]:
-        """Delays of one sample, two samples and so on.
-
-        Args:
-            joint: The joint whose effort lags; all joints if None.
-            period: Time between samples, s.
-            longest: Longest delay, s.
-        """
-        count = max(1, int(longest / period + 1e-9))
-        return tuple(cls(period * n, joint) for n in range(1, count + 1))
