@@ -121,6 +121,16 @@ class Dataset:
         """First column of every effect."""
         return column_starts(self.effects, self.bodies)
 
+    @cached_property
+    def column_power(self) -> Array:
+        """(p,) mean square of every column, over the efforts' variance, summed over joints."""
+        own = sum(len(effect.parameters) for effect in self.effects if not is_payload(effect))
+        power = np.zeros(len(self.bodies) * PARAMETERS_PER_BODY + own)
+        for data, std in zip(self.data, self.effort_std, strict=True):
+            squares = np.square(data.factors[:, :, : len(data.columns)]).sum((0, 1))
+            power[data.columns] += squares / std**2 / data.samples.sum()
+        return power
+
     def effect_columns(self, effect: Effect) -> Indices:
         """(k,) global columns of an effect of this dataset."""
         return self.starts[effect] + np.arange(len(effect.parameters))

@@ -161,12 +161,6 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     k = len(effect.parameters)
     if is_payload(effect):
         return np.zeros(k), pullback_information(payload_reference()[None], 10.0)
-    columns = dataset.effect_columns(effect)
-    squares = np.zeros(k)
-    for data, std in zip(dataset.data, dataset.effort_std, strict=True):
-        local = data.local(columns)
-        on = local >= 0
-        power = np.square(data.factors[:, :, local[on]]).sum((0, 1))
-        squares[on] += power / std**2 / data.samples.sum()
+    squares = dataset.column_power[dataset.effect_columns(effect)]
     spread = np.array([parameter.spread for parameter in effect.parameters])
     return np.zeros(k), np.diag(np.maximum(1e-12 * squares, np.maximum(spread**-2.0, 1e-300)))
