@@ -1,7 +1,6 @@
 """What is ambiguous leads to a command, and the command can be run."""
 
 import io
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -9,29 +8,31 @@ from excitation_robots import MODELS
 from rich.console import Console
 
 from geodrake.cli.tables import show_diagnosis
-from geodrake.cli.tell_apart import separation_of
+from geodrake.cli.tell_apart import placed_rivals, separation_of
 from geodrake.cli.wording import Wording
 from geodrake.diagnosis.ambiguity import telling_commands
-from geodrake.diagnosis.results import Candidate, Diagnosis
+from geodrake.diagnosis.results import Candidate, Diagnosis, ErrorTable, JointError
+from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
 from geodrake.saved_model import load_model
 
 PREFIX = "geodrake excite MODEL --tell-apart "
 JOINTS = ("shoulder", "elbow")
+START = ErrorTable(tuple(JointError(joint, 0.5, 1.0, 0.1) for joint in JOINTS))
 
 
 def diagnosis(*found):
     """Candidates as (effect, where, tied), the best first."""
     candidates = tuple(Candidate(e, w, 1.0, 0.1, 9.0, 1e-6, tied) for e, w, tied in found)
-    return Diagnosis("explained", candidates, None, None, None, ())
+    return Diagnosis("explained", candidates, START, START, None, ())
 
 
-def explanation(*steps):
+def explanation(*steps, model=None):
     """Steps as (effect, where, rivals)."""
     rows = [
         SimpleNamespace(effect=e, where=w, indistinguishable_from=rivals) for e, w, rivals in steps
     ]
-    return SimpleNamespace(steps=tuple(rows))
+    return SimpleNamespace(steps=tuple(rows), model=model)
 
 
 @pytest.mark.parametrize(
@@ -97,6 +98,67 @@ def test_steps_of_an_explanation():
     )
 
 
+@pytest.fixture(scope="module")
+def arm():
+    return load_model(MODELS / "arm6.urdf")
+
+
+PLACES = {
+    "joint": [("base_yaw",), ("elbow_pitch",), ("wrist_spin",), ("elbow_pitch", "wrist_spin")],
+    "joint_pair": [("base_yaw", "shoulder_pitch"), ("wrist_pitch", "wrist_spin")],
+    "body": [("column",), ("flange",), ("upper_arm", "flange")],
+    "robot": [()],
+}
+STEPS = [(cls.name, where) for cls in catalogue() for where in PLACES.get(cls.places, [])]
+
+
+@pytest.mark.parametrize(("effect", "where"), STEPS)
+def test_every_command_is_understood(arm, effect, where):
+    limits, told = motion_limits(arm), set()
+    for cls in catalogue():
+        found = explanation((effect, where, (cls.name,)), model=arm)
+        for command in telling_commands(found):
+            rivals = placed_rivals(command.removeprefix(PREFIX), arm, limits)
+            assert [rival.name for rival in rivals] == [effect, cls.name]
+            told.add(cls.name)
+    settled = {cls.name for cls in catalogue()} - {"effort_delay", "contact", effect}
+    assert told == (settled if effect != "contact" else set())
+
+
+@pytest.mark.parametrize(
+    ("step", "rival", "words"),
+    [
+        (("payload", ("flange",)), "gravity_compensator", "payload@flange,{}@wrist_spin"),
+        (("gravity_compensator", ("elbow_pitch",)), "payload", "{1}@elbow_pitch,{0}@forearm"),
+        (("coulomb_friction", ("wrist_roll", "elbow_pitch")), "payload", "{1},{0}@wrist_barrel"),
+        (("coulomb_friction", ("wrist_spin",)), "coupled_friction",
+         "{1}@wrist_spin,{0}@wrist_pitch+wrist_spin"),
+        (("coupled_friction", ("base_yaw", "shoulder_pitch")), "payload",
+         "{1}@base_yaw+shoulder_pitch,{0}@upper_arm"),
+        (("payload", ("upper_arm",)), "aerodynamic_drag", "{1},{0}@upper_arm"),
+        (("gravity_tilt", ()), "payload", "{1},{0}@flange"),
+        (("gravity_tilt", ()), "joint_spring", "{1},{0}"),
+        (("joint_spring", ("elbow_pitch",)), "gravity_tilt", "{1}@elbow_pitch,{0}"),
+    ],
+)  # fmt: skip
+def test_a_rival_has_the_place_that_goes_with_the_steps(arm, step, rival, words):
+    (command,) = telling_commands(explanation((*step, (rival,)), model=arm))
+    assert command == PREFIX + words.format(rival, step[0])
+
+
+def test_a_body_that_no_joint_of_one_degree_carries_has_no_rival_at_a_joint():
+    model = load_model(MODELS / "double_pendulum.urdf", floating=True)
+    found = explanation(("payload", ("base_link",), ("joint_spring",)), model=model)
+    assert not telling_commands(found)
+
+
+def test_effects_found_together_are_each_at_their_own_kind_of_place():
+    found = diagnosis(
+        ("payload + coulomb_friction", ("elbow", "forearm"), True), ("gravity_tilt", (), True)
+    )
+    assert telling_commands(found) == (PREFIX + "payload@forearm,gravity_tilt",)
+
+
 def test_not_too_many():
     rivals = ("effort_offset", "joint_spring", "rotor_inertia", "torque_ripple", "effort_scale")
     found = explanation(("coulomb_friction", ("elbow",), rivals))
@@ -108,8 +170,7 @@ def test_the_terminal_tells_the_command():
     found = diagnosis(
         ("coulomb_friction", ("elbow",), True), ("load_dependent_friction", ("elbow",), True)
     )
-    errors = SimpleNamespace(nrms=0.5)
     console = Console(file=io.StringIO(), markup=False, highlight=False, width=160)
-    show_diagnosis(console, replace(found, start=errors, refitted=errors), Wording(model))
+    show_diagnosis(console, found, Wording(model))
     expected = f"- {PREFIX}coulomb_friction,load_dependent_friction@elbow"
     assert expected in console.file.getvalue().splitlines()

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.effects import Effect, effect_class
 from geodrake.errors import ArgumentError
-from geodrake.excitation import MotionLimits, Separation, make_rival, make_separation
+from geodrake.excitation import MotionLimits, Rival, Separation, make_rival, make_separation
 from geodrake.excitation.effect_sizes import SIZE_WORDS
 from geodrake.model import RobotModel
 
@@ -58,6 +58,30 @@ def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[
     )
 
 
+def placed_rivals(
+    text: str, model: RobotModel, limits: MotionLimits, *, extra: Sequence[type[Effect]] = ()
+) -> tuple[Rival, Rival]:
+    """The two effects at their places.
+
+    Args:
+        text: What the option was given. A place said of one is that of the other too, if both are
+            at places of one kind.
+        model: The robot.
+        limits: What it may do.
+        extra: Effects of the user's own.
+
+    Raises:
+        ArgumentError: There are no such effects or places.
+    """
+    (first, there), (second, here) = rivals_in(text)
+    if effect_class(first, extra).places == effect_class(second, extra).places:
+        there, here = there or here, here or there
+    return (
+        make_rival(first, model, limits, where=there, extra=extra),
+        make_rival(second, model, limits, where=here, extra=extra),
+    )
+
+
 def separation_of(
     text: str,
     model: RobotModel,
@@ -69,8 +93,7 @@ def separation_of(
     """What telling two effects apart amounts to, and what to say of it.
 
     Args:
-        text: What the option was given. A place said of one is that of the other too, if both are
-            at places of one kind.
+        text: What the option was given, as for `placed_rivals`.
         model: The robot.
         limits: What it may do.
         noise: Deviation of the measured efforts.
@@ -79,13 +102,8 @@ def separation_of(
     Raises:
         ArgumentError: There are no such effects or places, or these cannot be told apart.
     """
-    (first, there), (second, here) = rivals_in(text)
-    if effect_class(first, extra).places == effect_class(second, extra).places:
-        there, here = there or here, here or there
-    rivals = tuple(
-        make_rival(name, model, limits, where=where, extra=extra)
-        for name, where in ((first, there), (second, here))
-    )
+    rivals = placed_rivals(text, model, limits, extra=extra)
+    first, second = (rival.name for rival in rivals)
     width = _SIGN_SHARE * limits.velocity
     separation = make_separation(model, *rivals, noise=noise, sign_width=width)
     told = {pair.truth.partition(" (")[0] for pair in separation.pairs}

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from geodrake.diagnosis.results import Diagnosis, Explanation
-from geodrake.effects import effect_class
+from geodrake.diagnosis.rival_places import place_of_rival
+from geodrake.effects import effect_class, make_effect
+from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 
 _MOST = 4
+
+Finding = tuple[str, Sequence[str]]
+"""Name of an effect, two joined by " + ", and its joints or bodies."""
 
 
 def telling_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
@@ -19,45 +24,85 @@ def telling_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
 
     Returns:
         `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can tell
-        apart, a few at most; a delay and a wrong inertia are none of these.
+        apart, a few at most; a delay, a wrong inertia and a contact are none of these, nor a rival
+        of which no place is known.
     """
-    pairs: dict[str, None] = {}
-    if isinstance(found, Diagnosis):
-        best, *others = found.candidates or [None]
-        for other in others:
-            if best is not None and other is not None and other.tied:
-                pair = _pair((best.effect, best.where), (other.effect, other.where))
-                pairs |= dict.fromkeys(pair)
-    else:
-        for step in found.steps:
-            for rival in step.indistinguishable_from:
-                pairs |= dict.fromkeys(_pair((step.effect, step.where), (rival, step.where)))
+    findings = _of_diagnosis(found) if isinstance(found, Diagnosis) else _of_explanation(found)
+    pairs = dict.fromkeys(pair for one, other in findings for pair in _pair(one, other))
     return tuple(f"geodrake excite MODEL --tell-apart {pair}" for pair in [*pairs][:_MOST])
 
 
-def _pair(one: tuple[str, Sequence[str]], other: tuple[str, Sequence[str]]) -> list[str]:
+def _of_diagnosis(diagnosis: Diagnosis) -> Iterator[tuple[list[Finding], list[Finding]]]:
+    """The best candidate and those tied with it, effect by effect."""
+    if diagnosis.candidates:
+        joints = {joint.joint for joint in diagnosis.start.joints}
+        best, *others = ((_single(c.effect, c.where, joints), c.tied) for c in diagnosis.candidates)
+        yield from ((best[0], other) for other, tied in others if tied)
+
+
+def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Finding]]]:
+    """Steps and their rivals."""
+    for step in found.steps:
+        for rival in step.indistinguishable_from:
+            classes = _class(step.effect), _class(rival)
+            if classes[0] is not None and classes[1] is not None:
+                where = place_of_rival(classes[0], step.where, classes[1], found.model)
+                if where is not None:
+                    yield [(step.effect, step.where)], [(rival, where)]
+
+
+def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]:
+    """Effects found together, each with the places of its own kind.
+
+    Args:
+        names: Names, joined by " + ".
+        where: Joints and bodies of all of them.
+        joints: Names of the joints.
+    """
+    found: list[Finding] = []
+    for name in names.split(" + "):
+        cls, own = _class(name), where
+        if cls is not None and names != name:
+            own = [place for place in where if (place in joints) == (cls.places != "body")]
+        found.append((name, own))
+    return found
+
+
+def _pair(one: Sequence[Finding], other: Sequence[Finding]) -> list[str]:
     """`A,B@PLACE` of what one finding has and the other has not; nothing if there is no such."""
-    (name, where), (rival, there) = one, other
-    first, second = name.split(" + "), rival.split(" + ")
-    mine = [_named(n, where) for n in first if n not in second]
-    yours = [_named(n, there) for n in second if n not in first]
+    first, second = [name for name, _ in one], [name for name, _ in other]
+    mine = [_placed(*finding) for finding in one if finding[0] not in second]
+    yours = [_placed(*finding) for finding in other if finding[0] not in first]
     a, b = next(filter(None, mine), None), next(filter(None, yours), None)
     if a is None or b is None:
         return []
-    if a.partition("@")[2] == b.partition("@")[2]:
-        a = a.partition("@")[0]
-    return [f"{a},{b}"]
+    (name, place, kind), (rival, there, other_kind) = a, b
+    if place == there and kind == other_kind:  # said once, it is that of both
+        place = ""
+    return [f"{name}{place},{rival}{there}"]
 
 
-def _named(name: str, where: Sequence[str]) -> str | None:
-    """`name@place`, or the name alone if it is everywhere or at several joints."""
+def _placed(name: str, where: Sequence[str]) -> tuple[str, str, str] | None:
+    """Name, `@place` and kind of place; no place if it is everywhere or at several joints."""
+    cls = _class(name)
+    if cls is None:
+        return None
+    count = {"joint": 1, "joint_pair": 2, "body": 1}.get(cls.places, 0)
+    place = tuple(where[:1] if cls.places == "body" else where)
+    if len(place) != count:
+        return None if cls.places == "body" else (name, "", cls.places)
+    if cls.places != "joint":  # shapes of one at a joint are tried
+        try:
+            make_effect(name, place)
+        except ArgumentError:  # a contact has a window, which is no property of the robot
+            return None
+    return name, f"@{'+'.join(place)}" if place else "", cls.places
+
+
+def _class(name: str) -> type[Effect] | None:
+    """The effect that a motion can be designed for; None if it cannot, whatever the place."""
     try:
         cls = effect_class(name)
     except ArgumentError:  # wrong_inertia, or an effect of the user's own
         return None
-    if not getattr(cls, "parameters", ()) or cls.places == "log":
-        return None
-    if cls.places == "body":
-        return f"{name}@{where[0]}" if where else None
-    count = {"joint": 1, "joint_pair": 2}.get(cls.places)
-    return f"{name}@{'+'.join(where)}" if len(where) == count else name
+    return cls if getattr(cls, "parameters", ()) and cls.places != "log" else None
