@@ -150,6 +150,7 @@ def _step(step: Step) -> dict[str, Any]:
         "parameters": step.parameters,
         "deviations": step.deviations,
         "indistinguishable_from": step.indistinguishable_from,
+        "rivals": [asdict(rival) for rival in step.rivals],
         "false_alarm_probability": step.false_alarm_probability,
         "rms_before": step.rms_before,
         "rms_after": step.rms_after,

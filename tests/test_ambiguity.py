@@ -30,7 +30,8 @@ def diagnosis(*found):
 def explanation(*steps, model=None):
     """Steps as (effect, where, rivals)."""
     rows = [
-        SimpleNamespace(effect=e, where=w, indistinguishable_from=rivals) for e, w, rivals in steps
+        SimpleNamespace(effect=e, where=w, indistinguishable_from=rivals, rivals=())
+        for e, w, rivals in steps
     ]
     return SimpleNamespace(steps=tuple(rows), model=model)
 

@@ -17,6 +17,7 @@ from geodrake.cli.wording import (
     explanation_verdict,
     number,
     percent,
+    rivals_told,
 )
 from geodrake.diagnosis.ambiguity import telling_commands
 from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, JointError
@@ -144,7 +145,7 @@ def _show_steps(console: Console, explanation: Explanation, wording: Wording) ->
     for count, step in enumerate(explanation.steps, 1):
         lines = [wording.where(step.where), *wording.parameters(step)]
         if step.indistinguishable_from:
-            lines.append(f"or: {', '.join(step.indistinguishable_from)}")
+            lines.append(f"or: {', '.join(rivals_told(step))}")
         table.add_row(
             str(count),
             step.effect,

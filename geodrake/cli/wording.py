@@ -153,6 +153,18 @@ def explanation_verdict(explanation: Explanation, wording: Wording) -> str:
     return f"{head}: {found}. {rest}{_worst(explanation)}"
 
 
+def rivals_told(step: Step) -> list[str]:
+    """What the log cannot tell a step from: `viscous_friction (0.0312 against 0.0310)`.
+
+    In brackets is the held-out nrms with the rival, and that with the effect at the same time.
+    """
+    fitted = [
+        f"{rival.effect} ({rival.error:.4f} against {rival.error_of_choice:.4f})"
+        for rival in step.rivals
+    ]
+    return [*fitted, *step.unfitted_rivals]
+
+
 def addition_verdict(explanation: Explanation, wording: Wording) -> str:
     """What adding an effect changed, and what is left."""
     found = listed([wording.finding(step) for step in explanation.steps]) or "nothing"

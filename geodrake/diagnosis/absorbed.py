@@ -81,6 +81,7 @@ def absorbed(case: Case, trail: Trail, fixed: Sequence[Effect], criteria: Criter
         gone = found - _added(other.end, fixed)
         rivals = gone.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in gone))
         stays = {name: trail.rivals.get(name, ()) for name in found - gone}
+        other = replace(other, fits=(*other.fits, *trail.fits))
         return _answer(case, [other], fixed, rivals, found=stays)
     if found:
         return Absorbed(case)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from geodrake.diagnosis.results import Diagnosis, Explanation
+from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.rival_places import place_of_rival
 from geodrake.effects import effect_class, make_effect
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
+from geodrake.model import RobotModel
 
 _MOST = 4
 
@@ -44,11 +45,20 @@ def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Fi
     """Steps and their rivals."""
     for step in found.steps:
         for rival in step.indistinguishable_from:
-            classes = _class(step.effect), _class(rival)
-            if classes[0] is not None and classes[1] is not None:
-                where = place_of_rival(classes[0], step.where, classes[1], found.model)
-                if where is not None:
-                    yield [(step.effect, step.where)], [(rival, where)]
+            where = _rivals_place(step, rival, found.model)
+            if where is not None:
+                yield [(step.effect, step.where)], [(rival, where)]
+
+
+def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | None:
+    """Where a rival of a step is: where it was fitted, else the place that goes with the step's."""
+    effect, rival = _class(step.effect), _class(name)
+    if effect is None or rival is None:
+        return None
+    for fitted in step.rivals:
+        if name in fitted.names:
+            return dict(_single(fitted.effect, fitted.where, set(model.joints)))[name]
+    return place_of_rival(effect, step.where, rival, model)
 
 
 def _single(names: str, where: Sequence[str], joints: set[str]) -> list[Finding]:

@@ -69,8 +69,8 @@ def diagnose(
     start, hypothesis = trail.start, trail.end
     if step is not None:
         first = _first(case, hypothesis, step)
-        others = [r for r in step.ranked if set(r.names) != set(first.names)]
-        if set(step.chosen.names) <= set(first.names):
+        others = [r for r in step.ranked if set(r.told) != set(first.names)]
+        if set(step.chosen.told) <= set(first.names):
             others = [r for r in others if r.hypothesis is not step.chosen.hypothesis]
         candidates = [_candidate(r, hypothesis.nrms) for r in (first, *others)]
     else:
@@ -156,7 +156,7 @@ def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candida
 
 def _candidate(ranked: Ranked, before: float) -> Candidate:
     return Candidate(
-        " + ".join(ranked.names),
+        " + ".join(ranked.told),
         ranked.where,
         before,
         ranked.hypothesis.nrms,

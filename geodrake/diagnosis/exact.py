@@ -67,7 +67,8 @@ def searched(
     look = partial(search, criteria=criteria, tune=tune, pause=state.to_pause, progress=progress)
     for _ in range(_MOST_ROUNDS):
         more = look(state.trail.end, state.held, rivals=state.trail.rivals)
-        state.trail = replace(more, start=state.trail.start)
+        fits = (*state.trail.fits, *more.fits)
+        state.trail = replace(more, start=state.trail.start, fits=fits)
         if not state.goes_on():
             break
     if state.timed is not None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.pairs import open_joints, rank_pairs
 from geodrake.diagnosis.refine import prune, reshape, simplify, swap
+from geodrake.diagnosis.results import Rival
 from geodrake.diagnosis.search import Ranked, choose, rank
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect
@@ -31,12 +32,14 @@ class Trail:
         end: The last one.
         rivals: Effect name -> names that tied with it when it was chosen.
         kept: Effects that stay though inertias could take them in.
+        fits: The rivals that were fitted, with their errors.
     """
 
     start: Hypothesis
     end: Hypothesis
     rivals: Mapping[str, tuple[str, ...]]
     kept: tuple[Effect, ...] = ()
+    fits: tuple[Rival, ...] = ()
 
 
 def search(
@@ -62,24 +65,25 @@ def search(
         progress: Told about each step.
         rivals: Those known before.
     """
-    hypothesis, rivals = tuned(start) if tune else start, dict(rivals or {})
+    hypothesis, rivals, fits = tuned(start) if tune else start, dict(rivals or {}), list[Rival]()
     for _ in range(max_steps):
         step = next_step(hypothesis, fixed, criteria)
         if step is None:
             break
-        names = tuple(dict.fromkeys([*step.chosen.names, *(e.name for e in step.chosen.effects)]))
-        others = [r for r in step.ranked if r.tied and not r.includes(step.chosen)]
-        tied = {name for r in others for name in r.names}
+        names = step.chosen.told
+        tied = {name for r in step.others for name in r.told}
         for name in names:
             rivals.setdefault(name, tuple(sorted(tied.difference(names))))
         rivals |= rivals_of_swapped(rivals, hypothesis, step.after, names)
+        fits += fitted_rivals(hypothesis, step)
         hypothesis = tuned(step.after) if tune else step.after
         if progress is not None:
             progress(" and ".join(step.chosen.names), hypothesis.nrms)
         if pause is not None and pause(hypothesis):
-            return Trail(start, hypothesis, rivals)
+            return Trail(start, hypothesis, rivals, fits=tuple(fits))
     settled = _settled(hypothesis, fixed, criteria, tune=tune)
-    return Trail(start, settled, rivals | rivals_of_swapped(rivals, hypothesis, settled))
+    rivals |= rivals_of_swapped(rivals, hypothesis, settled)
+    return Trail(start, settled, rivals, fits=(*fits, *_swapped(hypothesis, settled)))
 
 
 def rivals_of_swapped(
@@ -108,6 +112,58 @@ def rivals_of_swapped(
     }
 
 
+def fitted_rivals(before: Hypothesis, step: Forward) -> list[Rival]:
+    """The rivals of a step with their errors, best first.
+
+    Args:
+        before: The hypothesis before.
+        step: What was tried and taken.
+    """
+    came, _ = _exchanged(before, step.after)
+    added = tuple(came) or step.chosen.told
+    others = step.others
+    if not set(step.chosen.told) >= set(added):  # it was swapped for what is simpler
+        others.append(step.chosen)
+    fits = [_fit(r.told, r.where, added, r.hypothesis, step.after) for r in others]
+    return sorted(fits, key=lambda rival: rival.error)
+
+
+def _swapped(before: Hypothesis, after: Hypothesis) -> list[Rival]:
+    """What others took the place of, as their rival."""
+    came, lost = _exchanged(before, after)
+    if not came or not lost:
+        return []
+    places = dict.fromkeys(place for effects in lost.values() for e in effects for place in e.where)
+    return [_fit(tuple(lost), tuple(places), tuple(came), before, after)]
+
+
+def _exchanged(
+    before: Hypothesis, after: Hypothesis
+) -> tuple[dict[str, list[Effect]], dict[str, list[Effect]]]:
+    """Effects by name that came, and those of which none is left."""
+    had, has = before.unknowns.effects, after.unknowns.effects
+    kept, came, lost = {e.name for e in has}, dict[str, list[Effect]](), dict[str, list[Effect]]()
+    for effect in has:
+        if effect not in had:
+            came.setdefault(effect.name, []).append(effect)
+    for effect in had:
+        if effect.name not in kept:
+            lost.setdefault(effect.name, []).append(effect)
+    return came, lost
+
+
+def _fit(
+    names: tuple[str, ...],
+    where: tuple[str, ...],
+    added: tuple[str, ...],
+    other: Hypothesis,
+    taken: Hypothesis,
+) -> Rival:
+    """A rival by its hypothesis and that which was taken."""
+    chance = tie_probability(taken.loss(), other.loss())
+    return Rival(" + ".join(names), where, added, other.nrms, taken.nrms, chance)
+
+
 @dataclass(frozen=True, eq=False)
 class Forward:
     """One step forward.
@@ -121,6 +177,12 @@ class Forward:
     ranked: tuple[Ranked, ...]
     chosen: Ranked
     after: Hypothesis
+
+    @property
+    def others(self) -> list[Ranked]:
+        """Those that could have been taken instead."""
+        tied = [r for r in self.ranked if r.tied and r is not self.chosen]
+        return [r for r in tied if not r.is_same(self.chosen) and not r.includes(self.chosen)]
 
 
 def next_step(

@@ -207,6 +207,32 @@ class Diagnosis:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Rival:
+    """What could have been added instead of an effect, as far as the log tells.
+
+    Attributes:
+        effect: Name; two names joined by " + " for effects found together.
+        where: Joints or bodies.
+        instead_of: Names of the effects that were added.
+        error: Held-out nrms with the rival, everything that may move refitted.
+        error_of_choice: The same with what was added, at the time of the choice.
+        tie_probability: Chance that the rival is truly no worse than what was added.
+    """
+
+    effect: str
+    where: tuple[str, ...]
+    instead_of: tuple[str, ...]
+    error: float
+    error_of_choice: float
+    tie_probability: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its effects."""
+        return tuple(self.effect.split(" + "))
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
     """One effect added to a model.
@@ -222,6 +248,8 @@ class Step:
         false_alarm_probability: Chance that an irrelevant effect gains as much.
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
+        rivals: Those of these effects that were fitted when this one was chosen, best first; the
+            others follow from what is known of the effects.
     """
 
     effect: str
@@ -234,6 +262,13 @@ class Step:
     false_alarm_probability: float
     rms_before: Mapping[str, float]
     rms_after: Mapping[str, float]
+    rivals: tuple[Rival, ...] = ()
+
+    @property
+    def unfitted_rivals(self) -> tuple[str, ...]:
+        """Those of `indistinguishable_from` of which `rivals` has no numbers."""
+        fitted = {name for rival in self.rivals for name in rival.names}
+        return tuple(name for name in self.indistinguishable_from if name not in fitted)
 
 
 @dataclass(frozen=True, eq=False)

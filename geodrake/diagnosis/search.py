@@ -57,6 +57,16 @@ class Ranked:
         """Gain less the penalty of the parameters."""
         return self.gain - PENALTY * self.parameters
 
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Names of what it adds: those of its kind, less any that it does without everywhere."""
+        added = {effect.name for effect in self.effects}
+        return tuple(name for name in self.names if not added or name in added)
+
+    def is_same(self, other: Ranked) -> bool:
+        """Whether this adds just what another one does, as dry friction alone for a pair."""
+        return bool(self.effects) and set(self.effects) == set(other.effects)
+
     def includes(self, other: Ranked) -> bool:
         """Whether this is another one and something more, no alternative to it."""
         return bool(other.effects) and set(self.effects) > set(other.effects)

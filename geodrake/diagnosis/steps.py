@@ -20,13 +20,13 @@ from geodrake.diagnosis.evidence import (
 )
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.results import Step
+from geodrake.diagnosis.results import Rival, Step
+from geodrake.diagnosis.step_values import told_parameters
 from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Payload
 from geodrake.effects.base import Effect
 from geodrake.identification.model_fit import ModelFit, as_it_stands
-from geodrake.inertia import pullback_metric, to_mass_com_inertia
-from geodrake.model import FittedEffect
+from geodrake.inertia import pullback_metric
 
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
@@ -82,6 +82,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
         parameters, deviations = _values(case, group, trail, fit)
         count = _parameters(case, group)
         gain, where = gain_of(hypotheses[i], hypotheses[i + 1]), _where(case, group, fit)
+        rivals = _rivals(case, trail, group, where, fit.model.phi)
         steps.append(
             Step(
                 group.name,
@@ -90,10 +91,11 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 tables[i + 1].nrms,
                 parameters,
                 deviations,
-                _rivals(case, trail, group, where, fit.model.phi),
+                rivals,
                 false_alarm_probability(gain, count, tried),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
+                _fitted(trail, group.name, rivals),
             )
         )
     return tuple(steps)
@@ -201,6 +203,21 @@ def _rivals(
     return tuple(sorted(tied - found))
 
 
+def _fitted(trail: Trail, effect: str, rivals: Collection[str]) -> tuple[Rival, ...]:
+    """Those rivals of an effect that were fitted in its place, each once, as at the first choice.
+
+    Args:
+        trail: The search.
+        effect: Name of the effect.
+        rivals: Names of its rivals.
+    """
+    fits: dict[str, Rival] = {}
+    for rival in trail.fits:
+        if effect in rival.instead_of and not set(rivals).isdisjoint(rival.names):
+            fits.setdefault(rival.effect, rival)
+    return tuple(sorted(fits.values(), key=lambda rival: rival.error))
+
+
 def _carried(case: Case, bodies: Collection[str], phi: Array) -> tuple[str, ...]:
     """What wrong bodies may be as well: one at the end of the robot that carries a payload.
 
@@ -253,7 +270,7 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
             place = fitted.effect.place
-            found, spread = _named(fitted)
+            found, spread = told_parameters(fitted)
             values.setdefault(place, {}).update(found)
             deviations.setdefault(place, {}).update(spread)
     return values, deviations
@@ -265,27 +282,3 @@ def _inertias(moved: Mapping[str, float], fit: ModelFit) -> Values:
         body: {"mass": masses[body], "distance_from_prior": distance}
         for body, distance in moved.items()
     }
-
-
-def _named(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
-    """Names, values and standard deviations of an effect's parameters."""
-    spread = (
-        fitted.deviations
-        if fitted.deviations is not None
-        else np.full(len(fitted.parameters), np.nan)
-    )
-    if fitted.effect.name == "payload":
-        mass, com, _ = to_mass_com_inertia(fitted.parameters)
-        # To first order of the deviations, those of mass and moment taken as independent.
-        com_spread = np.hypot(spread[1:4], com * spread[0]) / mass
-        values = {
-            "mass": float(mass),
-            **{f"com_{a}": float(c) for a, c in zip("xyz", com, strict=True)},
-        }
-        deviations = {f"com_{a}": float(d) for a, d in zip("xyz", com_spread, strict=True)}
-        return values, {"mass": float(spread[0]), **deviations}
-    names = [p.name for p in fitted.effect.parameters]
-    values = dict(zip(names, map(float, fitted.parameters), strict=True))
-    shapes = fitted.effect.told_shape.items()
-    values |= {k: float(v) for k, v in shapes if v is not None and k != "log"}
-    return values, dict(zip(names, map(float, spread), strict=True))

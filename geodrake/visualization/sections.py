@@ -34,7 +34,7 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
             str(count),
             Cell(effect_label(step.effect), units.signature(step.effect)),
             places_label(step.where, joints),
-            ", ".join(map(effect_label, step.indistinguishable_from)) or UNKNOWN,
+            ", ".join(_rivals(step)) or UNKNOWN,
             number(step.error_before),
             number(step.error_after),
             step_sentence(step),
@@ -49,8 +49,23 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
         "Effects in the order of what they take away. After each, everything that may move was "
         "refitted. The false alarm is the chance that an effect that is not there gains as much."
     )
+    if any(step.rivals for step in explanation.steps):
+        text += (
+            " Beside what an effect cannot be told from stands the nrms with that in its place, "
+            "against the one with the effect itself when it was chosen."
+        )
     table = Table(head, tuple(rows), words=4)
     return Section("What is missing", (text, *telling(explanation)), (table,))
+
+
+def _rivals(step: Step) -> list[str]:
+    """What a step cannot be told from, with the nrms instead of its own where both are known."""
+    fitted = [
+        f"{effect_label(rival.effect)} ({number(rival.error)} against "
+        f"{number(rival.error_of_choice)})"
+        for rival in step.rivals
+    ]
+    return [*fitted, *map(effect_label, step.unfitted_rivals)]
 
 
 def parameters_section(explanation: Explanation, units: Units) -> Section:
