@@ -152,6 +152,7 @@ def _step(step: Step) -> dict[str, Any]:
         "indistinguishable_from": step.indistinguishable_from,
         "rivals": [asdict(rival) for rival in step.rivals],
         "false_alarm_probability": step.false_alarm_probability,
+        "agreement": step.agreement,
         "rms_before": step.rms_before,
         "rms_after": step.rms_after,
     }

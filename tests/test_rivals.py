@@ -13,7 +13,7 @@ from geodrake.cli.tables import show_explanation
 from geodrake.cli.wording import Wording
 from geodrake.diagnosis import Criteria, add, diagnose, explain
 from geodrake.diagnosis.ambiguity import telling_commands
-from geodrake.diagnosis.results import Rival
+from geodrake.diagnosis.rival import Rival
 from geodrake.json_output import explanation_dict
 from geodrake.saved_model import load_model
 from geodrake.visualization import Units
@@ -108,3 +108,11 @@ def test_a_fitted_rival_keeps_its_own_place(told):
         f"geodrake excite MODEL --tell-apart rotor_inertia@elbow,{rival}"
         for rival in ("effort_offset@shoulder", "joint_spring@shoulder", "payload@lower_link")
     )
+
+
+def test_a_rival_at_more_joints_is_told_apart_where_the_step_is(told):
+    (step,) = told.steps
+    wider = replace(FITTED, effect="effort_offset", where=("shoulder", "elbow"))
+    step = replace(step, rivals=(wider,), indistinguishable_from=("effort_offset",))
+    expected = "geodrake excite MODEL --tell-apart rotor_inertia,effort_offset@elbow"
+    assert telling_commands(replace(told, steps=(step,))) == (expected,)

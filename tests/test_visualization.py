@@ -90,6 +90,7 @@ def step(effect, where, parameters, deviations, **more):
             "deviations": deviations,
             "indistinguishable_from": ("stribeck_friction",),
             "false_alarm_probability": 1e-30,
+            "agreement": 0.75,
             "rms_before": dict.fromkeys(joints, 1.0),
             "rms_after": dict.fromkeys(joints, 0.2),
             **more,
@@ -206,6 +207,7 @@ def test_an_explanation_says_what_was_found():
     assert "explained in part" in text
     assert "3.084 ± 0.012" in text
     assert "Coulomb, N·m" in text
+    assert "75 %" in text
     assert "Stribeck friction" in text
     assert "< 10⁻⁶" in text
     assert "a: bandwidth 4 Hz" in text

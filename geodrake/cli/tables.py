@@ -137,7 +137,7 @@ def show_saved(
 def _show_steps(console: Console, explanation: Explanation, wording: Wording) -> None:
     head(console, "Steps; nrms on held-out data, everything refitted")
     table = table_of(console, "#", "effect", "where, how much")
-    number_columns(table, "before", "after")
+    number_columns(table, "before", "after", "blocks better")
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
     table.add_row("", "as it stands", "", "", f"{start:.3f}")
     if explanation.steps:
@@ -152,6 +152,7 @@ def _show_steps(console: Console, explanation: Explanation, wording: Wording) ->
             "\n".join(lines),
             f"{step.error_before:.3f}",
             f"{step.error_after:.3f}",
+            percent(step.agreement),
         )
     console.print(table)
 

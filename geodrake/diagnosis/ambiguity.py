@@ -51,13 +51,18 @@ def _of_explanation(found: Explanation) -> Iterator[tuple[list[Finding], list[Fi
 
 
 def _rivals_place(step: Step, name: str, model: RobotModel) -> Sequence[str] | None:
-    """Where a rival of a step is: where it was fitted, else the place that goes with the step's."""
+    """Where a rival of a step is: where it was fitted, else the place that goes with the step's.
+
+    That of the step itself will do if it was fitted there, and at further places.
+    """
     effect, rival = _class(step.effect), _class(name)
     if effect is None or rival is None:
         return None
     for fitted in step.rivals:
         if name in fitted.names:
-            return dict(_single(fitted.effect, fitted.where, set(model.joints)))[name]
+            places = dict(_single(fitted.effect, fitted.where, set(model.joints)))[name]
+            shared = effect.places == rival.places and set(places).issuperset(step.where)
+            return step.where if shared else places
     return place_of_rival(effect, step.where, rival, model)
 
 

@@ -9,7 +9,7 @@ from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.pairs import open_joints, rank_pairs
 from geodrake.diagnosis.refine import prune, reshape, simplify, swap
-from geodrake.diagnosis.results import Rival
+from geodrake.diagnosis.rival import Rival
 from geodrake.diagnosis.search import Ranked, choose, rank
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect

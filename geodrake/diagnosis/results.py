@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.rival import Rival
 from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -207,32 +208,6 @@ class Diagnosis:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Rival:
-    """What could have been added instead of an effect, as far as the log tells.
-
-    Attributes:
-        effect: Name; two names joined by " + " for effects found together.
-        where: Joints or bodies.
-        instead_of: Names of the effects that were added.
-        error: Held-out nrms with the rival, everything that may move refitted.
-        error_of_choice: The same with what was added, at the time of the choice.
-        tie_probability: Chance that the rival is truly no worse than what was added.
-    """
-
-    effect: str
-    where: tuple[str, ...]
-    instead_of: tuple[str, ...]
-    error: float
-    error_of_choice: float
-    tie_probability: float
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of its effects."""
-        return tuple(self.effect.split(" + "))
-
-
 @dataclass(frozen=True, eq=False)
 class Step:
     """One effect added to a model.
@@ -246,6 +221,8 @@ class Step:
         deviations: The same for the standard deviations.
         indistinguishable_from: Effects that the log could not tell from this one.
         false_alarm_probability: Chance that an irrelevant effect gains as much.
+        agreement: Share of the held-out blocks in which it lowers the error where it acts; one
+            that hardly changes may count half.
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: Those of these effects that were fitted when this one was chosen, best first; the
@@ -260,6 +237,7 @@ class Step:
     deviations: Mapping[str, Mapping[str, float]]
     indistinguishable_from: tuple[str, ...]
     false_alarm_probability: float
+    agreement: float
     rms_before: Mapping[str, float]
     rms_after: Mapping[str, float]
     rivals: tuple[Rival, ...] = ()

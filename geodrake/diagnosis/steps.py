@@ -20,11 +20,13 @@ from geodrake.diagnosis.evidence import (
 )
 from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.results import Rival, Step
+from geodrake.diagnosis.results import Step
+from geodrake.diagnosis.rival import Rival
 from geodrake.diagnosis.step_values import told_parameters
-from geodrake.diagnosis.trials import gain_of
+from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
 from geodrake.effects import Payload
 from geodrake.effects.base import Effect
+from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric
 
@@ -74,8 +76,8 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
         groups.remove(group)
         ordered.append(group)
         hypotheses.append(after)
-    tables = [error_table(h.dataset, h.held_out) for h in hypotheses[:-1]]
-    tables.append(error_table(case.dataset, fit.held_out))
+    errors = [*(h.held_out for h in hypotheses[:-1]), fit.held_out]
+    tables = [error_table(case.dataset, held_out) for held_out in errors]
     tried = len(case.dataset.effects)
     steps = []
     for i, group in enumerate(ordered):
@@ -93,12 +95,21 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 deviations,
                 rivals,
                 false_alarm_probability(gain, count, tried),
+                _agreement(case, group.effects, errors[i], errors[i + 1]),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
                 _fitted(trail, group.name, rivals),
             )
         )
     return tuple(steps)
+
+
+def _agreement(case: Case, effects: tuple[Effect, ...], before: HeldOut, after: HeldOut) -> float:
+    """Share of the folds in which the error falls where effects act; everywhere without any."""
+    joints = np.ones(len(case.dataset.joints), bool)
+    if effects:
+        joints = acted_upon(case.dataset, Package(effects, ()))
+    return improvement((before, after), joints)[1]
 
 
 def _parameters(case: Case, group: _Group) -> int:
@@ -148,6 +159,7 @@ def refit_step(
             {},
             tuple(sorted({*rivals, *_carried(case, moved, fit.model.phi)})),
             evidence[1],
+            _agreement(case, (), before, fit.held_out),
             was.by_joint(),
             now.by_joint(),
         ),
