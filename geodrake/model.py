@@ -15,13 +15,13 @@ from pydrake.systems.framework import Context
 from geodrake.effects import (
     CoulombFriction,
     Effect,
-    EffortDelay,
     EffortScale,
     RobotMotion,
     RotorInertia,
     ViscousFriction,
 )
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.effort_delay import common_delay
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, inertial_parameters
 from geodrake.kinematics import KinematicTree
@@ -82,16 +82,6 @@ class RobotModel:
     fading_speed: Array | None = None
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Raises an ArgumentError for a delay of one joint: a model's is that of all efforts."""
-        for fitted in self.effects:
-            if isinstance(fitted.effect, EffortDelay) and fitted.effect.joint is not None:
-                raise ArgumentError(
-                    f"A model's {EffortDelay.name} is that of all efforts; one has "
-                    f"{fitted.effect.delay:g} s at {fitted.effect.joint} alone.",
-                    advice="Advance that joint's effort in the log, and leave the delay out.",
-                )
-
     @cached_property
     def tree(self) -> KinematicTree:
         """The plant's kinematics, read once."""
@@ -138,7 +128,7 @@ class RobotModel:
     @property
     def delay(self) -> float:
         """Seconds by which measured efforts lag, as far as the model knows."""
-        return sum(f.effect.delay for f in self.effects if isinstance(f.effect, EffortDelay))
+        return common_delay([fitted.effect for fitted in self.effects])
 
     @cached_property
     def total_phi(self) -> Array:

@@ -156,4 +156,4 @@ def test_position_order_is_drakes(arm):
 def test_delay_of_one_joint_is_refused(arm):
     late = FittedEffect(EffortDelay(0.01, "elbow_pitch"), np.empty(0))
     with pytest.raises(ArgumentError, match=r"0\.01 s at elbow_pitch alone"):
-        replace(arm, effects=(late,))
+        _ = replace(arm, effects=(late,)).delay

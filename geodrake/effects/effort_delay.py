@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -28,7 +28,8 @@ class EffortDelay(Effect):
 
     Attributes:
         delay: δ, s; negative if the efforts are ahead.
-        joint: The joint whose effort lags; all joints of the log if None, as in every model.
+        joint: The joint whose effort lags; all joints of the log if None. No fit does one
+            joint's: see `common_delay`.
     """
 
     delay: float
@@ -80,3 +81,20 @@ class EffortDelay(Effect):
         degree = min(_DEGREE, len(signal) - 1)
         spline = make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
         return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
+
+
+def common_delay(effects: Sequence[Effect]) -> float:
+    """The delay, s, that some effects make together.
+
+    Raises:
+        ArgumentError: One is that of a single joint, which nothing takes into account.
+    """
+    delays = [effect for effect in effects if isinstance(effect, EffortDelay)]
+    for effect in delays:
+        if effect.joint is not None:
+            raise ArgumentError(
+                f"An {effect.name} of all efforts can be taken into account; this one is "
+                f"{effect.delay:g} s at {effect.joint} alone.",
+                advice="Advance that joint's effort in the log, and leave the delay out.",
+            )
+    return sum(effect.delay for effect in delays)
