@@ -52,7 +52,6 @@ def every_effect(model):
         JointSpring(e, center=-1 / 3),
         RotorInertia(f),
         EffortDelay(0.0123),
-        EffortDelay(-0.001, joint=a),
         Payload(model.bodies[-1]),
     )
 
