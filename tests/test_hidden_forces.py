@@ -178,6 +178,85 @@ class TestAerodynamicDrag:
         np.testing.assert_allclose(center, point, atol=0.01)
 
 
+def belt(i, j, sense, dry, viscous):
+    """Friction of a motor that turns with v_i ± v_j, by a belt from one joint to the other."""
+
+    def hidden(seen):
+        slip = seen.v[:, i] + sense * seen.v[:, j]
+        effort = dry * slip / np.hypot(slip, 5e-3) + viscous * slip
+        return {i: effort, j: sense * effort}
+
+    return hidden
+
+
+class TestCoupledJoints:
+    """Motors that turn with two joints which do not follow each other."""
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("joints", "sense", "dry", "viscous"),
+        [
+            ((1, 3), 1, 0.8, 0.3),
+            ((3, 5), -1, 0.3, 0.12),
+            pytest.param((1, 3), -1, 0.8, 0.3, marks=pytest.mark.thorough),
+            pytest.param((3, 5), 1, 0.01, 0.01, marks=pytest.mark.thorough),
+            pytest.param((0, 2), 1, 3.0, 1.0, marks=pytest.mark.thorough),
+        ],
+    )
+    def test_friction_is_found(self, joints, sense, dry, viscous, seed):
+        recording = effort_log("arm6", seed, belt(*joints, sense, dry, viscous), off=0.2)
+        names = tuple(model_file("arm6").joints[joint] for joint in joints)
+        steps, _ = assert_found(model_file("arm6"), recording, {"coupled_friction": names})
+        values = steps["coupled_friction"][" & ".join(names)]
+        assert values["sign"] == sense
+        assert values["coulomb"] == pytest.approx(dry, rel=0.05)
+        assert values["viscous"] == pytest.approx(viscous, rel=0.1)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_friction_is_found_beside_that_of_all_joints(self, seed, tmp_path):
+        def hidden(seen):
+            effort = rubbing(seen)
+            for joint, more in belt(3, 5, 1, 0.3, 0.1)(seen).items():
+                effort[:, joint] += more
+            return effort
+
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        joints = model_file("arm6").joints
+        own = dict.fromkeys(("coulomb_friction", "viscous_friction"), joints)
+        expected = own | {"coupled_friction": (joints[3], joints[5])}
+        _, found = assert_found(model_file("arm6"), recording, expected)
+        save_model(found.model, tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml")
+        motion = Motion(*random_states(), time=None)
+        np.testing.assert_allclose(again.effort(motion), found.model.effort(motion))
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_friction_of_either_joint_is_not_coupled(self, seed):
+        def hidden(seen):
+            return {
+                joint: size * seen.v[:, joint] / np.hypot(seen.v[:, joint], 5e-3)
+                for joint, size in ((1, 4.0), (3, 0.6))
+            }
+
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        expected = {"coulomb_friction": ("shoulder_pitch", "wrist_roll")}
+        assert_found(model_file("arm6"), recording, expected)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize("sense", [-1, pytest.param(1, marks=pytest.mark.thorough)])
+    def test_rotor_is_found(self, sense, seed):
+        def hidden(seen):
+            spin = 0.05 * (seen.a[:, 3] + sense * seen.a[:, 5])
+            return {3: spin, 5: sense * spin}
+
+        names = ("wrist_roll", "wrist_spin")
+        expected = dict.fromkeys(("coupled_rotor_inertia", "rotor_inertia"), names)
+        recording = effort_log("arm6", seed, hidden)
+        steps, _ = assert_found(model_file("arm6"), recording, expected)
+        values = steps["coupled_rotor_inertia"]["wrist_roll & wrist_spin"]
+        assert values["inertia"] == pytest.approx(0.05 * sense, rel=0.03)
+
+
 class TestFrictionDrift:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(

@@ -91,8 +91,8 @@ class _Addition:
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Joint or body to add it at; repeatable, for a pair of joints once each. If "
-            "absent, all joints, or the body or pair of joints that it helps most at.",
+            help="Joint or body to add it at; repeatable, twice for a pair of joints. If absent, "
+            "all joints, or the body or pair of neighbouring joints that it helps most at.",
         ),
     ] = None
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.columns import with_columns, with_episodes
 from geodrake.diagnosis.compare import comparison
+from geodrake.diagnosis.coupled import other_pairs
 from geodrake.diagnosis.exact_shapes import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
@@ -46,8 +47,8 @@ def add(
             are those that the residual shows.
         model: The model as it stands.
         logs: Logs or their files.
-        where: Joints or bodies, or the two joints of a pair; by default all joints, or the body or
-            pair that helps most.
+        where: Joints or bodies, or the two joints of a pair; by default all joints, or the body
+            that helps most, or of the pairs of joints that follow each other the one that does.
         extra: Effect classes of the user's own that may be named.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
         blocks: Blocks into which every log is cut for validation.
@@ -128,15 +129,30 @@ def _with_shapes(
     extra: Sequence[type[Effect]],
 ) -> tuple[Case, Trail]:
     """An effect where it is told or helps most, in the shape that explains most."""
-    if effect not in WHOLE and effect_class(effect, extra).from_residual:
-        shapes = suggested_of(case, start, effect)
-        case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *shapes])
+    kind = None if effect in WHOLE else effect_class(effect, extra)
+    more = () if kind is None else _without_columns(kind, case, start, where)
+    if more:
+        case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *more])
         start = trail.start
     end = _with(effect, start, case, where)
     trail, present = Trail(start, end, {}), set(start.unknowns.effects)
     if to_profile(end, case.dataset.effects, present):
         case, trail = with_exact_shapes(case, trail, case.dataset.effects, present)
     return case, trail
+
+
+def _without_columns(
+    kind: type[Effect], case: Case, start: Hypothesis, where: Sequence[str] | None
+) -> tuple[Effect, ...]:
+    """What may be added of a kind that a case has no columns for: by the residual, or as asked."""
+    if kind.from_residual:
+        return suggested_of(case, start, kind.name)
+    if kind.places != "joint_pair":
+        return ()
+    pairs = other_pairs(case.model, case.model.single_joints)
+    asked = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
+    found = [effect for pair in asked for effect in kind.candidates(pair)]
+    return tuple(effect for effect in found if effect not in case.dataset.effects)
 
 
 def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:

@@ -22,8 +22,9 @@ def candidate_effects(
 ) -> tuple[Effect, ...]:
     """All instances of the catalogue's effects, and of a user's own, that a robot can have.
 
-    Effects whose shape is found in a residual are not among them (see `proposals`), nor those that
-    only a model with inertias known from other logs can tell.
+    Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
+    pairs of joints that do not follow each other (see `coupled`), nor those that only a model with
+    inertias known from other logs can tell.
 
     Args:
         model: The robot.

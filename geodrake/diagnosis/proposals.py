@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from geodrake.diagnosis.case import Case, error_table
+from geodrake.diagnosis.coupled import coupled_joints
 from geodrake.diagnosis.elastic import elastic_joints, loose_joints
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import LEAST_WAVES, highest_peak
@@ -115,6 +116,7 @@ def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
     motion, joints = full_motion(case), joint_residuals(case, hypothesis)
     yield from elastic_joints(case, joints, motion)
     yield from loose_joints(case, joints, motion)
+    yield from coupled_joints(case, joints, motion)
     for joint in joints:
         if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
             yield from _ripples(case, joint, hypothesis.unknowns.effects)

@@ -19,6 +19,9 @@ class CoupledFriction(JointPairEffect):
     effort of joint i = F sgn w + c w, and s times that at joint j, so that the power is
     (F sgn w + c w) w; F ≥ 0 in N·m and c ≥ 0 in N·m·s/rad.
 
+    A diagnosis tries it at joints that follow each other, and at any other two whose residuals both
+    go with the friction of one actuator, beyond friction of their own.
+
     Attributes:
         joints: The joints i and j.
         sign: s, 1 or −1. A ratio other than one belongs in a transmission.

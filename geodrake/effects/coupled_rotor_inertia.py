@@ -19,6 +19,9 @@ class CoupledRotorInertia(JointPairEffect):
     symmetric pair of entries of the mass matrix. I is in kg·m², and negative where the rotor turns
     with the difference. What the same rotor adds to each joint alone is `rotor_inertia` of either
     joint, so |I| ≤ √(Iᵢ Iⱼ) of those two.
+
+    A diagnosis tries it at joints that follow each other, and at any other two whose residuals both
+    go with the acceleration of the other one, beyond that of their own.
     """
 
     name = "coupled_rotor_inertia"

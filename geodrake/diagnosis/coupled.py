@@ -1,0 +1,179 @@
+"""Signs of actuators that turn with two joints which do not follow each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from geodrake.diagnosis.case import Case
+from geodrake.diagnosis.proposal import Proposal
+from geodrake.diagnosis.residuals import JointResidual, filtered_columns
+from geodrake.effects import CoupledFriction, CoupledRotorInertia
+from geodrake.effects.base import JointPairEffect
+from geodrake.model import RobotModel
+from geodrake.motion import Segment
+
+Array = NDArray[np.float64]
+
+_SIGNS = (1.0, -1.0)
+"""An actuator turns with the sum of two speeds or with their difference."""
+_OWN = 4
+"""Columns of a joint's own friction, rotor and offset."""
+
+
+def _friction(joint: JointResidual, segment: Segment, own: int, others: list[int]) -> Array:
+    """(N, m, 2, 2) dry and viscous friction of an actuator shared with each of m other joints.
+
+    Whatever its sign s, at either joint it is F sgn w + c w with w = v + s v of the other one.
+    """
+    v = segment.velocity
+    w = v[:, own, None, None] + np.multiply.outer(v[:, others], _SIGNS)
+    return np.stack([joint.direction(w), w], -1)
+
+
+def _rotor(joint: JointResidual, segment: Segment, own: int, others: list[int]) -> Array:
+    """(N, m, 2, 1) what a rotor shared with each of m other joints adds: ± v̇ of the other one."""
+    del joint, own
+    return np.multiply.outer(segment.acceleration[:, others], _SIGNS)[..., np.newaxis]
+
+
+Law = Callable[[JointResidual, Segment, int, list[int]], Array]
+"""Columns (N, m, 2, k) at a joint of what it shares with m others, by partner and sign."""
+
+_LAWS: tuple[tuple[type[JointPairEffect], Law], ...] = (
+    (CoupledFriction, _friction),
+    (CoupledRotorInertia, _rotor),
+)
+"""What is looked for; with the right sign, no parameter is negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """How the residual of a joint goes with what it may share with m others.
+
+    What friction and a rotor of its own explain is taken out of residual and columns, and both are
+    scaled so that the residual is of length one.
+
+    Attributes:
+        cross: (m, 2, k) products of the residual with the columns, by partner and sign.
+        gram: (m, 2, k, k) products of the columns.
+        effective: How many independent samples the residual is worth.
+    """
+
+    cross: Array
+    gram: Array
+    effective: float
+
+    def left(self, at: int, sizes: Array) -> Array:
+        """(2,) share of the squared error left by parameters (2, k) of one partner, by sign."""
+        gone = 2.0 * np.einsum("sk,sk->s", self.cross[at], sizes)
+        return np.asarray(1.0 - gone + np.einsum("skl,sk,sl->s", self.gram[at], sizes, sizes))
+
+
+def coupled_joints(
+    case: Case, joints: Sequence[JointResidual], motion: Sequence[tuple[int, Segment]]
+) -> Iterator[Proposal]:
+    """Friction and rotors that pairs of joints share which `RobotModel.joint_pairs` has not.
+
+    Both joints must show them, with the same parameters and beyond friction and a rotor of their
+    own: the evidence is that of the joint that shows them less.
+
+    Args:
+        case: The case.
+        joints: Residuals of all joints.
+        motion: `full_motion` of the case.
+    """
+    pairs = other_pairs(case.model, [j.joint for j in joints if np.ptp(j.q) > 0.0])
+    partners = {joint.joint: _partners(joint.joint, pairs) for joint in joints}
+    for effect, law in _LAWS:
+        looks = {
+            joint.joint: _look(case, joint, partners[joint.joint], motion, law)
+            for joint in joints
+            if partners[joint.joint]
+        }
+        for one, other in pairs:
+            places = (one, partners[one].index(other)), (other, partners[other].index(one))
+            share, gain = _together([(looks[joint], at) for joint, at in places])
+            chance = float(chi2.sf(gain, len(effect.parameters)))
+            alarm = min(1.0, len(pairs) * len(_SIGNS) * chance)
+            yield Proposal(tuple(effect.candidates((one, other))), share, alarm)
+
+
+def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str]]:
+    """Pairs of moving joints that both turn, or both slide, and do not follow each other."""
+    single = [joint for joint in model.single_joints if joint in moving]
+    return [
+        (one, other)
+        for one, other in combinations(single, 2)
+        if (one in model.sliding_joints) == (other in model.sliding_joints)
+        and not {(one, other), (other, one)}.intersection(model.joint_pairs)
+    ]
+
+
+def _partners(joint: str, pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """The other joints of the pairs that a joint is of."""
+    return [name for pair in pairs if joint in pair for name in pair if name != joint]
+
+
+def _look(
+    case: Case,
+    joint: JointResidual,
+    partners: Sequence[str],
+    motion: Sequence[tuple[int, Segment]],
+    law: Law,
+) -> _Look:
+    """How the residual of a joint goes with what it may share with its partners."""
+    own = case.model.joints.index(joint.joint)
+    others = [case.model.joints.index(name) for name in partners]
+
+    def columns(segment: Segment) -> Array:
+        v, a = segment.velocity[:, own], segment.acceleration[:, own]
+        shared = law(joint, segment, own, others).reshape(len(v), -1)
+        return np.column_stack([joint.direction(v), v, a, np.ones_like(v), shared])
+
+    found = filtered_columns(case, motion, joint, columns)
+    seen = np.asarray(np.isfinite(found).all(axis=1))
+    base, shared = np.split(found[seen], [_OWN], axis=1)
+    both = np.column_stack([joint.residual[seen], shared])
+    both -= base @ np.linalg.lstsq(base, both, rcond=1e-9)[0]
+    both /= float(np.linalg.norm(both[:, 0])) or 1.0
+    residual = both[:, 0]
+    shared = both[:, 1:].reshape(len(both), len(partners), len(_SIGNS), -1)
+    return _Look(
+        np.einsum("t,tmsk->msk", residual, shared),
+        np.einsum("tmsk,tmsl->mskl", shared, shared),
+        joint.part(seen).effective,
+    )
+
+
+def _together(places: Sequence[tuple[_Look, int]]) -> tuple[float, float]:
+    """What one actuator explains at both of its joints, with the sign that explains more.
+
+    Args:
+        places: The look at either joint, and which of its partners the other one is.
+
+    Returns:
+        Share of the squared error that it takes away, in the mean of both joints, and about χ² of
+        as many degrees of freedom as it has parameters at the joint that shows it less.
+    """
+    cross = np.sum([look.effective * look.cross[at] for look, at in places], axis=0)
+    gram = np.sum([look.effective * look.gram[at] for look, at in places], axis=0)
+    sizes = np.array([_least_squares(*sign) for sign in zip(gram, cross, strict=True)])
+    left = np.array([look.left(at, sizes) for look, at in places])
+    effective = np.array([[look.effective] for look, _ in places])
+    gains = -effective * np.log(np.maximum(left, 1e-9))
+    best = int(gains.sum(axis=0).argmax())
+    return float(1.0 - left[:, best].mean()), max(0.0, float(gains[:, best].min()))
+
+
+def _least_squares(gram: Array, cross: Array) -> Array:
+    """(k,) solution of the normal equations of one or two columns that is nowhere negative."""
+    alone = np.maximum(cross, 0.0) / np.maximum(np.diag(gram), np.finfo(float).tiny)
+    both = np.linalg.lstsq(gram, cross, rcond=1e-9)[0]
+    tried = [*np.diag(alone), *([both] if np.all(both >= 0.0) else [])]
+    return max(tried, key=lambda x: float(2.0 * cross @ x - x @ gram @ x))
