@@ -12,7 +12,7 @@ from dataclasses import asdict
 from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
-from geodrake.drafting import Draft, effect_name
+from geodrake.drafting import Correlate, Draft, effect_name
 from geodrake.rollout import Rollout
 
 
@@ -107,10 +107,19 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
             }
             for effect in draft.effects
         ],
-        "correlates": [asdict(correlate) for correlate in draft.correlates],
+        "correlates": correlates_list(draft.correlates),
         "needless": [{"effect": e.name, "where": e.where} for e in draft.needless],
         "error": _errors(before=draft.before, after=draft.after),
     }
+
+
+def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
+    """What the error left goes with: joint, words, share of its squared error.
+
+    Args:
+        correlates: The result of `geodrake.drafting.rest_correlates`.
+    """
+    return [asdict(correlate) for correlate in correlates]
 
 
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:

@@ -116,12 +116,14 @@ def add(options: AddOptions) -> None:
 @taking(ExplainOptions)
 def explain(options: ExplainOptions) -> None:
     """Compare, diagnose and add, until only noise is left or nothing explains the rest."""
-    if options.draft_effect is None:
-        _explain(options)
-        return
-    from geodrake.cli.drafting import run_drafting
+    if options.draft_effect is not None:
+        from geodrake.cli.drafting import run_drafting
 
-    run_drafting(options, options.draft_effect)
+        run_drafting(options, options.draft_effect)
+        return
+    from geodrake.cli.explaining import run_explaining
+
+    run_explaining(options)
 
 
 @app.command()
@@ -164,35 +166,11 @@ def identifiable(options: IdentifiableOptions) -> None:
 @taking(DemoOptions)
 def demo(options: DemoOptions) -> None:
     """Explain a log that comes with the package, made with an effect that its model lacks."""
+    from geodrake.cli.explaining import run_explaining
+
     folder = files("geodrake") / "demo"
     with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as log:
-        _explain(Options(model=model, logs=[log], json=options.json, report=options.report))
-
-
-def _explain(options: Options) -> None:
-    from geodrake.cli.session import Command, run
-    from geodrake.cli.tables import show_explanation
-    from geodrake.diagnosis.explain import explain as work
-    from geodrake.json_output import explanation_dict
-
-    def explained(given: Input) -> Explanation:
-        return work(
-            given.model,
-            given.logs,
-            extra=given.extra,
-            progress=lambda words, nrms: given.tell(f"Found {words}: nrms {nrms:.3f}"),
-            **given.settings,
-        )
-
-    command = Command(
-        "explain",
-        "Explaining",
-        explained,
-        explanation_dict,
-        "render_explanation",
-        show_explanation,
-    )
-    run(command, options)
+        run_explaining(Options(model=model, logs=[log], json=options.json, report=options.report))
 
 
 def _print_version(wanted: bool) -> None:

@@ -10,7 +10,15 @@ from rich.console import Console
 
 from geodrake.cli.options import ExplainOptions
 from geodrake.cli.session import Command, Input, Maker, run
-from geodrake.cli.tables import head, number_columns, say, show_explanation, show_list, table_of
+from geodrake.cli.tables import (
+    REST,
+    head,
+    number_columns,
+    say,
+    show_explanation,
+    show_list,
+    table_of,
+)
 from geodrake.cli.wording import Wording
 from geodrake.diagnosis.results import Explanation
 from geodrake.drafting import Draft, DraftedEffect, draft_effects, effect_name, source_of
@@ -73,7 +81,7 @@ def _makers(found: _Drafted) -> Mapping[str, Maker]:
 def _show(console: Console, found: _Drafted, wording: Wording) -> None:
     show_explanation(console, found.explanation, wording)
     draft = found.draft
-    show_list(console, "What is left goes with", [str(c) for c in draft.correlates])
+    show_list(console, REST, [str(c) for c in draft.correlates])
     if not draft.effects:
         words = "no formula takes away enough of the error to be believed; no file was written."
         say(console, "Draft", words)

@@ -24,6 +24,7 @@ from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, Joint
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 _PLACES_WIDTH = 36
+REST = "What is left goes with"
 _TELLING = "Motions that would tell apart what the log cannot"
 _SAVED = {
     "save": "model",
@@ -91,10 +92,26 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> 
     show_list(console, "Notes", diagnosis.notes)
 
 
-def show_explanation(console: Console, explanation: Explanation, wording: Wording) -> None:
-    """The steps with the error falling, the verdict, and errors per joint."""
+def show_explanation(
+    console: Console,
+    explanation: Explanation,
+    wording: Wording,
+    *,
+    advice: str = "",
+    rest: Sequence[str] = (),
+) -> None:
+    """The steps with the error falling, the verdict, what is left, and errors per joint.
+
+    Args:
+        console: Where to print.
+        explanation: The explanation.
+        wording: How to speak about its model.
+        advice: What follows the verdict.
+        rest: What the error left goes with, in sentences.
+    """
     _show_steps(console, explanation, wording)
-    say(console, "Verdict", explanation_verdict(explanation, wording))
+    say(console, "Verdict", explanation_verdict(explanation, wording) + advice)
+    show_list(console, REST, rest)
     show_list(console, _TELLING, telling_commands(explanation))
     _show_change(console, explanation, wording)
 

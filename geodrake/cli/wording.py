@@ -153,6 +153,16 @@ def explanation_verdict(explanation: Explanation, wording: Wording) -> str:
     return f"{head}: {found}. {rest}{_worst(explanation)}"
 
 
+def what_to_do(explanation: Explanation) -> str:
+    """What to do where an error is left that nothing explains, as a sentence after a space."""
+    if explanation.verdict != "unexplained":
+        return ""
+    return (
+        " For a formula of it, run this again with --draft-effect my_effect.py: that searches "
+        "what it goes with, and writes the formula as an effect."
+    )
+
+
 def rivals_told(step: Step) -> list[str]:
     """What the log cannot tell a step from: `viscous_friction (0.0312 against 0.0310)`.
 

@@ -2,10 +2,11 @@
 
 `draft_effects` explains as `geodrake.diagnosis.explain` does, and then searches sums of products of
 simple functions of positions, velocities, accelerations and loads for what takes the rest away.
-`source_of` writes what it found as effect classes of the user's own.
+`source_of` writes what it found as effect classes of the user's own. `rest_correlates` tells only
+what the rest goes with, in a fraction of the time.
 """
 
-from geodrake.drafting.draft import draft_effects, draft_rest
+from geodrake.drafting.draft import draft_effects, draft_rest, rest_correlates
 from geodrake.drafting.formula import Factor, Formula, Term
 from geodrake.drafting.results import Correlate, Draft, DraftedEffect
 from geodrake.drafting.source import effect_name, source_of
@@ -20,5 +21,6 @@ __all__ = [
     "draft_effects",
     "draft_rest",
     "effect_name",
+    "rest_correlates",
     "source_of",
 ]

@@ -14,13 +14,19 @@ from geodrake.diagnosis.forward import Progress
 from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.refine import prune
 from geodrake.diagnosis.results import NOISE_MARGIN, Explanation
+from geodrake.drafting.formula import Formula
 from geodrake.drafting.results import Array, Correlate, Draft, DraftedEffect
+from geodrake.drafting.screening import Screen
 from geodrake.drafting.search import Found, JointSearch
 from geodrake.drafting.term_columns import TermColumns
+from geodrake.drafting.vocabulary import short_vocabulary
 from geodrake.effects.base import Effect
 from geodrake.identification.model_fit import effects_of
+from geodrake.identification.reduce import reduce_logs
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
+
+_MOST_JOINTS = 3  # of which it is told what their error goes with
 
 
 def draft_effects(
@@ -60,6 +66,30 @@ def draft_effects(
     return found.explanation, draft_rest(
         found, fixed=effects_of(model), criteria=criteria, progress=progress
     )
+
+
+def rest_correlates(investigation: Investigation) -> tuple[Correlate, ...]:
+    """What the error that an investigation left goes with, without a search for formulas.
+
+    Args:
+        investigation: What was found so far.
+
+    Returns:
+        Signals and products of two of them, for the joints that err most beyond noise.
+    """
+    case, hypothesis = investigation.case, _where_fewest_joints_err(investigation.hypothesis)
+    joints = [joint for joint in _worst_first(hypothesis) if _left(hypothesis, joint)]
+    terms = {j: short_vocabulary(j, case.model.single_joints) for j in joints[:_MOST_JOINTS]}
+    columns = [TermColumns(Formula(joint, tuple(each))) for joint, each in terms.items()]
+    if not columns:
+        return ()
+    effects = [*hypothesis.unknowns.effects, *columns]
+    dataset = reduce_logs(case.model, case.trajectories, case.folds, effects=effects)
+    found: list[Correlate] = []
+    for each in columns:
+        search = JointSearch(case, hypothesis, each.formula.joint)
+        found += search.correlates(Screen.of(hypothesis, dataset, each))
+    return tuple(found)
 
 
 def draft_rest(

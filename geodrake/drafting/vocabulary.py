@@ -26,6 +26,11 @@ _ANY = (
     ("v", "value"), ("v", "size"), ("v", "square"), ("v", "drag"), ("sign_v", "value"),
     ("vd", "value"), ("load", "value"), ("load", "size"),
 )  # fmt: skip
+_FEW = (
+    ("q", "value"), ("q", "sine"), ("q", "cosine"),
+    ("v", "value"), ("v", "size"), ("sign_v", "value"), ("vd", "value"), ("load", "value"),
+)  # fmt: skip
+_FEW_OWN = (("sign_v", "value"), ("v", "value"), ("q", "sine"), ("q", "cosine"), ("load", "value"))
 _MIXED = ("q", "v")
 TURNS = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the range of a position at which the functions that turn are tried first."""
@@ -55,6 +60,23 @@ def vocabulary(
     terms += [Term((a, b)) for a in own for b in factors if a != b]
     plain = [Factor(name, signal) for name in joints for signal in _MIXED]
     terms += [Term(pair) for pair in combinations(plain, 2)]
+    return list({_key(term): term for term in reversed(terms)}.values())[::-1]
+
+
+def short_vocabulary(joint: str, joints: Sequence[str]) -> list[Term]:
+    """The commonest of all terms: enough to see what an error goes with, and quickly so.
+
+    Args:
+        joint: The joint.
+        joints: Joints whose motion may matter.
+
+    Returns:
+        Terms, a constant first; none twice.
+    """
+    own = [Factor(joint, signal, function) for signal, function in _FEW_OWN]
+    factors = [Factor(name, signal, function) for name in joints for signal, function in _FEW]
+    terms = [Term(()), *(Term((factor,)) for factor in factors)]
+    terms += [Term((a, b)) for a in own for b in factors if a != b]
     return list({_key(term): term for term in reversed(terms)}.values())[::-1]
 
 

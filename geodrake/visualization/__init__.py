@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geodrake.visualization.adaptation_view import AdaptationView, save_recording
-from geodrake.visualization.draft import draft_figure, render_drafted
+from geodrake.visualization.draft import draft_figure, render_drafted, render_explained
 from geodrake.visualization.excitation import (
     eigenvalue_figure,
     motion_figure,
@@ -46,6 +46,7 @@ __all__ = [
     "render_diagnosis",
     "render_drafted",
     "render_excitation",
+    "render_explained",
     "render_explanation",
     "render_identifiable",
     "render_identification",

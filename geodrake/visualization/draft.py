@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from geodrake.diagnosis.results import Explanation
-from geodrake.drafting import Draft, DraftedEffect
+from geodrake.drafting import Correlate, Draft, DraftedEffect
 from geodrake.visualization import style
 from geodrake.visualization.numbers import chance, number, with_deviation
 from geodrake.visualization.page import Section, Table, cells, pictures
@@ -21,6 +21,10 @@ from geodrake.visualization.units import Units
 _CAPTION = (
     "What everything else leaves at a joint, and the effort of the formula: over time, and one "
     "against the other. On the line, the formula explains all."
+)
+_ADVICE = (
+    "For a formula of what is left, run geodrake explain with --draft-effect my_effect.py: that "
+    "searches what it goes with, and writes the formula as an effect."
 )
 _GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
 
@@ -41,6 +45,40 @@ def render_drafted(
     return render_explanation(
         explanation, title=title, model_name=model_name, log_names=log_names, more=(section,)
     )
+
+
+def render_explained(
+    found: tuple[Explanation, Sequence[Correlate]],
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+) -> str:
+    """The report of an explanation and of what its rest goes with; see `render_drafted`.
+
+    Args:
+        found: An explanation, and what `geodrake.drafting.rest_correlates` gives.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+    """
+    explanation, correlates = found
+    left = explanation.verdict == "unexplained"
+    return render_explanation(
+        explanation,
+        title=title,
+        model_name=model_name,
+        log_names=log_names,
+        more=(rest_section(correlates),),
+        advice=(_ADVICE,) if left else (),
+    )
+
+
+def rest_section(correlates: Sequence[Correlate]) -> Section:
+    """What an error goes with that nothing explains; empty if nothing is known."""
+    text = ("Shares of the error left at a joint that go with simple signals, on held-out data.",)
+    items = tuple(str(correlate) for correlate in correlates)
+    return Section("What the rest goes with", text if items else (), items=items)
 
 
 def draft_section(draft: Draft, units: Units) -> Section:

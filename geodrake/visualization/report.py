@@ -139,10 +139,11 @@ def render_explanation(
     model_name: str,
     log_names: Sequence[str],
     more: Sequence[Section] = (),
+    advice: Sequence[str] = (),
 ) -> str:
     """The report of an explanation; arguments as for `render_comparison`.
 
-    Units are those of the explanation's own model.
+    Units are those of the explanation's own model; `advice` are paragraphs that end the verdict.
     """
     units = Units.of(explanation.model)
     start, end = explanation.start, explanation.end
@@ -164,7 +165,7 @@ def render_explanation(
         explanation.verdict,
         words.explanation_mark(explanation),
         words.explanation_headline(explanation),
-        words.explanation_lead(explanation),
+        (*words.explanation_lead(explanation), *advice),
         _explanation_tiles(explanation),
         without_empty(parts),
         _footer(explanation.before),

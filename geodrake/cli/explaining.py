@@ -1,0 +1,71 @@
+"""`geodrake explain`: the steps, and in a few words what they leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rich.console import Console
+
+from geodrake.cli.options import Options
+from geodrake.cli.session import Command, Input, run
+from geodrake.cli.tables import show_explanation
+from geodrake.cli.wording import Wording, what_to_do
+from geodrake.diagnosis.case import open_case
+from geodrake.diagnosis.explain import investigate
+from geodrake.diagnosis.results import Explanation
+from geodrake.drafting import Correlate, rest_correlates
+from geodrake.json_output import correlates_list, explanation_dict
+from geodrake.model import RobotModel
+
+
+@dataclass(frozen=True, eq=False)
+class _Explained:
+    """What the command found."""
+
+    explanation: Explanation
+    correlates: tuple[Correlate, ...]
+
+    @property
+    def model(self) -> RobotModel:
+        """The model to save."""
+        return self.explanation.model
+
+
+def run_explaining(options: Options) -> None:
+    """Run the command.
+
+    Args:
+        options: What it was told.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the targets, does not do.
+    """
+    command = Command(
+        "explain",
+        "Explaining",
+        _explained,
+        lambda found: {
+            **explanation_dict(found.explanation),
+            "correlates": correlates_list(found.correlates),
+        },
+        "render_explained",
+        _show,
+        paged=lambda found: (found.explanation, found.correlates),
+    )
+    run(command, options)
+
+
+def _explained(given: Input) -> _Explained:
+    case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
+    found = investigate(
+        case, progress=lambda words, nrms: given.tell(f"Found {words}: nrms {nrms:.3f}")
+    )
+    if found.explanation.verdict != "unexplained":
+        return _Explained(found.explanation, ())
+    given.tell("Looking what the rest goes with")
+    return _Explained(found.explanation, rest_correlates(found))
+
+
+def _show(console: Console, found: _Explained, wording: Wording) -> None:
+    rest, advice = [str(c) for c in found.correlates], what_to_do(found.explanation)
+    show_explanation(console, found.explanation, wording, advice=advice, rest=rest)
