@@ -7,22 +7,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
+from geodrake.diagnosis.results import (
+    NOISE_MARGIN,
+    Comparison,
+    Diagnosis,
+    ErrorTable,
+    Explanation,
+    Step,
+)
 from geodrake.effects import effect_class
 from geodrake.effects.base import Effect
+from geodrake.effects.shape_units import SHAPE_UNITS, when_sliding
 from geodrake.errors import ArgumentError
 from geodrake.model import RobotModel
 
-_UNITS = {
-    "mass": "kg",
-    "delay": "s",
-    "stribeck_velocity": "rad/s",
-    "center": "rad",
-    **{f"com_{axis}": "m" for axis in "xyz"},
-}
-"""Units of what steps report beside the linear parameters of effects."""
-
-_LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
 _FEW = 2  # places whose values are told one by one
 
 
@@ -126,10 +124,9 @@ class Wording:
             parameters = effect_class(effect, self.extra).parameters
         except ArgumentError:  # wrong_inertia is found by loosening the prior; it is no class
             parameters = ()
-        unit = {p.name: p.unit for p in parameters}.get(name, _UNITS.get(name, ""))
+        unit = {p.name: p.unit for p in parameters}.get(name, SHAPE_UNITS.get(name, ""))
         if places and self.prismatic.issuperset(places):
-            for angular, linear in _LINEAR:
-                unit = unit.replace(angular, linear)
+            unit = when_sliding(unit)
         return unit
 
 
@@ -219,7 +216,14 @@ def _against_noise(errors: ErrorTable) -> str:
     nrms, floor = errors.nrms, errors.floor_nrms
     if floor <= 0:
         return f"nrms {nrms:.3f}, without measurable sensor noise"
-    return f"nrms {nrms:.3f}, {number(nrms / floor)} times the sensor noise of {floor:.3f}"
+    words = f"nrms {nrms:.3f}, {number(nrms / floor)} times the sensor noise of {floor:.3f}"
+    told = [
+        f"{joint.joint} errs by {number(joint.rms / joint.floor)} times its own"
+        for joint in errors.above_noise
+        if joint.floor > 0
+    ]
+    # Where the whole is hardly above its noise, those joints are why it is not called noise.
+    return f"{words}, and {listed(told)}" if told and nrms <= NOISE_MARGIN * floor else words
 
 
 def _noise_alone(errors: ErrorTable) -> str:

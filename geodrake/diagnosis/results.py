@@ -75,8 +75,12 @@ class ErrorTable:
     @property
     def is_noise(self) -> bool:
         """Whether no more than sensor noise is left, on the whole and at every joint."""
-        joints = all(joint.rms <= JOINT_MARGIN * joint.floor for joint in self.joints)
-        return joints and self.nrms <= NOISE_MARGIN * self.floor_nrms
+        return not self.above_noise and self.nrms <= NOISE_MARGIN * self.floor_nrms
+
+    @property
+    def above_noise(self) -> tuple[JointError, ...]:
+        """Joints that err by more than noise, whatever the others do."""
+        return tuple(joint for joint in self.joints if joint.rms > JOINT_MARGIN * joint.floor)
 
     @property
     def pooled_rms(self) -> float:

@@ -6,23 +6,14 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from geodrake.effects import Effect, catalogue
+from geodrake.effects.shape_units import SHAPE_UNITS, when_sliding
 from geodrake.model import RobotModel
-
-_OTHER_UNITS = {
-    "mass": "kg",
-    **{f"com_{axis}": "m" for axis in "xyz"},
-    "delay": "s",
-    "stribeck_velocity": "rad/s",
-    "center": "rad",
-}
-"""Units of what steps report beside the linear parameters of effects."""
 
 _OTHER_SIGNATURES = {
     "wrong_inertia": "the inertia of links differs from the model's",
     "payload": "a body held by the robot that its model does not have",
 }
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
-_LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
 
 
 @dataclass(frozen=True)
@@ -48,8 +39,7 @@ class Units:
     def at(self, joint: str, unit: str) -> str:
         """A unit that is written for a revolute joint, at a joint."""
         if joint in self.prismatic:
-            for angular, linear in _LINEAR:
-                unit = unit.replace(angular, linear)
+            return when_sliding(unit)
         return unit
 
     def effort(self, joints: Collection[str]) -> str:
@@ -59,7 +49,7 @@ class Units:
     def parameter(self, effect: str, name: str, place: str) -> str:
         """Unit of a parameter of a step; "" for plain numbers and those nothing is known of."""
         known = self.effects[effect].parameters if effect in self.effects else ()
-        unit = {p.name: p.unit for p in known}.get(name, _OTHER_UNITS.get(name, ""))
+        unit = {p.name: p.unit for p in known}.get(name, SHAPE_UNITS.get(name, ""))
         return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
 
     def signature(self, effect: str) -> str:
