@@ -7,7 +7,7 @@ twentieth of the data, so that the outermost samples of neighbouring folds may s
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -68,8 +68,9 @@ def validation_blocks(
 ) -> tuple[Fold, ...]:
     """Split trajectories into folds that share no filtered sample and are apart in time.
 
-    Four trajectories or more are one fold each; fewer are cut into blocks of equal length, about
-    eight in all. Samples in the gaps between blocks belong to no fold.
+    Four trajectories or more are one fold each, or two if one alone has a known payload or has
+    none; fewer are cut into blocks of equal length, about eight in all. Samples in the gaps between
+    blocks belong to no fold.
 
     Args:
         trajectories: The prepared logs.
@@ -96,7 +97,8 @@ def validation_blocks(
         )
     wanted = blocks or max(1, _FOLDS // len(trajectories))
     if blocks is None and len(trajectories) >= _ENOUGH_TRAJECTORIES:
-        wanted = 1
+        alone = 1 in Counter(trajectory.payloads for trajectory in trajectories).values()
+        wanted = 2 if alone else 1
     folds = tuple(
         fold
         for index, trajectory in enumerate(trajectories)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.filtering import ZeroPhaseFilter
+from geodrake.known_payload import KnownPayload
+from geodrake.time_stamps import check_time
 
 Array = NDArray[np.float64]
 
@@ -35,6 +37,7 @@ class JointLog:
         velocity: (N, n) joint velocities, rad/s or m/s, if measured.
         acceleration: (N, n) joint accelerations, rad/s² or m/s², if measured.
         notes: What was noticed while reading, in words.
+        payloads: What the robot held all the time, of known mass, and its model does not have.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -49,6 +52,7 @@ class JointLog:
     velocity: Array | None = None
     acceleration: Array | None = None
     notes: tuple[str, ...] = ()
+    payloads: tuple[KnownPayload, ...] = ()
 
     def __post_init__(self) -> None:
         for quantity in ("time", "position", "effort", "velocity", "acceleration"):
@@ -70,7 +74,7 @@ class JointLog:
                 )
         if len(set(self.joints)) != len(self.joints):
             raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
-        _check_time(self.name, np.asarray(self.time, float))
+        check_time(self.name, np.asarray(self.time, float))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -219,6 +223,7 @@ class Trajectory:
         acceleration_noise: (n,) that of accelerations filtered as efforts are, rad/s² or m/s².
         notes: What was done to the log and chosen from it, in words.
         began: Its first time stamp, s.
+        payloads: Known payloads that the robot held.
     """
 
     name: str
@@ -229,6 +234,7 @@ class Trajectory:
     acceleration_noise: Array
     notes: tuple[str, ...] = ()
     began: float = 0.0
+    payloads: tuple[KnownPayload, ...] = ()
 
     @property
     def output_counts(self) -> tuple[int, ...]:
@@ -277,23 +283,3 @@ def _missing(name: str, joint: str, joints: Sequence[str]) -> LogError:
 def _nearest(name: str, others: Sequence[str]) -> str:
     close = difflib.get_close_matches(name, others, n=3, cutoff=0.4) or others
     return f" (nearest: {', '.join(map(repr, close))})" if close else ""
-
-
-def _check_time(name: str, time: Array) -> None:
-    steps = np.diff(time)
-    if np.all(steps > 0):
-        return
-    rows = np.flatnonzero(np.isfinite(time))
-    steps = np.diff(time[rows])
-    if np.all(steps > 0):
-        return
-    first = int(np.argmax(steps <= 0))
-    before, after = rows[first] + 1, rows[first + 1] + 1
-    what = "runs backwards" if steps[first] < 0 else "repeats" if steps.any() else "is constant"
-    raise LogError(
-        f"Time {what} in log {name!r}: row {before} has {time[before - 1]:.9g} s and row {after} "
-        f"has {time[after - 1]:.9g} s.",
-        advice="Log the instant each sample was measured at, with enough digits, and sort or "
-        "remove rows so that time increases.",
-        row=int(after),
-    )

@@ -109,6 +109,7 @@ def _prepare(
         _acceleration_noise(uniform, low_pass, derived=derived),
         tuple(notes),
         float(log.time[0]),
+        log.payloads,
     )
     outputs = sum(trajectory.output_counts)
     if outputs < LEAST_OUTPUTS:

@@ -21,6 +21,7 @@ from pydrake.trajectories import PiecewisePolynomial
 from geodrake.diagnosis.case import Case, open_case
 from geodrake.effects import EffortDelay
 from geodrake.errors import ArgumentError, LogError
+from geodrake.held_payloads import holding
 from geodrake.identification.reduce import peak_speeds
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog, Segment
@@ -147,13 +148,15 @@ def roll_out(
     stretches = _stretches(case, horizon)
     chosen = np.unique(np.linspace(0, len(stretches) - 1, most).round().astype(int))
     least = _SIGN_WIDTH * np.maximum(peak_speeds(case.trajectories), 1e-3)
-    simulation = _Simulation(model, model.sign_widths(least))
+    width, held = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
+    simulations = {load: _Simulation(holding(model, load), width) for load in set(held.values())}
     windows = []
     for count, k in enumerate(chosen):
         log, segment = stretches[k]
         if progress is not None:
             progress(f"{log} {segment.time[0]:.1f} s", count / len(chosen))
-        windows.append(Window(log, segment.time, segment.position, simulation.positions(segment)))
+        positions = simulations[held[log]].positions(segment)
+        windows.append(Window(log, segment.time, segment.position, positions))
     return _rollout(model, windows, horizon)
 
 

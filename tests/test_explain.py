@@ -412,7 +412,7 @@ def test_add_a_pair_and_a_body(model, logs):
         ("payload", ["elbow"], "cannot be added at elbow"),
         ("coupled_friction", ["elbow"], "cannot be added at elbow"),
         ("effort_delay", ["elbow"], "one of the whole robot and takes no place"),
-        ("effort_scale", None, "inertias that are known"),
+        ("effort_scale", None, "inertias or payloads that are known"),
         ("contact", ["lower_link"], "where the residual shows it and takes no place"),
         ("contact", None, "No contact stands out"),
     ],

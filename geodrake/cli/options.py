@@ -49,6 +49,14 @@ class Options:
     blocks: Annotated[
         int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
     ] = None
+    known_payload: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LOG:BODY:MASS[:X,Y,Z]",
+            help="What the robot held throughout a log, of known mass, kg, and centre of mass in "
+            "the body's frame, m. Beside a log without it, it tells gains of efforts. Repeatable.",
+        ),
+    ] = None
     debug: Annotated[
         bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
     ] = False

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from rich.console import Console
 
+from geodrake.cli.known_payloads import with_known_payloads
 from geodrake.cli.options import Options
 from geodrake.cli.progress import Tell, progress
 from geodrake.cli.tables import make_console, show_saved
@@ -21,6 +22,7 @@ from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 from geodrake.json_output import to_json
 from geodrake.model import RobotModel
+from geodrake.motion import JointLog
 from geodrake.saved_model import load_model
 
 R = TypeVar("R")
@@ -35,14 +37,14 @@ class Input:
 
     Attributes:
         model: The model as it stands.
-        logs: The files of the logs.
+        logs: The files of the logs, or what was read of them.
         extra: Effects of the user's own.
         settings: How logs are prepared: bandwidth and blocks, as keyword arguments.
         tell: Called with what is going on, in words.
     """
 
     model: RobotModel
-    logs: tuple[Path, ...]
+    logs: tuple[JointLog | Path, ...]
     extra: tuple[type[Effect], ...]
     settings: Mapping[str, Any]
     tell: Tell
@@ -96,7 +98,8 @@ def run(command: Command[R], options: Options) -> None:
         targets.check([*read, model.path])  # a saved model reads another one
         command.check(model)
         tell(command.working)
-        result = command.work(Input(model, tuple(options.logs), extra, settings, tell))
+        logs = with_known_payloads(options.logs, options.known_payload or (), model)
+        result = command.work(Input(model, logs, extra, settings, tell))
         fitted = getattr(result, "model", model)
         tell("Writing")
         numbers = to_json(

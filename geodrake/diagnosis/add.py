@@ -97,11 +97,6 @@ def _refuse_what_cannot_be(
     if where and (cls is None or cls is Contact):
         whose = "where the residual shows it" if cls is Contact else "one of the whole robot"
         raise ArgumentError(f"{effect} is {whose} and takes no place.")
-    if cls is not None and cls.needs_known_inertia and model.information is None:
-        raise ArgumentError(
-            f"{effect} can be told only by inertias that are known, and this model's are not.",
-            advice="Take a model that was fitted to other logs: explain those, with --save.",
-        )
     known = (*model.joints, *model.bodies)
     for name in where or ():
         if name not in known:
@@ -130,6 +125,13 @@ def _with_shapes(
 ) -> tuple[Case, Trail]:
     """An effect where it is told or helps most, in the shape that explains most."""
     kind = None if effect in WHOLE else effect_class(effect, extra)
+    offered = {candidate.name for candidate in case.dataset.effects}
+    if kind is not None and kind.needs_known_inertia and effect not in offered:
+        raise ArgumentError(
+            f"{effect} can be told only by inertias or payloads that are known; here none are.",
+            advice="Take a model that was fitted to other logs (explain those, with --save), or a "
+            "log with a known payload beside one without.",
+        )
     more = () if kind is None else _without_columns(kind, case, start, where)
     if more:
         case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *more])

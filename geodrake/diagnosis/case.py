@@ -15,6 +15,7 @@ from geodrake.diagnosis.results import ErrorTable, JointError, Series
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
 from geodrake.folds import Fold, validation_blocks
+from geodrake.held_payloads import joints_told, payload_notes
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import Dataset
@@ -109,6 +110,7 @@ def open_case(
         how: Where a given bandwidth comes from, for the notes.
 
     Raises:
+        ArgumentError: A log has a known payload of a body that there is not.
         LogError: A log cannot be used.
         ArgumentError: There is no log, or a setting is no usable number.
     """
@@ -124,6 +126,7 @@ def open_case(
         _check_efforts(log)
     limits = effort_limits(model.plant)
     hints = [hint for log in matched for hint in _hints(log, limits)]
+    hints += payload_notes(model, matched)
     if bandwidth is None:
         trajectories, changed = prepare_for_model(model, matched)
         hints += [changed] if changed else []
@@ -135,7 +138,8 @@ def open_case(
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
     if candidates:
-        effects += candidate_effects(model, peak_speeds(trajectories), extra)
+        told = joints_told(model, [log.payloads for log in matched])
+        effects += candidate_effects(model, peak_speeds(trajectories), extra, told=told)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
     shared = SharedRows()
@@ -238,8 +242,8 @@ def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Ser
                     rows.motion[:, 0],
                     rows.motion[:, 1],
                     rows.motion[:, 2],
-                    rows.b[:, 0],
-                    rows.A[:, local[used]] @ x,
+                    rows.b[:, 0] + rows.held,
+                    rows.A[:, local[used]] @ x + rows.held,
                 )
                 for rows in blocks
             ]

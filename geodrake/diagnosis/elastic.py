@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,11 @@ from geodrake.effects.base import Effect
 from geodrake.effects.deflection import DeflectionEffect, slopes_of
 from geodrake.effects.robot_motion import RobotMotion
 from geodrake.effort_slopes import EffortSlopes
+from geodrake.held_payloads import holding
 from geodrake.motion import Motion, Segment
 
 Array = NDArray[np.float64]
+V = TypeVar("V")
 
 _LEAST_REVERSALS = 4
 _NEAR = ((0.3, 1.3, 1), (0.1, 1.6, 20), (0.05, 2.0, 20))
@@ -37,12 +40,12 @@ def elastic_joints(
         joints: Residuals of all joints.
         motion: `full_motion` of the case.
     """
-    motion, segments = _looked_at(motion)
+    motion = _looked_at(motion)
     found = []
     for name in case.model.single_joints:
         if np.ptp(joints[case.model.joints.index(name)].q) > 0.0:
             effect = JointElasticity(name)
-            columns = _columns(case, effect, segments)
+            columns = _columns(case, effect, motion)
             filtered = [
                 filtered_columns(case, motion, joint, lambda s, i=i, c=columns: c[id(s)][:, i])  # type: ignore[misc]
                 for i, joint in enumerate(joints)
@@ -63,8 +66,8 @@ def loose_joints(
         joints: Residuals of all joints.
         motion: `full_motion` of the case.
     """
-    motion, segments = _looked_at(motion)
-    seen = dict(zip(map(id, segments), _motions(case, segments), strict=True))
+    motion = _looked_at(motion)
+    seen = _by_segment(motion, _motions(case, motion))
     for name in case.model.single_joints:
         at = case.model.joints.index(name)
         joint, loads = joints[at], {key: each.load[:, at, None] for key, each in seen.items()}
@@ -77,7 +80,7 @@ def loose_joints(
         shapes = tuple(Backlash.candidates(name, 0.0))
         tried = []
         for shape in shapes:
-            columns = _columns(case, shape, segments)
+            columns = _columns(case, shape, motion)
             found = filtered_columns(case, motion, joint, lambda s, c=columns, i=at: c[id(s)][:, i])  # type: ignore[misc]
             tried.append(_proposal(shape, [joint], [found]))
         best = min(tried, key=lambda proposal: proposal.alarm)
@@ -99,35 +102,40 @@ def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
     return False
 
 
-def _looked_at(
-    motion: Sequence[tuple[int, Segment]],
-) -> tuple[list[tuple[int, Segment]], list[Segment]]:
-    """The first samples of every segment, with the index of its log and by themselves."""
-    shorter = [(log, segment[:_SAMPLES]) for log, segment in motion]
-    return shorter, [segment for _, segment in shorter]
+def _looked_at(motion: Sequence[tuple[int, Segment]]) -> list[tuple[int, Segment]]:
+    """The first samples of every segment, with the index of its log."""
+    return [(log, segment[:_SAMPLES]) for log, segment in motion]
 
 
-def _motions(case: Case, segments: Sequence[Segment]) -> list[RobotMotion]:
+def _motions(case: Case, motion: Sequence[tuple[int, Segment]]) -> list[RobotMotion]:
     """The motion of every segment, computed once a case."""
     if RobotMotion not in case.kept:
-        case.kept[RobotMotion] = [_motion(case, segment) for segment in segments]
+        case.kept[RobotMotion] = [_motion(case, *each) for each in motion]
     return list(case.kept[RobotMotion])
 
 
-def _motion(case: Case, segment: Segment) -> RobotMotion:
+def _motion(case: Case, log: int, segment: Segment) -> RobotMotion:
     q, time = case.model.positions(segment.position), segment.time
-    return case.load_model.motion(Motion(q, segment.velocity, segment.acceleration, time))
+    robot = holding(case.load_model, case.trajectories[log].payloads)
+    return robot.motion(Motion(q, segment.velocity, segment.acceleration, time))
 
 
-def _columns(case: Case, effect: DeflectionEffect, segments: Sequence[Segment]) -> dict[int, Array]:
+def _columns(
+    case: Case, effect: DeflectionEffect, motion: Sequence[tuple[int, Segment]]
+) -> dict[int, Array]:
     """By the segment's identity, the effect's column at every joint (N, nv, 1), once a case."""
-    motions = _motions(case, segments)
+    motions = _motions(case, motion)
     if EffortSlopes not in case.kept:
         case.kept[EffortSlopes] = [slopes_of(each, effect.name) for each in motions]
     if effect not in case.kept:
         both = zip(motions, case.kept[EffortSlopes], strict=True)
         case.kept[effect] = [effect.column(each, slopes)[..., None] for each, slopes in both]
-    return dict(zip(map(id, segments), case.kept[effect], strict=True))
+    return _by_segment(motion, case.kept[effect])
+
+
+def _by_segment(motion: Sequence[tuple[int, Segment]], values: Sequence[V]) -> dict[int, V]:
+    """Values of segments by their identity."""
+    return dict(zip((id(segment) for _, segment in motion), values, strict=True))
 
 
 def _proposal(

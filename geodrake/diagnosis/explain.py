@@ -22,6 +22,7 @@ from geodrake.diagnosis.other_bandwidth import (
     other_bandwidths,
 )
 from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
+from geodrake.diagnosis.stated_mass import stated_mass_notes
 from geodrake.diagnosis.steps import refit_step, steps_of
 from geodrake.effects.base import Effect
 from geodrake.errors import IdentificationError
@@ -150,7 +151,8 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if changed else before.errors
     companions = companion_notes(trail.end.unknowns, fit)
-    told = (*companions, *fading_notes(model, fit.model)) if changed else ()
+    found = (*fading_notes(model, fit.model), *stated_mass_notes(case, fit.model))
+    told = (*companions, *found) if changed else ()
     explanation = Explanation(
         verdict_of(errors, changed),
         steps,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,27 +18,34 @@ LONGEST_DELAY = 0.05
 
 
 def candidate_effects(
-    model: RobotModel, peak_speeds: Array, extra: Sequence[type[Effect]] = ()
+    model: RobotModel,
+    peak_speeds: Array,
+    extra: Sequence[type[Effect]] = (),
+    *,
+    told: Collection[str] = (),
 ) -> tuple[Effect, ...]:
     """All instances of the catalogue's effects, and of a user's own, that a robot can have.
 
     Effects whose shape is found in a residual are not among them (see `proposals`), nor those of
-    pairs of joints that do not follow each other (see `coupled`), nor those that only a model with
-    inertias known from other logs can tell.
+    pairs of joints that do not follow each other (see `coupled`), nor those that only inertias
+    known from other logs, or known payloads, can tell.
 
     Args:
         model: The robot.
         peak_speeds: (nv,) largest speed of each joint in the logs; shape grids scale with it.
         extra: Further effect classes.
+        told: Joints at which known payloads take the place of known inertias; see `joints_told`.
     """
     single = [joint for joint in model.joints if joint in model.single_joints]
+    told = [joint for joint in single if joint in told]
     speed = dict(zip(model.joints, peak_speeds.tolist(), strict=True))
     found: list[Effect] = []
     for effect in (*catalogue(), *extra):
-        if effect.from_residual or (effect.needs_known_inertia and model.information is None):
+        unknown = effect.needs_known_inertia and model.information is None
+        if effect.from_residual or (unknown and effect.places != "joint"):
             continue
         if effect.places == "joint":
-            for joint in single:
+            for joint in told if unknown else single:
                 if effect.turning_only and joint in model.sliding_joints:
                     continue
                 if speed[joint] > 0.0:

@@ -54,7 +54,7 @@ class Effect(abc.ABC):
         turning_only: Whether the effect makes sense at joints that turn only.
         from_residual: Whether a diagnosis finds its shape in the residual, instead of trying
             `candidates`.
-        needs_known_inertia: Whether the effect can be told only by inertias known from elsewhere.
+        needs_known_inertia: Whether only inertias or payloads known from elsewhere can tell it.
         expandable: Whether the columns are slopes of something not linear in the parameters.
         sees_bodies: Whether the effect depends on where bodies are and how they move.
         sees_time: Whether the effect depends on the time since a log began.

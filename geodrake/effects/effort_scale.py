@@ -15,8 +15,10 @@ class EffortScale(JointEffect):
     effort = (1 + ε) × all that the joint needs otherwise, so that ε times it is added; ε > −1.
 
     A joint that reads 10 % too much and bodies that are 10 % heavier look alike. The gain can be
-    told only by inertias that are known from elsewhere: those of a model fitted to other logs,
-    which is why a diagnosis tries it for such models only.
+    told only by inertias that are known from elsewhere: those of a model fitted to other logs, or
+    a payload of known mass that the robot held in some of the logs and not in all, at the joints
+    that bear it. A diagnosis tries it only then. A mass that is stated too large by a factor looks
+    like gains of all these joints that are too small by the same factor.
     """
 
     name = "effort_scale"

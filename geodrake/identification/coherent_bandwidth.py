@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from geodrake.filtering import HIGHEST_BANDWIDTH
+from geodrake.held_payloads import holding
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog, Motion, Stretch, Trajectory
 from geodrake.preparation import prepare_logs
@@ -99,7 +100,9 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     Returns:
         frequency (K,) in Hz, without 0, and ratio (K,), the geometric mean over joints.
     """
-    segments = [segment for trajectory in trajectories for segment in trajectory.segments]
+    robots = {t.payloads: holding(model, t.payloads) for t in trajectories}
+    held = [(robots[t.payloads], segment) for t in trajectories for segment in t.segments]
+    segments = [segment for _, segment in held]
     window = min(
         0.5 * min(min(len(segment), _SAMPLES) * segment.period for segment in segments),
         100.0 / trajectories[0].filter.bandwidth,
@@ -107,10 +110,10 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
     fastest = 0.5 / max(segment.period for segment in segments)
     frequency = np.arange(1.0 / window, fastest, 1.0 / window)
     needed = measured = np.zeros((len(frequency), len(model.joints)))
-    for segment in segments:
+    for robot, segment in held:
         start = segment[:_SAMPLES]
         motion = Motion(model.positions(start.position), start.velocity, start.acceleration)
-        needed = needed + _density(model.effort(motion), segment, window, frequency)
+        needed = needed + _density(robot.effort(motion), segment, window, frequency)
         measured = measured + _density(start.effort, segment, window, frequency)
     tiny = np.finfo(float).tiny
     ratio = np.exp(np.mean(np.log((needed + tiny) / (measured + tiny)), axis=1))

@@ -29,8 +29,9 @@ class JointRows:
         time: (K,) instants, s.
         motion: (K, 3) position, velocity and acceleration of the joint.
         A: (K, p_j) columns, in the order of the joint's column indices.
-        b: (K, d) measured effort, one column per delay of the dataset.
+        b: (K, d) measured effort less that of known payloads, one column per delay of the dataset.
         used: (K,) whether the joint moves, so that the row says something.
+        held: (K,) effort of known payloads, which the measured one has on top of b.
     """
 
     time: Array
@@ -38,12 +39,18 @@ class JointRows:
     A: Array
     b: Array
     used: NDArray[np.bool_]
+    held: Array
 
     def part(self, low: int, high: int) -> JointRows:
         """Rows low to high, those not used left out."""
         keep = low + np.flatnonzero(self.used[low:high])
         return JointRows(
-            self.time[keep], self.motion[keep], self.A[keep], self.b[keep], self.used[keep]
+            self.time[keep],
+            self.motion[keep],
+            self.A[keep],
+            self.b[keep],
+            self.used[keep],
+            self.held[keep],
         )
 
     @classmethod
@@ -55,6 +62,7 @@ class JointRows:
             np.concatenate([rows.A for rows in parts]),
             np.concatenate([rows.b for rows in parts]),
             np.concatenate([rows.used for rows in parts]),
+            np.concatenate([rows.held for rows in parts]),
         )
 
 

@@ -13,6 +13,7 @@ from geodrake.effects.base import Effect, RobotMotion
 from geodrake.effects.contact import log_number
 from geodrake.effects.deflection import DeflectionEffect, slopes_of
 from geodrake.effects.effort_delay import EffortDelay
+from geodrake.held_payloads import held_phi, holding
 from geodrake.identification.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.model import RobotModel
 from geodrake.motion import MEMORY, Motion, Segment, Stretch, Trajectory
@@ -115,11 +116,14 @@ class Layout:
         )
         return self.model.total_phi.tobytes(), effects, self.sign_width.tobytes()
 
-    def evaluate(self, motion: Motion, log: int, parts: Iterable[Effect | str]) -> list[Blocks]:
-        """Unfiltered columns of some of the parts."""
+    def evaluate(
+        self, motion: Motion, trajectory: Trajectory, parts: Iterable[Effect | str]
+    ) -> list[Blocks]:
+        """Unfiltered columns of some of the parts at a motion of a log."""
         regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
-        seen = self.model.motion(motion, sign_width=self.sign_width, regressor=regressor)
-        seen, width = replace(seen, log=log), regressor.shape[2]
+        robot = holding(self.model, trajectory.payloads)
+        seen = robot.motion(motion, sign_width=self.sign_width, regressor=regressor)
+        seen, width = replace(seen, log=log_number(trajectory.name)), regressor.shape[2]
         inertial = {j: regressor[:, j, c[c < width]] for j, c in enumerate(self.columns)}
         effects = [part for part in parts if isinstance(part, Effect)]
         found = dict(zip(effects, self._rows(effects, seen), strict=True))
@@ -160,15 +164,16 @@ class LogSlice:
     def rows(self, shared: SharedRows) -> list[JointRows]:
         """Filtered rows of every joint; `shared` is used and filled."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
-        efforts = self._efforts(shared)
+        efforts, held = self._efforts(shared), self._held(columns[0])
         time = motion[-1]
         return [
             JointRows(
                 time,
                 motion[j][:, :3],
                 np.hstack([blocks[j] for blocks in columns if j in blocks]),
-                efforts[:, j],
+                efforts[:, j] - held[j][:, None],
                 motion[j][:, 3] <= MOSTLY_STILL,
+                held[j],
             )
             for j in range(len(self.layout.columns))
         ]
@@ -215,6 +220,14 @@ class LogSlice:
             columns.append(found[0])
         return np.stack(columns, -1)
 
+    def _held(self, inertial: Blocks) -> list[Array]:
+        """Per joint (K,) filtered effort that the log's known payloads need."""
+        phi, layout = held_phi(self.layout.model, self.trajectory.payloads).ravel(), self.layout
+        return [
+            inertial[j] @ phi[columns[columns < phi.size]]
+            for j, columns in enumerate(layout.columns)
+        ]
+
     def _columns(self, shared: SharedRows) -> list[Blocks]:
         """Filtered columns of all parts of the layout."""
         layout = self.layout
@@ -225,7 +238,7 @@ class LogSlice:
         found = {part: shared.get(key) for part, key in keys.items()}
         missing = [part for part, blocks in found.items() if blocks is None]
         if missing:
-            new = self._filtered(layout.evaluate(self._motion, self._log, missing))
+            new = self._filtered(layout.evaluate(self._motion, self.trajectory, missing))
             for part, blocks in zip(missing, new, strict=True):
                 found[part] = blocks
                 shared.keep(keys[part], blocks)
@@ -248,10 +261,6 @@ class LogSlice:
             here.time - self.trajectory.began,
             model.positions(self._past()),
         )
-
-    @property
-    def _log(self) -> int:
-        return log_number(self.trajectory.name)
 
     def _past(self) -> Array:
         """(M, nv) positions before the slice, as far as an effect needs them."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.effort_delay import EffortDelay
+from geodrake.held_payloads import holding
 from geodrake.model import RobotModel
 from geodrake.motion import Motion, Segment, Trajectory
 from geodrake.white_noise import quiet_density
@@ -43,15 +44,16 @@ def noise_floor(
     """
     power, weight = np.zeros(len(trajectories[0].joints)), 0
     for trajectory in trajectories:
+        robot = None if model is None else holding(model, trajectory.payloads)
         gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
             density = quiet_density(start.effort, rate, bandwidth)
-            if model is not None:
-                residual = _residual(start, model, sign_width, trajectory.began)
+            if robot is not None:
+                residual = _residual(start, robot, sign_width, trajectory.began)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
-                carried = _carried(start, model, trajectory, sign_width)
+                carried = _carried(start, robot, trajectory, sign_width)
                 power += len(segment) * carried
             power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)

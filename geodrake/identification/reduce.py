@@ -152,7 +152,7 @@ class _Box:
     def add(self, block: Block, rows: JointRows) -> None:
         if self.samples < ROWS_KEPT:
             self.kept[block].append(rows)
-        effort = rows.b[:, 0]
+        effort = rows.b[:, 0] + rows.held
         self.sums += effort.sum(), effort @ effort
         self.samples += len(effort)
         self.pending.append(np.hstack([rows.A, rows.b]))

@@ -116,7 +116,14 @@ class Recording:
             )
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
         return JointLog(
-            path.stem, self.columns.joints, self.time[:rows], **values, notes=self.columns.notes
+            path.stem,
+            self.columns.joints,
+            self.time[:rows],
+            values["position"],
+            values["effort"],
+            values.get("velocity"),
+            values.get("acceleration"),
+            self.columns.notes,
         )
 
 

@@ -1,0 +1,90 @@
+"""Logs with the known payloads that --known-payload says of them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from geodrake.errors import ArgumentError
+from geodrake.held_payloads import held_phi
+from geodrake.known_payload import KnownPayload
+from geodrake.log_files import read_log
+from geodrake.model import RobotModel
+from geodrake.motion import JointLog
+
+_FORM = (
+    "Write LOG:BODY:MASS or LOG:BODY:MASS:X,Y,Z in kg and m, such as log_2.csv:flange:3:0,0,0.1."
+)
+
+
+def with_known_payloads(
+    logs: Sequence[Path], given: Sequence[str], model: RobotModel
+) -> tuple[JointLog | Path, ...]:
+    """The logs, those read of which a known payload is given.
+
+    Args:
+        logs: The files of the logs.
+        given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
+            of mass in the link's frame, m.
+        model: The robot.
+
+    Raises:
+        ArgumentError: One cannot be read, or names no log, no body or no mass.
+        LogError: A log cannot be used.
+    """
+    held: dict[Path, list[KnownPayload]] = defaultdict(list)
+    for text in given:
+        log, payload = _parsed(text, logs)
+        held[log].append(payload)
+    for payloads in held.values():
+        held_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
+    return tuple(
+        replace(read_log(log, joints=model.joints), payloads=tuple(held[log]))
+        if log in held
+        else log
+        for log in logs
+    )
+
+
+def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:
+    """The log and the payload of one option."""
+    names = {name: _named(name, logs) for log in logs for name in (str(log), log.name, log.stem)}
+    name = max((n for n in names if text.startswith(f"{n}:")), key=len, default=None)
+    if name is None:
+        raise ArgumentError(
+            f"--known-payload has {text!r}, and there is no such log.",
+            advice=f"Logs are: {', '.join(map(str, logs))}. {_FORM}",
+        )
+    if len(names[name]) > 1:
+        raise ArgumentError(
+            f"--known-payload has {text!r}, and several logs are called {name!r}.",
+            advice=f"Give the whole path: {' or '.join(map(str, names[name]))}.",
+        )
+    fields = text[len(name) + 1 :].split(":")
+    place = _numbers(text, fields.pop()) if "," in fields[-1] else [0.0, 0.0, 0.0]
+    body, mass = (
+        ":".join(fields[:-1]),
+        _numbers(text, fields[-1]),
+    )  # names of bodies may have colons
+    if not body or len(mass) != 1 or len(place) != 3:
+        raise _malformed(text)
+    return names[name][0], KnownPayload(body, mass[0], (place[0], place[1], place[2]))
+
+
+def _named(name: str, logs: Sequence[Path]) -> list[Path]:
+    """The logs that a path, a file's name or that without its ending stands for."""
+    exact = [log for log in logs if str(log) == name]
+    return exact or [log for log in logs if name in (log.name, log.stem)]
+
+
+def _numbers(text: str, field: str) -> list[float]:
+    try:
+        return [float(part) for part in field.split(",")]
+    except ValueError:
+        raise _malformed(text) from None
+
+
+def _malformed(text: str) -> ArgumentError:
+    return ArgumentError(f"--known-payload has {text!r}, which cannot be read.", advice=_FORM)
