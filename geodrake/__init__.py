@@ -8,7 +8,31 @@ if TYPE_CHECKING:
 
 __all__ = ["load_model", "save_model"]
 
-_MODULES = ("diagnosis", "effects", "identification", "inertia", "regressor", "systems")
+_MODULES = (
+    "adaptation",
+    "base_parameters",
+    "body_distances",
+    "control_regressor",
+    "diagnosis",
+    "drafting",
+    "effects",
+    "ellipsoids",
+    "excitation",
+    "export",
+    "floating_base",
+    "identification",
+    "inertia",
+    "loops",
+    "manifolds",
+    "model_identification",
+    "perturbation",
+    "positive_definite",
+    "projections",
+    "regressor",
+    "rollout",
+    "systems",
+    "transmission",
+)
 
 
 def __getattr__(name: str) -> Any:

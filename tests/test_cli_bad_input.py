@@ -154,7 +154,9 @@ def test_effects_and_places_must_exist(tmp_path, log):
     assert "Did you mean coulomb_friction" in message
     assert "'elbw'" in refused("add", "coulomb_friction", PENDULUM, log, "--where", "elbw")
     own = tmp_path / "own.py"
-    assert "own.py" in refused("explain", PENDULUM, log, "--effects", own)
+    message = refused("explain", PENDULUM, log, "--effects", own)
+    assert f"The file of effects {own} does not exist. Check the path." in message
+    assert "is a folder" in refused("explain", PENDULUM, log, "--effects", tmp_path)
     own.write_text("x = 1 / 0\n")
     assert "ZeroDivisionError" in refused("explain", PENDULUM, log, "--effects", own)
     own.write_text(RAISING)

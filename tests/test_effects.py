@@ -496,8 +496,9 @@ class TestUsersEffect:
             effects.load_effect_file(path)
 
     def test_no_file(self, tmp_path):
-        with pytest.raises(ModelError, match="cannot be run"):
+        with pytest.raises(ModelError, match=r"absent\.py does not exist\. Check the path"):
             effects.load_effect_file(tmp_path / "absent.py")
+        (tmp_path / "effects.txt").write_text("")
         with pytest.raises(ModelError, match="not a Python file"):
             effects.load_effect_file(tmp_path / "effects.txt")
 

@@ -159,9 +159,12 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
         Its effects in the order of definition, to be passed on as `extra`.
 
     Raises:
-        ModelError: The file cannot be run, or defines no usable effect.
+        ModelError: There is no such file, it cannot be run, or it defines no usable effect.
     """
     path = Path(path)
+    if not path.is_file():
+        what = "is a folder, not a file" if path.is_dir() else "does not exist"
+        raise ModelError(f"The file of effects {path} {what}.", advice="Check the path.")
     module = _import(path)
     effects = [
         value
