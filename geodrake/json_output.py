@@ -123,7 +123,7 @@ def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
 
 
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:
-    """A rollout: departures of every joint from the measured motion.
+    """A rollout: departures of every joint from the measured motion, and effects left out.
 
     Args:
         rollout: The result of `geodrake.rollout.roll_out`.
@@ -132,6 +132,7 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
         "horizon": rollout.horizon,
         "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
         "broken": rollout.broken,
+        "left_out": [{"effect": e.name, "where": e.where} for e in rollout.left_out],
         "relative": rollout.relative,
         "joints": {
             joint.joint: {

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.main import get_command
 
+from geodrake.cli.app import app
 from geodrake.effects import Effect, catalogue
 
 README = Path(__file__).parents[1] / "README.md"
@@ -50,6 +52,45 @@ def test_own_effect_of_the_readme_is_one():
 def test_table_names_every_effect():
     for effect in catalogue():
         assert f"| `{effect.name}` |" in TEXT
+
+
+def test_modules_to_look_up_are_there_after_one_import():
+    table = TEXT.split("## Names to look up")[1].split("\n## ")[0]
+    cells = [line.split("|")[1] for line in table.splitlines() if line.startswith("| `")]
+    names = [re.sub(r"^geodrake\.", "", name) for c in cells for name in re.findall("`(.*?)`", c)]
+    assert {"diagnosis", "drafting", "rollout"} <= set(names)
+    code = (
+        "import sys, types, geodrake\n"
+        "assert not [name for name in sys.modules if name.startswith('geodrake.')]\n"
+        "for name in sys.argv[1:]:\n"
+        "    kind = type(getattr(geodrake, name))\n"
+        "    assert (kind is types.ModuleType) == (name not in geodrake.__all__), (name, kind)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, *names],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+
+
+def test_options_of_files_are_those_of_the_readme():
+    """Which command takes which of --json, --report and --save."""
+    words = TEXT.split("All take `--json`")[1].split("`--help` tells the rest")[0]
+    saving, none = words.split("`--save` writes")[1].split(";")
+    commands = {
+        command.callback.__name__: {p.name for p in get_command(app).commands[name].params}
+        for command in app.registered_commands
+        for name in [command.callback.__name__]
+    }
+    assert {"compare", "excite", "demo"} <= commands.keys()
+    assert all({"json", "report"} <= options for options in commands.values())
+    named = {text: set(re.findall(r"`(\w+)`", text)) for text in (saving, none)}
+    assert named[saving] | named[none] == commands.keys()
+    assert all("save" in commands[name] for name in named[saving])
+    refusing = {"identifiable"}  # which says why it cannot
+    assert not any("save" in commands[name] for name in named[none] - refusing)
 
 
 def test_links_lead_somewhere():

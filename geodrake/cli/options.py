@@ -21,7 +21,7 @@ LOG_HELP = "CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class LogOptions:
     """What all commands on a model and logs are told."""
 
     model: Annotated[Path, typer.Argument(metavar="MODEL", help=MODEL_HELP)]
@@ -31,9 +31,6 @@ class Options:
     ] = None
     report: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
-    ] = None
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
     ] = None
     floating: Annotated[
         bool, typer.Option("--floating", help="Leave roots free that nothing holds to the world.")
@@ -46,9 +43,6 @@ class Options:
         float | None,
         typer.Option(metavar="HZ", help="Bandwidth of the filter; chosen from the data if absent."),
     ] = None
-    blocks: Annotated[
-        int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
-    ] = None
     known_payload: Annotated[
         list[str] | None,
         typer.Option(
@@ -60,6 +54,38 @@ class Options:
     debug: Annotated[
         bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
     ] = False
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """How logs are prepared, as keyword arguments."""
+        return {"bandwidth": self.bandwidth}
+
+    @property
+    def model_target(self) -> Path | None:
+        """Where the model goes, if it is saved."""
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(LogOptions):
+    """What commands are told that validate a model on blocks of logs, and can save it."""
+
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
+    ] = None
+    blocks: Annotated[
+        int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
+    ] = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """How logs are prepared, as keyword arguments."""
+        return {"bandwidth": self.bandwidth, "blocks": self.blocks}
+
+    @property
+    def model_target(self) -> Path | None:
+        """Where the model goes, if it is saved."""
+        return self.save
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +103,7 @@ class ExplainOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RolloutOptions(Options):
+class RolloutOptions(LogOptions):
     """What rollout is told."""
 
     before: Annotated[

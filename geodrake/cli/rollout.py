@@ -8,15 +8,16 @@ from rich.console import Console
 
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
-from geodrake.cli.tables import head, number_columns, say, table_of
+from geodrake.cli.tables import head, number_columns, say, show_list, table_of
 from geodrake.cli.wording import Wording, number, percent
-from geodrake.errors import ArgumentError
 from geodrake.json_output import rollout_dict
 from geodrake.model import RobotModel
 from geodrake.rollout import Rollout, roll_out
 from geodrake.saved_model import load_model
 
 Pair = tuple[Rollout, Rollout | None]
+
+_NO_FORCES = "as they are no forces on the links"
 
 
 def run_rollout(options: RolloutOptions) -> None:
@@ -25,8 +26,6 @@ def run_rollout(options: RolloutOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    if options.save is not None:
-        raise ArgumentError("A rollout changes no model: there is nothing to save.")
 
     def simulated(given: Input) -> Pair:
         before = None
@@ -41,7 +40,7 @@ def run_rollout(options: RolloutOptions) -> None:
             given.logs,
             horizon=options.horizon,
             most=options.windows,
-            bandwidth=options.bandwidth,
+            **given.settings,
             progress=lambda words, share: given.tell(f"{prefix}{words}: {percent(share)}"),
         )
 
@@ -83,6 +82,11 @@ def _show(console: Console, found: Pair, wording: Wording) -> None:
     if after.broken:
         words = f"{words}; in {after.broken} of {count} windows the simulation breaks off"
     say(console, "Verdict", f"the simulated model {words}.")
+    show_list(console, f"Not simulated, {_NO_FORCES}", after.left_out_words)
+    if before is not None:
+        show_list(
+            console, f"Not simulated of the model before, {_NO_FORCES}", before.left_out_words
+        )
 
 
 def _share(value: float) -> str:

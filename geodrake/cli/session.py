@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 from rich.console import Console
 
 from geodrake.cli.known_payloads import with_known_payloads
-from geodrake.cli.options import Options
+from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Tell, progress
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
@@ -39,7 +39,7 @@ class Input:
         model: The model as it stands.
         logs: The files of the logs, or what was read of them.
         extra: Effects of the user's own.
-        settings: How logs are prepared: bandwidth and blocks, as keyword arguments.
+        settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
         tell: Called with what is going on, in words.
     """
 
@@ -79,19 +79,18 @@ class Command(Generic[R]):
     check: Callable[[RobotModel], None] = lambda model: None
 
 
-def run(command: Command[R], options: Options) -> None:
+def run(command: Command[R], options: LogOptions) -> None:
     """Run a command.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    targets = Targets(options.save, options.json, options.report, command.more)
+    targets = Targets(options.model_target, options.json, options.report, command.more)
     read = [options.model, *options.logs, *(options.effects or ())]
     targets.check(read)
     _check_logs(options.logs)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.visualization") if options.report else None
-    settings = {"bandwidth": options.bandwidth, "blocks": options.blocks}
     with progress(f"Reading {options.model.name}") as tell:
         extra = own_effects(options.effects or ())
         model = load_model(options.model, floating=options.floating, extra=extra)
@@ -99,7 +98,7 @@ def run(command: Command[R], options: Options) -> None:
         command.check(model)
         tell(command.working)
         logs = with_known_payloads(options.logs, options.known_payload or (), model)
-        result = command.work(Input(model, logs, extra, settings, tell))
+        result = command.work(Input(model, logs, extra, options.settings, tell))
         fitted = getattr(result, "model", model)
         tell("Writing")
         numbers = to_json(

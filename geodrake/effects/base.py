@@ -123,13 +123,15 @@ class Effect(abc.ABC):
         """Rates (N, s) of the hidden states (N, s), for simulation."""
         raise NotImplementedError
 
+    def states_along(self, motion: RobotMotion) -> Array:
+        """Hidden states (N, s) that a series and what was before it leave; zero if not known."""
+        return np.zeros((len(motion.v), self.state_count))
+
     @property
     def manifold(self) -> Manifold:
         """The barrier-Hessian manifold that the linear parameters live on."""
-        return Interval(
-            tuple(parameter.lower for parameter in self.parameters),
-            tuple(parameter.upper for parameter in self.parameters),
-        )
+        every = self.parameters
+        return Interval(tuple(p.lower for p in every), tuple(p.upper for p in every))
 
     @property
     def shape(self) -> dict[str, Any]:
@@ -148,9 +150,7 @@ class Effect(abc.ABC):
         return sum(isinstance(value, float) for value in self.shape.values())
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> Effect:
-        """The effect with columns that are exact near some values of its parameters.
-
-        Itself, unless `expandable`.
+        """The effect with columns exact near some values of its parameters, if `expandable`.
 
         Args:
             parameters: (k,) values.
@@ -212,8 +212,7 @@ class JointEffect(Effect):
                 f"{self.name} has {len(self.parameters)} parameters and {len(columns)} columns.",
                 advice="Let columns() return one column for each entry of `parameters`.",
             )
-        usable = [self._usable(column, len(motion.v)) for column in columns]
-        return {self.joint: np.stack(usable, -1)}
+        return {self.joint: np.stack([self._usable(c, len(motion.v)) for c in columns], -1)}
 
     def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
         """Of each column, its derivatives by `JointMotion` field; fields left out have none.

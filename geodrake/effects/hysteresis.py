@@ -57,17 +57,22 @@ class Hysteresis(JointEffect):
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[z]."""
-        at = motion.index(self.joint)
         if self in motion.states:
             return {self.joint: motion.states[self]}
         if motion.before is None:
             return super().rows(motion)
-        q = np.concatenate([motion.before[:, at], motion.q[:, at]])
+        return {self.joint: self.states_along(motion)}
+
+    def states_along(self, motion: RobotMotion) -> Array:
+        """The bend z (N, 1) along the motion, and along what was before it."""
+        at = motion.index(self.joint)
+        before = motion.q[:0] if motion.before is None else motion.before
+        q = np.concatenate([before[:, at], motion.q[:, at]])
         start = 0.0
         if motion.time is not None and len(motion.time) > 1 and len(q) > 1:
             speed = (q[1] - q[0]) / (motion.time[1] - motion.time[0])
             start = float(motion.direction(speed, motion.sign_width[at]))
-        return {self.joint: self.bend(q, start)[len(motion.before) :, None]}
+        return self.bend(q, start)[len(before) :, None]
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
         """ż, (N, 1)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,8 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.effects import Effect
+from geodrake.effects.contact import log_number
+from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.systems.force_law import ForceLaw
 
@@ -49,7 +51,11 @@ class EffectForce(LeafSystem):
     that reach the plant otherwise, as by contact, are not known here. Where no effect depends on v̇
     or load, the port is not read and no dynamics are computed.
 
-    Effects with hidden states (`Hysteresis`) have them among the continuous state, zero at first.
+    Effects with hidden states (`Hysteresis`) have them among the continuous state, zero at first;
+    `set_hidden_states` starts them otherwise.
+
+    Effects that depend on the time since a log began (`FrictionDrift`, `Contact`) take the time of
+    the Context for it. Contacts that were found in a log act only where that log is simulated.
 
     The plant's parameters are those of its default context, but for `phi`.
 
@@ -68,6 +74,7 @@ class EffectForce(LeafSystem):
         *,
         sign_width: ArrayLike = 1e-2,
         phi: ArrayLike | None = None,
+        log: str | None = None,
     ) -> None:
         """Constructs the system.
 
@@ -79,12 +86,13 @@ class EffectForce(LeafSystem):
                 or (nv,).
             phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
                 than the default ones; such as `model.total_phi`.
+            log: Name of the log that is simulated; None for none.
 
         Raises:
             ArgumentError: An effect does not fit the plant, or parameters do not fit their effect.
         """
         LeafSystem.__init__(self)
-        self._law = ForceLaw(plant, sign_width)
+        self._law = ForceLaw(plant, sign_width, 0 if log is None else log_number(log))
         if phi is not None:
             self._law.set_inertial_parameters(phi)
         self._effects = self._law.sort(effects)
@@ -111,6 +119,7 @@ class EffectForce(LeafSystem):
         effects: Sequence[tuple[Effect, ArrayLike]],
         *,
         sign_width: ArrayLike = 1e-2,
+        log: str | None = None,
     ) -> EffectForce:
         """Adds the system and connects it to a plant's state and generalized force ports.
 
@@ -120,7 +129,7 @@ class EffectForce(LeafSystem):
         Returns:
             The system.
         """
-        system = builder.AddSystem(EffectForce(plant, effects, sign_width=sign_width))
+        system = builder.AddSystem(EffectForce(plant, effects, sign_width=sign_width, log=log))
         builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
         builder.Connect(
             system.GetOutputPort("generalized_force"),
@@ -128,12 +137,35 @@ class EffectForce(LeafSystem):
         )
         return system
 
+    def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
+        """Sets hidden states, such as a motion leaves them by `Effect.states_along`.
+
+        Args:
+            context: The system's own Context.
+            states: Effect -> (s,) its state; effects that are left out keep theirs.
+
+        Raises:
+            ArgumentError: An effect has no hidden states here, or not as many.
+        """
+        hidden = _hidden(context)
+        for effect, values in states.items():
+            place = self._effects.states.get(effect)
+            count = 0 if place is None else effect.state_count
+            if place is None or np.shape(values) != (count,):
+                raise ArgumentError(
+                    f"{effect.name} of {effect.place} has {count} hidden states here; it got "
+                    f"{np.asarray(values).tolist()}."
+                )
+            hidden[place] = values
+        context.SetContinuousState(hidden)
+
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         """Rates of the hidden states."""
         if derivatives.size():
             state, hidden = self._state_port.Eval(context), _hidden(context)
-            q, v = state[: self._nq], state[self._nq :]
-            derivatives.SetFromVector(self._law.state_rates(self._effects, q, v, hidden))
+            q, v, time = state[: self._nq], state[self._nq :], context.get_time()
+            rates = self._law.state_rates(self._effects, q, v, hidden, time=time)
+            derivatives.SetFromVector(rates)
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         state, effects = self._state_port.Eval(context), self._effects

@@ -67,8 +67,9 @@ class SortedEffects:
 class ForceLaw:
     """What effects need of a plant: its motion in their terms, and its acceleration."""
 
-    def __init__(self, plant: MultibodyPlant, sign_width: ArrayLike) -> None:
+    def __init__(self, plant: MultibodyPlant, sign_width: ArrayLike, log: int = 0) -> None:
         self._plant = plant
+        self._log = log  # as in RobotMotion
         self._context = plant.CreateDefaultContext()  # scratch, overwritten by every evaluation
         self._phi = inertial_parameters(plant)
         self._joints = joint_names(plant)
@@ -151,7 +152,7 @@ class ForceLaw:
             q: (nq,) positions.
             v: (nv,) velocities.
             u: (nv,) efforts of controllers that act on the plant.
-            time: Time since the beginning, s.
+            time: Time since the log began, s.
             states: Hidden states of the effects, if they have any.
         """
         zero = np.zeros((1, len(v)))
@@ -191,10 +192,12 @@ class ForceLaw:
             advice="Give it a load factor well below 1; above, a gear locks itself.",
         )
 
-    def state_rates(self, effects: SortedEffects, q: Array, v: Array, states: Array) -> Array:
-        """Rates of the hidden states of effects, at a state of the plant."""
-        zero = np.zeros((1, len(v)))
-        seen, rates = self._motion(q[None], v[None], zero, zero), np.zeros_like(states)
+    def state_rates(
+        self, effects: SortedEffects, q: Array, v: Array, states: Array, *, time: float = 0.0
+    ) -> Array:
+        """Rates of the hidden states of effects at a state of the plant; `time` as in `effort`."""
+        zero, rates = np.zeros((1, len(v))), np.zeros_like(states)
+        seen = replace(self._motion(q[None], v[None], zero, zero), time=np.array([time]))
         for effect, place in effects.states.items():
             rates[place] = effect.state_rates(seen, states[None, place])[0]
         return rates
@@ -232,7 +235,15 @@ class ForceLaw:
 
         bodies = RobotBodies(self._tree, q, self._phi)
         return RobotMotion(
-            self._joints, q_joint, v, vd, load, self._sign_width, body_columns, bodies
+            self._joints,
+            q_joint,
+            v,
+            vd,
+            load,
+            self._sign_width,
+            body_columns,
+            bodies,
+            log=self._log,
         )
 
 

@@ -12,9 +12,19 @@ from matplotlib.lines import Line2D
 from geodrake.rollout import Rollout
 from geodrake.visualization import style
 from geodrake.visualization.numbers import number, percent
-from geodrake.visualization.page import Page, Section, Table, Tile, cells, pictures, render
+from geodrake.visualization.page import (
+    Page,
+    Section,
+    Table,
+    Tile,
+    cells,
+    pictures,
+    render,
+    without_empty,
+)
 from geodrake.visualization.units import Units
 
+_NO_FORCES = "as they are no forces on the links"
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
     "simulated robot is alone with the logged efforts. Lines are cut off where they leave the axes."
@@ -70,7 +80,16 @@ def render_rollout(
         f"The simulated model departs by {_share(after.relative)} of the motion.",
         ("Root mean square over joints of RMS departure over RMS motion.",),
         tiles,
-        (Section("Joint by joint", (text,), (Table(head, tuple(rows)),), (), figures),),
+        without_empty(
+            (
+                Section("Joint by joint", (text,), (Table(head, tuple(rows)),), (), figures),
+                Section(f"Not simulated, {_NO_FORCES}", items=after.left_out_words),
+                Section(
+                    f"Not simulated of the model before, {_NO_FORCES}",
+                    items=before.left_out_words if before else (),
+                ),
+            )
+        ),
         "Made by geodrake: a plant with the model's inertias and effects under the logged efforts.",
     )
     return render(page)

@@ -1,0 +1,86 @@
+"""What a rollout finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects import Effect
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """One simulated stretch of a log.
+
+    Attributes:
+        log: Name of the log.
+        time: (K,) instants, s.
+        measured: (K, nv) positions, rad or m.
+        simulated: (K, nv) positions; NaN from where the simulation broke off.
+    """
+
+    log: str
+    time: Array
+    measured: Array
+    simulated: Array
+
+    @property
+    def departure(self) -> Array:
+        """(K, nv) simulated − measured position."""
+        return self.simulated - self.measured
+
+
+@dataclass(frozen=True)
+class JointDeparture:
+    """How far one joint departs from what was measured.
+
+    Attributes:
+        joint: Name of the joint.
+        rms: RMS of simulated − measured position over all windows, rad or m.
+        moved: RMS of what the joint moved since the start of its window, rad or m.
+        worst: Log and start of the window in which it departs most, s.
+    """
+
+    joint: str
+    rms: float
+    moved: float
+    worst: tuple[str, float]
+
+    @property
+    def relative(self) -> float:
+        """RMS departure over RMS motion: 1 for a robot that stands still."""
+        return self.rms / self.moved if self.moved > 0 else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A model simulated under measured efforts.
+
+    Attributes:
+        joints: Departures of every joint.
+        windows: What was simulated.
+        horizon: Length of the windows, s.
+        broken: Windows in which the simulation could not go on to the end.
+        left_out: Effects of the model that the simulation is without, as they are no forces on a
+            robot whose state is that of its links: soft joints and play.
+    """
+
+    joints: tuple[JointDeparture, ...]
+    windows: tuple[Window, ...]
+    horizon: float
+    broken: int
+    left_out: tuple[Effect, ...] = ()
+
+    @property
+    def relative(self) -> float:
+        """Root mean square over joints of departure over motion."""
+        return float(np.sqrt(np.mean([joint.relative**2 for joint in self.joints])))
+
+    @property
+    def left_out_words(self) -> tuple[str, ...]:
+        """What was left out, such as `joint_elasticity of elbow`."""
+        return tuple(f"{effect.name} of {effect.place}" for effect in self.left_out)
