@@ -74,7 +74,8 @@ def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
         for log in logs
         for payload in log.payloads
     ]
-    if notes and not joints_told(model, [log.payloads for log in logs]):
+    told = joints_told(model, [log.payloads for log in logs]) if notes else ()
+    if notes and not told and model.information is None:
         notes.append(
             "known payloads tell no gain of efforts, as all logs have the same: the bodies could "
             "take it in; give a log without them too"
