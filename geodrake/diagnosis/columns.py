@@ -18,7 +18,13 @@ from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.proposals import suggested
 from geodrake.diagnosis.search import convincing
 from geodrake.diagnosis.trials import PENALTY, gain_of
-from geodrake.effects import CoulombFriction, Hysteresis, ViscousFriction
+from geodrake.effects import (
+    CoulombFriction,
+    CoupledRotorInertia,
+    Hysteresis,
+    RotorInertia,
+    ViscousFriction,
+)
 from geodrake.effects.base import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.contact import log_number
@@ -70,7 +76,9 @@ def with_suggestions(
 def convincing_ones(
     case: Case, end: Hypothesis, effects: Sequence[Effect], criteria: Criteria
 ) -> tuple[Effect, ...]:
-    """Effects of which a shape convinces at their place, frictions beside other frictions.
+    """Effects of which a shape convinces at their place, beside what usually comes with them.
+
+    Bristles come beside other friction; a rotor that two joints share turns with either of them.
 
     Args:
         case: The case.
@@ -86,12 +94,18 @@ def convincing_ones(
         for base in (CoulombFriction, ViscousFriction)
     ]
     more = [effect for effect in dict.fromkeys(simple) if effect not in present]
-    dataset = reduced(case, [*present, *more, *effects])
+    joints = {joint for e in effects if isinstance(e, CoupledRotorInertia) for joint in e.where}
+    rotors = [
+        e
+        for e in case.dataset.effects
+        if isinstance(e, RotorInertia) and e.joint in joints and e not in present
+    ]
+    dataset = reduced(case, [*present, *more, *rotors, *effects])
     alone = end.moved(dataset, delay=end.delay)
     beside = alone.with_effects(more) if more else alone
     good = {
         (trial.package.effects[0].name, trial.package.place)
-        for kind in kinds(effects, present)
+        for kind in kinds([*effects, *rotors], present)
         for trial in convincing(
             beside if kind.names == (Hysteresis.name,) else alone, kind, len(effects), criteria
         )
