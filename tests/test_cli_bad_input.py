@@ -284,7 +284,7 @@ def test_interrupted_work_leaves_no_file_and_no_traceback(tmp_path):
         "def work(*a, **k):\n"
         "    print('working', file=sys.stderr, flush=True)\n"
         "    time.sleep(60)\n"
-        "e.explain = work\n"
+        "e.investigate = work\n"
         "from geodrake.cli import main\n"
         "main()\n"
     )

@@ -390,14 +390,15 @@ class TestCandidates:
 
     def test_every_effect_has_some(self):
         for cls in effects.catalogue():
+            if cls.places == "log":  # a delay has no columns: a dataset tries several
+                continue
             place = {
-                "joint": (("elbow", 1.0), {}),
-                "joint_pair": ((("elbow", "wrist"),), {}),
-                "body": (("hand",), {}),
-                "robot": ((), {}),
-                "log": ((), {"period": 0.01}),
+                "joint": ("elbow", 1.0),
+                "joint_pair": (("elbow", "wrist"),),
+                "body": ("hand",),
+                "robot": (),
             }[cls.places]
-            found = tuple(cls.candidates(*place[0], **place[1]))
+            found = tuple(cls.candidates(*place))
             assert found and all(isinstance(effect, cls) for effect in found)
             assert len(set(found)) == len(found)
 

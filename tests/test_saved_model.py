@@ -140,12 +140,12 @@ def test_moves_together_with_its_base(saved, tmp_path):
     elsewhere.mkdir()
     shutil.copytree(tmp_path / "robot", elsewhere / "robot")
     shutil.move(saved, elsewhere / saved.name)
-    assert len(load_model(elsewhere / saved.name).effects) == 15
+    assert len(load_model(elsewhere / saved.name).effects) == 14
 
 
 def test_works_from_any_directory(saved, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert len(load_model(saved.name).effects) == 15
+    assert len(load_model(saved.name).effects) == 14
 
 
 def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
@@ -153,7 +153,7 @@ def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
     real.mkdir(parents=True)
     link.symlink_to(real)
     save_model(fitted, link / "model.yaml")
-    assert len(load_model(link / "model.yaml").effects) == 15
+    assert len(load_model(link / "model.yaml").effects) == 14
 
 
 def test_base_that_moved_is_named(saved, tmp_path):
