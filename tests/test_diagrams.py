@@ -52,7 +52,8 @@ def test_script(script, tmp_path):
     assert done.returncode == 0, done.stderr
     found = json.loads(table.read_text(encoding="utf-8"))
     assert found
-    SHOWS.get(script.stem, bool)(found)
+    if script.stem in SHOWS:
+        SHOWS[script.stem](found)
     assert list(figures.glob("*.png"))
 
 

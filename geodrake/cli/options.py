@@ -37,7 +37,7 @@ class LogOptions:
     ] = False
     effects: Annotated[
         list[Path] | None,
-        typer.Option(metavar="FILE.py", help="Try the effects of this file too; repeatable."),
+        typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
     ] = None
     bandwidth: Annotated[
         float | None,

@@ -93,7 +93,7 @@ def common_delay(effects: Sequence[Effect]) -> float:
     for effect in delays:
         if effect.joint is not None:
             raise ArgumentError(
-                f"An {effect.name} of all efforts can be taken into account; this one is "
+                f"A model's {effect.name} is that of all efforts; this one is "
                 f"{effect.delay:g} s at {effect.joint} alone.",
                 advice="Advance that joint's effort in the log, and leave the delay out.",
             )

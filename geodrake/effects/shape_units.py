@@ -14,7 +14,10 @@ SHAPE_UNITS: Mapping[str, str] = {
     **dict.fromkeys("xyz", "m"),
     "stribeck_velocity": "rad/s",
 }
-"""Unit of a shape by its name, at joints that turn; others are plain numbers."""
+"""Unit of a shape, a delay or a payload's mass and centre, by its name, at joints that turn.
+
+What is not here is a plain number.
+"""
 
 
 def when_sliding(unit: str) -> str:
