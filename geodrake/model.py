@@ -23,11 +23,11 @@ from geodrake.effects import (
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effort_delay import common_delay
 from geodrake.errors import ArgumentError
-from geodrake.inertia import PARAMETERS_PER_BODY, inertial_parameters
+from geodrake.inertia import inertial_parameters
 from geodrake.kinematics import KinematicTree
 from geodrake.motion import Motion
 from geodrake.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
-from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.regressor import body_regressor, inverse_dynamics
 
 Array = NDArray[np.float64]
 
@@ -145,18 +145,18 @@ class RobotModel:
         return width if self.fading_speed is None else np.maximum(width, self.fading_speed)
 
     def motion(
-        self, motion: Motion, *, sign_width: ArrayLike = 0.0, regressor: Array | None = None
+        self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None
     ) -> RobotMotion:
         """A motion as effects see it: by joint, with the rigid bodies' effort as load.
 
         Args:
             motion: (N, ·) positions, velocities and accelerations in Drake's order.
             sign_width: As in `sign_widths`.
-            regressor: (N, nv, 10·nb) regressor of the motion, if it is known already.
+            load: (N, nv) effort of the rigid bodies, if it is known already.
         """
-        if regressor is None:
-            regressor = inverse_dynamics_regressor(self.tree, motion.q, motion.v, motion.vd)
-        blocks = regressor.reshape(*regressor.shape[:2], len(self.bodies), PARAMETERS_PER_BODY)
+        samples = motion.q, motion.v, motion.vd
+        if load is None:
+            load = inverse_dynamics(self.tree, *samples, self.total_phi)
         q = np.full(motion.v.shape, np.nan)
         at_velocity, at_position = self._single_joints
         q[:, at_velocity] = motion.q[:, at_position]
@@ -166,9 +166,9 @@ class RobotModel:
             q,
             motion.v,
             motion.vd,
-            regressor @ self.total_phi.ravel(),
+            load,
             width,
-            lambda body: blocks[:, :, self.bodies.index(body)],
+            lambda body: body_regressor(self.tree, *samples, self.bodies.index(body)),
             RobotBodies(self.tree, motion.q, self.total_phi),
             motion.time,
         )

@@ -279,7 +279,8 @@ def test_interrupted_work_leaves_no_file_and_no_traceback(tmp_path):
     log = write(tmp_path / "log.csv", rows())
     before = contents(tmp_path)
     slow = (
-        "import sys, time, geodrake.diagnosis.explain\n"
+        "import signal, sys, time, geodrake.diagnosis.explain\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # jobs of a shell ignore it
         "e = sys.modules['geodrake.diagnosis.explain']\n"
         "def work(*a, **k):\n"
         "    print('working', file=sys.stderr, flush=True)\n"

@@ -20,6 +20,7 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.folds import validation_blocks
+from geodrake.identification import normal_equations
 from geodrake.identification.cross_validation import Candidate, CrossValidation, hold_out
 from geodrake.identification.model_fit import (
     as_it_stands,
@@ -387,3 +388,30 @@ def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
     )
     np.testing.assert_array_equal(released.information[span, span], weak)
     np.testing.assert_array_equal(released.information[span, rest], 0.0)
+
+
+@pytest.mark.parametrize("exchanges", [20, 0])
+@pytest.mark.parametrize("seed", range(40))
+def test_small_bounded_problems(seed, exchanges, monkeypatch):
+    """Against another method, by their conditions of optimality; it also is what is left to do
+    where the exchange of bounds does not end."""
+    monkeypatch.setattr(normal_equations, "_MOST_EXCHANGES", exchanges)
+    rng = np.random.default_rng(seed)
+    k = int(rng.integers(2, 6))
+    A = rng.normal(size=(5, k + 3, k)) * np.exp(3.0 * rng.normal(size=k))
+    if seed % 2:  # nearly the same column twice
+        A[..., 1] = 1.7 * A[..., 0] + 1e-3 * A[..., 1]
+    b = rng.normal(size=(5, k + 3))
+    lower = np.where(rng.random(k) < 0.6, 0.0, -np.inf)
+    upper = np.where(rng.random(k) < 0.3, np.exp(rng.normal(size=k)), np.inf)
+    gram = np.swapaxes(A, 1, 2) @ A
+    rhs = np.einsum("fmk,fm->fk", A, b)
+    found = normal_equations.bounded_minimizers(gram, rhs, lower, upper)
+    assert (found >= lower).all()
+    assert (found <= upper * (1.0 + 1e-12)).all()
+    for y, own_A, own_b in zip(found, A, b, strict=True):
+        scale = 1.0 / np.linalg.norm(own_A, axis=0)
+        ridged = np.vstack([own_A * scale, np.sqrt(1e-9) * np.eye(k)])
+        target, box = np.concatenate([own_b, np.zeros(k)]), (lower / scale, upper / scale)
+        expected = lsq_linear(ridged, target, box, method="bvls", tol=1e-14).x
+        np.testing.assert_allclose(ridged @ (y / scale), ridged @ expected, atol=1e-6)

@@ -25,9 +25,10 @@ from geodrake.identification.coherent_bandwidth import (
     effort_ratio,
     prepare_for_model,
 )
-from geodrake.identification.log_slices import INERTIA, Layout, SharedRows
+from geodrake.identification.log_slices import INERTIA, Layout
 from geodrake.identification.noise import noise_floor
 from geodrake.identification.reduce import peak_speeds, reduce_logs
+from geodrake.identification.shared_rows import SharedRows
 from geodrake.model import FittedEffect
 from geodrake.motion import JointLog
 from geodrake.preparation import prepare_logs
@@ -137,6 +138,35 @@ def test_columns_left_out_are_zero(model, trajectories, folds, dataset):
         assert np.abs(rows[:, out]).max() < 1e-12
         assert (data.local(out) == -1).all()
         np.testing.assert_array_equal(data.local(data.columns), np.arange(len(data.columns)))
+
+
+def test_products_of_columns_that_a_joint_does_not_see_are_zero(dataset):
+    for data in dataset.data:
+        n, full = len(data.columns), data.grams
+        left, right = np.array([0, -1, n - 1, 2]), np.array([-1, 1, n])
+        found = data.products(left, right)
+        for i, row in enumerate(left):
+            for k, column in enumerate(right):
+                expected = np.zeros(len(full)) if -1 in (row, column) else full[:, row, column]
+                np.testing.assert_array_equal(found[i, k], expected)
+
+
+def test_parameters_of_a_joint_are_at_their_columns(dataset):
+    """A link and its payload have the same columns: what they say adds up."""
+    rng = np.random.default_rng(0)
+    wide = int(max(data.columns[-1] for data in dataset.data)) + 1
+    columns = np.concatenate([rng.permutation(wide), dataset.effect_columns(EFFECTS[-1])])
+    columns = np.concatenate([columns, np.arange(10)])
+    x = rng.normal(size=(len(dataset.folds), len(columns)))
+    for data in dataset.data:
+        expected = [x[:, columns == column].sum(axis=1) for column in data.columns]
+        np.testing.assert_allclose(data.parameters(columns, x), np.transpose(expected))
+
+
+def test_reach_is_what_joints_see(dataset):
+    assert dataset.reach.shape == (len(dataset.joints), len(dataset.column_power))
+    for reach, data in zip(dataset.reach, dataset.data, strict=True):
+        np.testing.assert_array_equal(np.flatnonzero(reach), data.columns)
 
 
 def test_rows_kept_are_those_behind_the_factors(dataset):
@@ -388,19 +418,23 @@ class TestSharedRows:
                         np.testing.assert_allclose(x.b, y.b, atol=1e-9)
 
     def test_only_new_columns_are_evaluated(self, model, trajectories, folds, monkeypatch):
-        evaluated, evaluate = [], Layout.evaluate
+        evaluated, loads, evaluate = [], [], Layout.evaluate
 
-        def counted(self, motion, log, parts):
+        def counted(self, motion, log, parts, load):
             evaluated.extend(parts)
-            return evaluate(self, motion, log, parts)
+            loads.append(load)
+            return evaluate(self, motion, log, parts, load)
 
         monkeypatch.setattr(Layout, "evaluate", counted)
         shared = SharedRows()
         reduce_logs(model, trajectories, folds, effects=EFFECTS[:3], shared=shared)
         assert set(evaluated) == {INERTIA, *EFFECTS[:2]}
+        assert all(load is None for load in loads)
         evaluated.clear()
+        loads.clear()
         reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.02), shared=shared)
         assert set(evaluated) == {*EFFECTS[3:]}
+        assert all(load is not None for load in loads)
         evaluated.clear()
         reduce_logs(model, trajectories, folds[::-1], effects=EFFECTS[2:], shared=shared)
         assert not evaluated
@@ -410,4 +444,11 @@ class TestSharedRows:
         shared.keep("a", {0: np.ones((2, 3))})
         shared.keep("b", {0: np.ones((2, 3))})
         shared.keep("c", {0: np.ones((2, 1)), 1: np.ones((2, 1))})
+        assert [shared.get(key) is not None for key in "abc"] == [True, False, True]
+
+    def test_room_is_left_for_others(self):
+        shared = SharedRows(10, signals=4)
+        for key in "ab":
+            shared.keep(key, {0: np.ones((1, 3))}, signals=True)
+        shared.keep("c", {0: np.ones((1, 7))})
         assert [shared.get(key) is not None for key in "abc"] == [True, False, True]

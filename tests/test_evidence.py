@@ -6,6 +6,7 @@ from scipy.signal import lfilter
 
 from geodrake.diagnosis.evidence import (
     effective_samples,
+    effective_samples_of_each,
     false_alarm_probability,
     fold_agreement,
     log_likelihood_gain,
@@ -56,6 +57,16 @@ def test_effective_samples_do_not_see_across_gaps():
 def test_effective_samples_have_no_unit(factor):
     series = autoregressive(np.random.default_rng(5), 1000, 0.6)
     assert effective_samples([factor * series]) == pytest.approx(effective_samples([series]))
+
+
+def test_effective_samples_of_each_are_those_of_one():
+    rng = np.random.default_rng(5)
+    several = [np.cumsum(rng.normal(size=(n, 4)), axis=0) * [1.0, 1e-6, 0.0, 1e3] for n in (40, 7)]
+    several[0][:, 0] = rng.normal(size=40)
+    found = effective_samples_of_each(several)
+    expected = [effective_samples([block[:, k] for block in several]) for k in range(4)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert found[2] == 47.0
 
 
 def test_effective_samples_stay_within_bounds():

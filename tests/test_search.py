@@ -9,9 +9,10 @@ from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
 from scipy.optimize import minimize_scalar
 
 from geodrake import load_model
+from geodrake.diagnosis import hypothesis as hypothesis_module
 from geodrake.diagnosis import proposals as proposals_module
 from geodrake.diagnosis import search as search_module
-from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
+from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds, kinds_at
 from geodrake.diagnosis.case import open_case
 from geodrake.diagnosis.evidence import Criteria, effective_samples, log_likelihood_gain
 from geodrake.diagnosis.exact import searched
@@ -25,7 +26,7 @@ from geodrake.diagnosis.proposals import suggested
 from geodrake.diagnosis.refine import prune, simplify
 from geodrake.diagnosis.search import Ranked, choose, convincing, rank, with_ties
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
-from geodrake.diagnosis.trials import Trial, asked_of, gain_of, try_package
+from geodrake.diagnosis.trials import Trial, asked_of, gain_of, try_package, try_packages
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
@@ -120,6 +121,26 @@ def test_bodies_and_pairs_are_named_one_at_a_time():
     assert not found[("coupled_friction",)].unite
 
 
+def test_kinds_at_a_place_are_those_of_all_kinds():
+    joint = ("elbow",)
+    rotors = [RotorInertia(name) for name in JOINTS]
+    stribeck = [StribeckFriction("elbow", speed) for speed in (0.1, 0.3)]
+    bodies = [Payload("upper_link"), Payload("lower_link")]
+    pairs = [CoupledFriction(JOINTS), CoupledRotorInertia(JOINTS)]
+    effects = [*COULOMB, *VISCOUS, *rotors, *stribeck, *bodies, *pairs]
+    for present in ([], [*COULOMB], [rotors[0]]):
+        found = kinds(effects, present)
+        for place in {place for kind in found for place in kind.options} | {joint}:
+            expected = [
+                (kind.names, kind.unite, kind.options[place])
+                for kind in found
+                if place in kind.options
+            ]
+            here = kinds_at(effects, present, place)
+            assert [(k.names, k.unite, k.options[place]) for k in here] == expected
+            assert expected
+
+
 def test_shapes_count_as_parameters():
     assert Package((CoulombFriction("elbow"),), ("elbow",)).parameters == 1
     assert Package((NonlinearViscousFriction("elbow", 0.5),), ("elbow",)).parameters == 2
@@ -171,6 +192,27 @@ def test_trial_of_what_is_missing(with_friction):
     # With the weights of the hypothesis instead of its own, a trial is nearly as good.
     settled = gain_of(with_friction, refit)
     assert trial.gain == pytest.approx(settled, rel=0.3)
+
+
+def test_trials_together_are_those_one_by_one(with_friction, monkeypatch):
+    monkeypatch.setattr(hypothesis_module, "_AT_ONCE", 3)
+    packages = [Package((e,), e.where) for e in (*COULOMB, *VISCOUS)]
+    packages.append(Package((COULOMB[0], VISCOUS[0]), COULOMB[0].where))
+    together = try_packages(with_friction, packages, 9)
+    for package, trial in zip(packages, together, strict=True):
+        alone = try_package(with_friction, package, 9)
+        assert trial.package is package
+        assert trial.gain == pytest.approx(alone.gain, rel=1e-9)
+        assert (trial.alarm, trial.reduction) == pytest.approx((alone.alarm, alone.reduction))
+    assert try_packages(with_friction, [], 9) == []
+
+
+def test_hypothesis_is_stripped_once(with_friction):
+    more = with_friction.with_effects(COULOMB)
+    bare = more.stripped(COULOMB[0])
+    assert bare is more.stripped(COULOMB[0])
+    assert bare.unknowns.effects == tuple(COULOMB[1:])
+    assert replace(more, looseness=2.0).stripped(COULOMB[0]) is not bare
 
 
 def test_gain_is_the_log_likelihood_ratio(with_friction):

@@ -84,6 +84,21 @@ def kind_complexity(names: Sequence[str]) -> int:
     return max(COMPLEXITY.get(name, 2) for name in names)
 
 
+def kinds_at(
+    effects: Sequence[Effect], present: Sequence[Effect], place: tuple[str, ...]
+) -> list[Kind]:
+    """The kinds to try of which there are packages at a place; see `kinds`.
+
+    Args:
+        effects: Every effect that has columns in the dataset, the shapes of a grid included.
+        present: Effects of the hypothesis.
+        place: Joint or body names.
+    """
+    within = set(place)  # both rotors of coupled joints come with those that couple them
+    near = [effect for effect in effects if within.issuperset(effect.where)]
+    return [kind for kind in kinds(near, present) if place in kind.options]
+
+
 def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
     """All kinds to try when some effects are already in the model.
 
@@ -142,8 +157,8 @@ def hidden_pairs(
         joint: The joint.
     """
     place = (joint,)
-    offered = [k for k in kinds(effects, present) if k.unite and len(k.names) == 1]
-    singles = [kind.options[place] for kind in offered if place in kind.options]
+    offered = kinds_at(effects, present, place)
+    singles = [kind.options[place] for kind in offered if kind.unite and len(kind.names) == 1]
     return tuple(
         Package((*one.effects, *other.effects), place)
         for ones, others in combinations(singles, 2)

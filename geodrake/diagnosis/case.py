@@ -19,9 +19,9 @@ from geodrake.held_payloads import joints_told, payload_notes
 from geodrake.identification.coherent_bandwidth import prepare_for_model
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import Dataset
-from geodrake.identification.log_slices import SharedRows
 from geodrake.identification.model_fit import effects_of
 from geodrake.identification.reduce import peak_speeds, reduce_logs
+from geodrake.identification.shared_rows import SharedRows
 from geodrake.identification.unknowns import Unknowns
 from geodrake.log_files import read_log
 from geodrake.model import RobotModel
@@ -142,7 +142,7 @@ def open_case(
         effects += candidate_effects(model, peak_speeds(trajectories), extra, told=told)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
-    shared = SharedRows()
+    shared = SharedRows() if candidates else SharedRows(signals=0)  # a comparison needs them once
     dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays, shared=shared)
     notes = [*model.notes, *hints]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]

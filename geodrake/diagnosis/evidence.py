@@ -42,10 +42,7 @@ class Criteria:
 
 
 def effective_samples(blocks: Sequence[Array]) -> float:
-    """How many independent samples a coloured residual is worth.
-
-    n / (1 + 2 Σ ρ_k), the autocorrelation summed up to its first value below 0.02; blocks are
-    stretches without gaps.
+    """How many independent samples a coloured residual is worth; see `effective_samples_of_each`.
 
     Args:
         blocks: Residuals (K_i,) of each block.
@@ -53,18 +50,33 @@ def effective_samples(blocks: Sequence[Array]) -> float:
     Returns:
         A number between 1 and Σ K_i.
     """
+    return float(effective_samples_of_each([block[:, None] for block in blocks])[0])
+
+
+def effective_samples_of_each(blocks: Sequence[Array]) -> Array:
+    """How many independent samples each of m coloured residuals is worth.
+
+    n / (1 + 2 Σ ρ_k), the autocorrelation summed up to its first value below 0.02; blocks are
+    stretches without gaps.
+
+    Args:
+        blocks: Residuals (K_i, m) of each block.
+
+    Returns:
+        (m,) numbers between 1 and Σ K_i.
+    """
     n, longest = sum(map(len, blocks)), max(map(len, blocks))
-    padded = np.zeros((len(blocks), next_fast_len(2 * longest)))
-    for row, block in zip(padded, blocks, strict=True):
-        row[: len(block)] = block
-    spectrum = np.square(np.abs(np.fft.rfft(padded))).sum(0)
-    covariance = np.fft.irfft(spectrum, padded.shape[1])[:longest]
-    if covariance[0] <= 0.0:
-        return float(n)
-    correlation = covariance[1:] / covariance[0]
-    below = np.flatnonzero(correlation < 0.02)
-    last = below[0] if len(below) else len(correlation)
-    return max(1.0, n / (1.0 + 2.0 * float(correlation[:last].sum())))
+    padded = np.zeros((blocks[0].shape[1], len(blocks), next_fast_len(2 * longest)))
+    for i, block in enumerate(blocks):
+        padded[:, i, : len(block)] = block.T
+    transform = np.fft.rfft(padded)
+    spectrum = (np.square(transform.real) + np.square(transform.imag)).sum(1)
+    covariance = np.fft.irfft(spectrum, padded.shape[2])[:, :longest]
+    power = covariance[:, 0]
+    correlation = covariance[:, 1:] / np.where(power > 0.0, power, 1.0)[:, None]
+    counted = ~np.logical_or.accumulate(correlation < 0.02, axis=1)
+    total = np.sum(correlation, axis=1, where=counted)
+    return np.where(power > 0.0, np.maximum(1.0, n / (1.0 + 2.0 * total)), n)
 
 
 def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:

@@ -224,7 +224,7 @@ def with_exact_delay(case: Case, trail: Trail, *, origin: float, step: float) ->
     lag = FittedEffect(EffortDelay(delay), np.empty(0), np.empty(0))
     kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
     model = replace(case.model, effects=(*kept, lag))
-    case = replace(case, model=model, kept={})
+    case = replace(case, model=model)
     dataset = reduced(
         case, case.dataset.effects, delays=(0.0, origin - delay, 0.5 * step, -0.5 * step)
     )

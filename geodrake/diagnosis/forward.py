@@ -220,7 +220,8 @@ def _anew(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         if gone:
             bare = hypothesis.without(gone)
             ranked = rank_pairs(bare, criteria, joints=[joint])
-            chosen = choose(ranked) if ranked else None
+            ranked = [r for r in ranked if gain_of(hypothesis, r.hypothesis) > 0.0]
+            chosen = choose(ranked) if any(r.tied for r in ranked) else None
             after = _refined(bare, chosen, fixed, criteria) if chosen else None
             if chosen and after:
                 more = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
@@ -261,8 +262,8 @@ def _refined(
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
     simple = swap(simplify(chosen.hypothesis, fixed, criteria), fixed, criteria)
-    for shaped in (reshape(simple, fixed), reshape(chosen.hypothesis, fixed)):
-        after = prune(shaped, fixed, criteria)
+    for found in dict.fromkeys((simple, chosen.hypothesis)):
+        after = prune(reshape(found, fixed), fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
         if gain_of(hypothesis, after) > PENALTY * max(added, 1):
             return after

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.evidence import effective_samples
+from geodrake.diagnosis.evidence import effective_samples_of_each
 from geodrake.effects.base import Effect
 from geodrake.errors import IdentificationError
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.dataset import Dataset, is_payload
+from geodrake.identification.dataset import Dataset, JointData, is_payload
 from geodrake.identification.model_fit import held_out_physical
 from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
@@ -25,6 +25,9 @@ HELD = 1e-3
 
 CLEARLY_IMPOSSIBLE = 1e-3
 """Share of its largest moment by which the smallest one of a body that cannot be is negative."""
+
+_AT_ONCE = 32
+"""Fits whose residuals are computed together."""
 
 _SETTLED = 0.3
 """Relative change of the weights below which they count as settled."""
@@ -56,6 +59,7 @@ class Hypothesis:
     cv: CrossValidation
     effective: Array
     released: tuple[Effect, ...] = ()
+    _stripped: dict[Effect, Hypothesis] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def held_out(self) -> HeldOut:
@@ -115,9 +119,11 @@ class Hypothesis:
 
     def stripped(self, effect: Effect) -> Hypothesis:
         """This hypothesis less one of its effects, refitted with the weights that it has."""
-        unknowns = self.unknowns.without_effect(effect)
-        cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
-        return replace(self, unknowns=unknowns, cv=cv)
+        if effect not in self._stripped:
+            unknowns = self.unknowns.without_effect(effect)
+            cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
+            self._stripped[effect] = replace(self, unknowns=unknowns, cv=cv)
+        return self._stripped[effect]
 
     def exchanged(self, gone: Effect, come: Sequence[Effect]) -> Hypothesis:
         """This hypothesis with effects in the place of one, refitted.
@@ -176,29 +182,46 @@ def residual_blocks(
         x: (F, p) parameters for each fold.
         delay: Index of the effort column.
     """
-    out = []
-    for data in dataset.data:
-        local = data.local(columns)
-        used = local >= 0
-        out.append(
-            [
-                rows.b[:, delay] - rows.A[:, local[used]] @ x[fold][used]
-                for fold, blocks in enumerate(data.rows)
-                for rows in blocks
-            ]
-        )
-    return out
+    return [
+        [block[:, 0] for block in _residuals(data, [(columns, x)], delay)] for data in dataset.data
+    ]
 
 
 def effective_per_joint(
     dataset: Dataset, columns: Indices, held_out: HeldOut, *, delay: int = 0
 ) -> Array:
     """(nv,) effective samples of the held-out residuals."""
-    blocks = residual_blocks(dataset, columns, held_out.x, delay=delay)
-    kept = np.array([sum(len(b) for b in joint) for joint in blocks])
-    return np.array([effective_samples(joint) for joint in blocks]) * (
-        held_out.samples.sum(0) / np.maximum(kept, 1)
-    )
+    return effective_of_each(dataset, [(columns, held_out.x)], delay=delay)[0]
+
+
+def effective_of_each(
+    dataset: Dataset, fits: Sequence[tuple[Indices, Array]], *, delay: int = 0
+) -> Array:
+    """(m, nv) effective samples of the held-out residuals of each of m fits.
+
+    Args:
+        dataset: The reduced logs.
+        fits: Columns (p,) in use and parameters (F, p) for each fold.
+        delay: Index of the effort column.
+    """
+    found = np.empty((len(fits), len(dataset.joints)))
+    for first in range(0, len(fits), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        for j, data in enumerate(dataset.data):
+            blocks = _residuals(data, fits[part], delay)
+            kept = sum(map(len, blocks))
+            found[part, j] = effective_samples_of_each(blocks) * (data.samples.sum() / max(kept, 1))
+    return found
+
+
+def _residuals(data: JointData, fits: Sequence[tuple[Indices, Array]], delay: int) -> list[Array]:
+    """Held-out residuals (K_i, m) of m fits at a joint, one array per block."""
+    x = np.stack([data.parameters(columns, values) for columns, values in fits], axis=-1)
+    return [
+        rows.b[:, delay, None] - rows.A @ x[fold]
+        for fold, blocks in enumerate(data.rows)
+        for rows in blocks
+    ]
 
 
 def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:

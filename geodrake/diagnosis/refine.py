@@ -13,7 +13,7 @@ from geodrake.diagnosis.candidates import (
     has_base,
     is_refinement,
     kind_complexity,
-    kinds,
+    kinds_at,
     pairs_at,
     simple_at,
 )
@@ -174,9 +174,9 @@ def swap(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) ->
         others = [other for other in hypothesis.unknowns.effects if other != effect]
         packages = [
             package
-            for kind in kinds(hypothesis.dataset.effects, others)
+            for kind in kinds_at(hypothesis.dataset.effects, others, effect.where)
             if len(kind.names) == 1 and kind.complexity <= kind_complexity((effect.name,))
-            for package in kind.options.get(effect.where, ())
+            for package in kind.options[effect.where]
             if package.effects != (effect,)
         ]
         bare = hypothesis.stripped(effect)
@@ -232,8 +232,8 @@ def _simpler(
     """Packages of less complexity at the place of an effect."""
     return [
         package
-        for kind in kinds(effects, present)
-        if kind.complexity < kind_complexity((effect.name,)) and effect.where in kind.options
+        for kind in kinds_at(effects, present, effect.where)
+        if kind.complexity < kind_complexity((effect.name,))
         for package in kind.options[effect.where]
     ]
 

@@ -113,11 +113,13 @@ def joint_residuals(
 
 def full_motion(case: Case) -> list[tuple[int, Segment]]:
     """The segments of all logs, in memory, each with the index of its log."""
-    return [
-        (log, segment[:_SAMPLES])
-        for log, trajectory in enumerate(case.trajectories)
-        for segment in trajectory.segments
-    ]
+    if Segment not in case.kept:
+        case.kept[Segment] = [
+            (log, segment[:_SAMPLES])
+            for log, trajectory in enumerate(case.trajectories)
+            for segment in trajectory.segments
+        ]
+    return list(case.kept[Segment])
 
 
 def filtered_columns(

@@ -16,7 +16,7 @@ from geodrake.diagnosis.evidence import (
     fold_agreement,
     log_likelihood_gain,
 )
-from geodrake.diagnosis.hypothesis import Hypothesis, effective_per_joint
+from geodrake.diagnosis.hypothesis import Hypothesis, effective_of_each
 from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import Candidate, HeldOut
 from geodrake.identification.dataset import Dataset
@@ -96,32 +96,23 @@ def try_packages(
     least: Criteria | None = None,
 ) -> list[Trial]:
     """Held-out evidence for each of several packages; see `try_package`."""
+    dataset, before, known = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
+    trials, promising = list[Trial](), list[int]()
     fits = _quick_fits(hypothesis, packages) if packages else []
-    return [
-        _trial(hypothesis, package, after=after, tried=tried, least=least)
-        for package, after in zip(packages, fits, strict=True)
-    ]
-
-
-def _trial(
-    hypothesis: Hypothesis,
-    package: Package,
-    *,
-    after: HeldOut,
-    tried: int,
-    least: Criteria | None,
-) -> Trial:
-    dataset, before = hypothesis.dataset, hypothesis.held_out
-    reduction, agreement = improvement((before, after), acted_upon(dataset, package))
-    few = least and (reduction < least.reduction or agreement < least.agreement)
-    own = after.x[:, len(hypothesis.unknowns.columns) :]
-    if few or is_nothing(package.effects, own):
-        return Trial(package, 0.0, reduction, agreement, 1.0)
-    both = np.concatenate([hypothesis.unknowns.columns, columns_of(dataset, package)])
-    effective = effective_per_joint(dataset, both, after, delay=hypothesis.delay)
-    gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
-    alarm = false_alarm_probability(gain, package.parameters, tried)
-    return Trial(package, gain, reduction, agreement, alarm)
+    for package, after in zip(packages, fits, strict=True):
+        reduction, agreement = improvement((before, after), acted_upon(dataset, package))
+        few = least and (reduction < least.reduction or agreement < least.agreement)
+        if not few and not is_nothing(package.effects, after.x[:, len(known) :]):
+            promising.append(len(trials))
+        trials.append(Trial(package, 0.0, reduction, agreement, 1.0))
+    columns = [np.concatenate([known, columns_of(dataset, packages[k])]) for k in promising]
+    both = [(used, fits[k].x) for used, k in zip(columns, promising, strict=True)]
+    counts = effective_of_each(dataset, both, delay=hypothesis.delay)
+    for k, effective in zip(promising, counts, strict=True):
+        gain = float(log_likelihood_gain(before.mse, fits[k].mse, effective).sum())
+        alarm = false_alarm_probability(gain, packages[k].parameters, tried)
+        trials[k] = replace(trials[k], gain=gain, alarm=alarm)
+    return trials
 
 
 def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
@@ -153,7 +144,8 @@ def _quick_fits(hypothesis: Hypothesis, packages: Sequence[Package]) -> list[Hel
 
 
 def _candidate(dataset: Dataset, package: Package) -> Candidate:
-    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in package.effects])
+    known = [effect_prior(dataset, effect)[1] for effect in package.effects]
+    information = block_diag(*known) if len(known) > 1 else known[0]
     parameters = [p for effect in package.effects for p in effect.parameters]
     lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
     return Candidate(columns_of(dataset, package), information, lower, upper)
@@ -195,8 +187,7 @@ def acted_upon(dataset: Dataset, package: Package) -> Mask:
     """
     if all(effect.name == "backlash" for effect in package.effects):
         return np.isin(dataset.joints, [joint for e in package.effects for joint in e.where])
-    columns = columns_of(dataset, package)
-    return np.array([np.any(data.local(columns) >= 0) for data in dataset.data])
+    return np.asarray(dataset.reach[:, columns_of(dataset, package)].any(axis=1))
 
 
 def columns_of(dataset: Dataset, package: Package) -> Indices:

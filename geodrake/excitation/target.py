@@ -176,7 +176,8 @@ class Target:
             Y = base_wrench_regressor(tree, *samples, X_WP=self.X_WP)
             return Measurement(motion, Y[:, :, self.columns], None)
         Y = inverse_dynamics_regressor(tree, *samples)
-        seen = self.model.motion(motion, sign_width=self.sign_width, regressor=Y)
+        load = Y @ self.model.total_phi.ravel()
+        seen = self.model.motion(motion, sign_width=self.sign_width, load=load)
         every = np.array_equal(self.columns, np.arange(Y.shape[2]))
         parts = [Y if every else Y[:, :, self.columns]]
         parts += [fitted.effect.regressor(seen) for fitted in self.further]

@@ -12,10 +12,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import lsq_linear
 
 from geodrake.identification.dataset import Dataset
+from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
 from geodrake.identification.unknowns import Unknowns
 
 Array = NDArray[np.float64]
@@ -75,10 +74,9 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0) ->
     """
     sse = np.empty((len(dataset.folds), len(dataset.joints)))
     for j, data in enumerate(dataset.data):
-        local = data.local(columns)
-        used = local >= 0
-        predicted = (data.factors[:, :, local[used]] @ x[:, used, None])[..., 0]
-        sse[:, j] = np.square(data.factors[:, :, len(data.columns) + delay] - predicted).sum(1)
+        n = len(data.columns)
+        predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
+        sse[:, j] = np.square(data.factors[:, :, n + delay] - predicted).sum(1)
     return HeldOut(sse, dataset.samples, x)
 
 
@@ -90,18 +88,15 @@ def normal_matrices(
     Returns:
         (F, l, r) and (F, r).
     """
-    gram = np.zeros((len(dataset.folds), len(left), len(right)))
-    rhs = np.zeros((len(dataset.folds), len(right)))
+    gram = np.zeros((len(left), len(right), len(dataset.folds)))
+    rhs = np.zeros((1, len(right), len(dataset.folds)))
     for data, weight in zip(dataset.data, weights, strict=True):
         at_right = data.local(right)
-        on_right = np.flatnonzero(at_right >= 0)
-        if len(on_right):
-            at_left = data.local(left)
-            on_left = np.flatnonzero(at_left >= 0)
-            rows, cols = at_left[on_left], at_right[on_right]
-            gram[:, on_left[:, None], on_right] += weight * data.grams[:, rows[:, None], cols]
-            rhs[:, on_right] += weight * data.grams[:, cols, len(data.columns) + delay]
-    return gram, rhs
+        if np.any(at_right >= 0):
+            effort = np.array([len(data.columns) + delay])
+            gram += weight * data.products(data.local(left), at_right)
+            rhs += weight * data.products(effort, at_right)
+    return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs[0].T)
 
 
 class CrossValidation:
@@ -132,16 +127,16 @@ class CrossValidation:
     def _solve(self, gram: Array, rhs: Array) -> _Fit:
         """Minimizer within the bounds, and the factor of the unbounded problem."""
         scale = 1.0 / np.sqrt(np.diag(gram))
-        factor = cho_factor(gram * scale[:, None] * scale + _ridge(len(gram)), lower=True)
-        x = unbounded = scale * cho_solve(factor, scale * rhs)
+        scaled = gram * scale[:, None] * scale
+        factor = cholesky(scaled)
+        x = unbounded = scale * solved(factor, scale * rhs)
         free = np.ones(len(x), bool)
         lower, upper = self.unknowns.lower, self.unknowns.upper
         while np.any(outside := (x < lower - 1e-12) | (x > upper + 1e-12)):
             free &= ~outside
             x = np.clip(x, lower, upper)
-            sub = gram[np.ix_(free, free)] * scale[free, None] * scale[free]
             right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
-            x[free] = scale[free] * cho_solve(cho_factor(sub + _ridge(len(sub)), lower=True), right)
+            x[free] = scale[free] * solved(cholesky(scaled[np.ix_(free, free)]), right)
         return _Fit(x, unbounded, factor, scale)
 
     def fit_all(self) -> Array:
@@ -163,7 +158,7 @@ class CrossValidation:
     @cached_property
     def _covariance(self) -> Array:
         scale = 1.0 / np.sqrt(np.diag(self._gram))
-        matrix = self._gram * scale[:, None] * scale + _ridge(len(scale))
+        matrix = self._gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
         return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
 
     @cached_property
@@ -202,7 +197,7 @@ class CrossValidation:
         for k, candidate in enumerate(candidates):
             at = np.searchsorted(columns, candidate.columns)
             block = schur[:, at[:, None], at] + candidate.information
-            y[:, at, k] = _bounded_solve(block, pull[:, at], candidate.lower, candidate.upper)
+            y[:, at, k] = bounded_minimizers(block, pull[:, at], candidate.lower, candidate.upper)
         change = -(moved @ y)
         sse = self._errors_after(columns, y, change)
         found = []
@@ -261,36 +256,14 @@ class _Fit:
 
     x: Array
     unbounded: Array
-    factor: tuple[Array, bool]
+    factor: Array
     scale: Array
 
     def solve(self, right: Array) -> Array:
-        return self.scale[:, None] * cho_solve(self.factor, self.scale[:, None] * right)
+        return self.scale[:, None] * solved(self.factor, self.scale[:, None] * right)
 
     def slope(self, x: Array) -> Array:
         """(p,) slope of half the weighted squared error at other parameters (p,)."""
-        triangle = np.tril(self.factor[0])
+        triangle = np.tril(self.factor)
         step = (x - self.unbounded) / self.scale
         return np.asarray((triangle @ (triangle.T @ step)) / self.scale)
-
-
-def _ridge(size: int) -> Array:
-    """Keeps columns that say the same (a friction and its asymmetric form) from being singular."""
-    return 1e-9 * np.eye(size)
-
-
-def _bounded_solve(schur: Array, rhs: Array, lower: Array, upper: Array) -> Array:
-    """(F, k) minimizers of ½ yᵀ S y − rᵀ y within bounds, for S (F, k, k) and r (F, k)."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(schur, axis1=1, axis2=2), 1e-300))
-    # Columns that say the same leave eigenvalues that rounding may make negative.
-    values, vectors = np.linalg.eigh(schur * scale[:, :, None] * scale[:, None])
-    roots = np.sqrt(np.maximum(values, 0.0) + 1e-9)
-    target = (np.swapaxes(vectors, 1, 2) @ (scale * rhs)[..., None])[..., 0] / roots
-    y = scale * (vectors @ (target / roots)[..., None])[..., 0]
-    if len(lower) == 1:
-        return np.asarray(np.clip(y, lower, upper))
-    for f in np.flatnonzero(np.any((y < lower) | (y > upper), axis=1)):
-        box = (lower / scale[f], upper / scale[f])
-        matrix = roots[f, :, None] * vectors[f].T
-        y[f] = scale[f] * lsq_linear(matrix, target[f], box, method="bvls").x
-    return np.asarray(y)

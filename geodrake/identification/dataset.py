@@ -87,10 +87,39 @@ class JointData:
         """(F, p_j + d, p_j + d) normal matrices RᵀR of every fold."""
         return np.swapaxes(self.factors, 1, 2) @ self.factors
 
+    @cached_property
+    def _entries(self) -> Array:
+        """(n², F) entries of the normal matrices with zeros at their end, where position −1 is."""
+        padded = np.pad(np.moveaxis(self.grams, 0, 2), ((0, 1), (0, 1), (0, 0)))
+        return padded.reshape(-1, len(self.factors))
+
+    @cached_property
+    def _positions(self) -> Indices:
+        positions = np.full(self.columns[-1] + 2, -1)
+        positions[self.columns] = np.arange(len(self.columns))
+        return positions
+
     def local(self, columns: Indices) -> Indices:
         """Positions of global columns at this joint; −1 where a column cannot be nonzero."""
-        position = np.minimum(np.searchsorted(self.columns, columns), len(self.columns) - 1)
-        return np.where(self.columns[position] == columns, position, -1)
+        return self._positions[np.minimum(columns, len(self._positions) - 1)]
+
+    def products(self, left: Indices, right: Indices) -> Array:
+        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,) that may be −1."""
+        size = self.factors.shape[2] + 1
+        return self._entries.take((left % size)[:, None] * size + right % size, axis=0)
+
+    def parameters(self, columns: Indices, x: Array) -> Array:
+        """(F, p_j) parameters of the columns of this joint.
+
+        Args:
+            columns: (p,) global columns, one of which may be there twice.
+            x: (F, p) their parameters; those of all others are zero.
+        """
+        local = self.local(columns)
+        seen = np.flatnonzero(local >= 0)
+        parameters = np.zeros((len(self.columns), len(x)))
+        np.add.at(parameters, local[seen], x.T[seen])
+        return np.ascontiguousarray(parameters.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,10 +159,19 @@ class Dataset:
         return column_starts(self.effects, self.bodies)
 
     @cached_property
+    def reach(self) -> NDArray[np.bool_]:
+        """(nv, p) whether a column can be nonzero at a joint."""
+        return np.array([data.local(np.arange(self._width)) >= 0 for data in self.data])
+
+    @property
+    def _width(self) -> int:
+        own = sum(len(effect.parameters) for effect in self.effects if not is_payload(effect))
+        return len(self.bodies) * PARAMETERS_PER_BODY + own
+
+    @cached_property
     def column_power(self) -> Array:
         """(p,) mean square of every column, over the efforts' variance, summed over joints."""
-        own = sum(len(effect.parameters) for effect in self.effects if not is_payload(effect))
-        power = np.zeros(len(self.bodies) * PARAMETERS_PER_BODY + own)
+        power = np.zeros(self._width)
         for data, std in zip(self.data, self.effort_std, strict=True):
             squares = np.square(data.factors[:, :, : len(data.columns)]).sum((0, 1))
             power[data.columns] += squares / std**2 / data.samples.sum()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,55 +15,19 @@ from geodrake.effects.deflection import DeflectionEffect, slopes_of
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.held_payloads import held_phi, holding
 from geodrake.identification.dataset import Indices, JointRows, column_starts, is_payload
+from geodrake.identification.shared_rows import Blocks, SharedRows
 from geodrake.model import RobotModel
 from geodrake.motion import MEMORY, Motion, Segment, Stretch, Trajectory
 from geodrake.regressor import inverse_dynamics_regressor
 from geodrake.smoothing import SPLINE_REACH
 
 Array = NDArray[np.float64]
-Blocks = Mapping[int, Array]
-"""Columns (K, k) by the index of the joint."""
-
 INERTIA = "inertia"
 """What the columns of inertial parameters belong to, as those of an effect belong to it."""
 
 MOSTLY_STILL = 0.3
 """Share of a filter window at rest from which on a joint's sample is left out: dry friction can
 then be anything up to breakaway, and no model of the motion says what."""
-
-ROOM = 10_000_000
-"""Numbers that reductions of the same logs may share: 80 MB."""
-
-
-class SharedRows:
-    """What reductions of the same logs by the same robot share, by what it belongs to.
-
-    The columns of an effect do not depend on what else is tried, so that only those have to be
-    evaluated that no reduction had before. When there is no more room, no more is kept.
-
-    Args:
-        room: How many numbers to keep.
-    """
-
-    def __init__(self, room: int = ROOM) -> None:
-        self._room, self._kept = room, dict[Hashable, Blocks]()
-
-    def get(self, key: Hashable) -> Blocks | None:
-        """What is kept under a key, if anything is."""
-        return self._kept.get(key)
-
-    def read_only(self) -> SharedRows:
-        """What is kept here, for reductions whose columns are not needed again."""
-        reader = SharedRows(0)
-        reader._kept = self._kept
-        return reader
-
-    def keep(self, key: Hashable, blocks: Blocks) -> None:
-        """Keeps blocks as long as there is room."""
-        size = sum(block.size for block in blocks.values())
-        if 0 < size <= self._room and key not in self._kept:
-            self._room -= size
-            self._kept[key] = {at: np.ascontiguousarray(block) for at, block in blocks.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,17 +81,33 @@ class Layout:
         return self.model.total_phi.tobytes(), effects, self.sign_width.tobytes()
 
     def evaluate(
-        self, motion: Motion, trajectory: Trajectory, parts: Iterable[Effect | str]
-    ) -> list[Blocks]:
-        """Unfiltered columns of some of the parts at a motion of a log."""
-        regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
-        robot = holding(self.model, trajectory.payloads)
-        seen = robot.motion(motion, sign_width=self.sign_width, regressor=regressor)
-        seen, width = replace(seen, log=log_number(trajectory.name)), regressor.shape[2]
-        inertial = {j: regressor[:, j, c[c < width]] for j, c in enumerate(self.columns)}
+        self,
+        motion: Motion,
+        trajectory: Trajectory,
+        parts: Collection[Effect | str],
+        load: Array | None = None,
+    ) -> tuple[list[Blocks], Array]:
+        """Unfiltered columns of some of the parts at a motion of a log.
+
+        Args:
+            motion: The motion, N samples.
+            trajectory: The log.
+            parts: The parts.
+            load: (N, nv) effort of the bodies with what they hold, where it is known already.
+
+        Returns:
+            The columns of each part, and the load.
+        """
+        robot, inertial = holding(self.model, trajectory.payloads), dict[int, Array]()
+        if INERTIA in parts:
+            regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
+            load, width = regressor @ robot.total_phi.ravel(), regressor.shape[2]
+            inertial = {j: regressor[:, j, c[c < width]] for j, c in enumerate(self.columns)}
+        seen = robot.motion(motion, sign_width=self.sign_width, load=load)
+        seen = replace(seen, log=log_number(trajectory.name))
         effects = [part for part in parts if isinstance(part, Effect)]
         found = dict(zip(effects, self._rows(effects, seen), strict=True))
-        return [inertial if isinstance(part, str) else found[part] for part in parts]
+        return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
 
     def _rows(self, effects: Sequence[Effect], seen: RobotMotion) -> list[Blocks]:
         bending = [effect for effect in effects if isinstance(effect, DeflectionEffect)]
@@ -238,8 +218,12 @@ class LogSlice:
         found = {part: shared.get(key) for part, key in keys.items()}
         missing = [part for part, blocks in found.items() if blocks is None]
         if missing:
-            new = self._filtered(layout.evaluate(self._motion, self.trajectory, missing))
-            for part, blocks in zip(missing, new, strict=True):
+            key = ("load", self.place, layout.model.total_phi.tobytes())
+            known = shared.get(key)
+            motion, load = self._motion(shared), None if known is None else known[0]
+            new, load = layout.evaluate(motion, self.trajectory, missing, load)
+            shared.keep(key, {0: load}, signals=True)
+            for part, blocks in zip(missing, self._filtered(new), strict=True):
                 found[part] = blocks
                 shared.keep(keys[part], blocks)
         return [blocks for blocks in found.values() if blocks is not None]
@@ -251,14 +235,20 @@ class LogSlice:
         pieces = iter(np.split(apply(np.hstack(flat)), ends[:-1], axis=1) if flat else ())
         return [{j: next(pieces) for j in blocks} for blocks in parts]
 
-    @cached_property
-    def _motion(self) -> Motion:
-        here, model = self._here, self.layout.model
+    def _motion(self, shared: SharedRows) -> Motion:
+        key, model = ("unfiltered motion", self.place), self.layout.model
+        found = shared.get(key)
+        if found is None:
+            here = self._here
+            parts = (here.position, here.velocity, here.acceleration, here.time)
+            found = dict(enumerate(parts))
+            shared.keep(key, found, signals=True)
+        position, velocity, acceleration, time = (found[i] for i in range(4))
         return Motion(
-            model.positions(here.position),
-            here.velocity,
-            here.acceleration,
-            here.time - self.trajectory.began,
+            model.positions(position),
+            velocity,
+            acceleration,
+            time - self.trajectory.began,
             model.positions(self._past()),
         )
 

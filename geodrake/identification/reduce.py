@@ -14,8 +14,9 @@ from geodrake.effects.effort_delay import EffortDelay
 from geodrake.errors import LogError
 from geodrake.folds import Block, Fold
 from geodrake.identification.dataset import Dataset, JointData, JointRows
-from geodrake.identification.log_slices import Layout, LogSlice, SharedRows
+from geodrake.identification.log_slices import Layout, LogSlice
 from geodrake.identification.noise import noise_floor
+from geodrake.identification.shared_rows import SharedRows
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model import LARGEST_REGRESSOR, RobotModel
 from geodrake.motion import Trajectory
