@@ -33,6 +33,7 @@ from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
 from geodrake.effects import Effect, EffortDelay, make_effect
+from geodrake.effects.effort_delay import delays_of
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
 from geodrake.log_files import write_log
@@ -74,7 +75,7 @@ class HiddenEffect:
     def law(self) -> tuple[Effect, Array]:
         """The effect and its linear parameters."""
         if self.name == EffortDelay.name:
-            return EffortDelay(self.size[0]), np.empty(0)
+            return EffortDelay(self.size[0], *self.where), np.empty(0)
         effect, size = make_effect(self.name, self.where), np.array(self.size)
         if self.name == "payload" and len(size) == 4:
             radius = np.cbrt(size[0] / (4 / 3 * np.pi * DENSITY))
@@ -183,7 +184,7 @@ def track(
     """States (N, nq + nv) and efforts (N, nv) of the plant on its motion."""
     laws = scenario.laws()
     forces = [law for law in laws if law[0].name not in (*PLANT_EFFECTS, EffortDelay.name)]
-    delay = sum(effect.delay for effect, _ in laws if isinstance(effect, EffortDelay))
+    delays = delays_of([effect for effect, _ in laws], joint_names(plant))
     builder = DiagramBuilder()
     builder.AddSystem(plant)
     clean = load(scenario, hidden=False)
@@ -191,8 +192,7 @@ def track(
     if forces:
         block = EffectForce.AddToBuilder(builder, plant, forces, sign_width=SIGN_WIDTH)
         builder.Connect(effort, block.GetInputPort("applied_effort"))
-    if delay:
-        delays = [delay] * plant.num_velocities()
+    if delays.any():
         late = builder.AddSystem(DelayedEffort(delays, period=TIME_STEP))
         builder.Connect(effort, late.get_input_port())
         effort = late.get_output_port()

@@ -129,7 +129,7 @@ def left_out(
         model = load_model(shared / "reference" / study.model)
         for step in explanation.steps:
             if step is not out:
-                where = None if step.effect == "effort_delay" else step.where
+                where = step.where or None
                 model = add(step.effect, model, logs, where=where, blocks=study.blocks).model
         found.append(("none" if out is None else out.effect, errors(model)))
     return found

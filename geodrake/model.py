@@ -21,7 +21,7 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.effort_delay import common_delay
+from geodrake.effects.effort_delay import delays_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.kinematics import KinematicTree
@@ -126,9 +126,9 @@ class RobotModel:
         return tuple(pairs)
 
     @property
-    def delay(self) -> float:
-        """Seconds by which measured efforts lag, as far as the model knows."""
-        return common_delay([fitted.effect for fitted in self.effects])
+    def delays(self) -> Array:
+        """(nv,) seconds by which measured efforts lag, as far as the model knows."""
+        return delays_of([fitted.effect for fitted in self.effects], self.joints)
 
     @cached_property
     def total_phi(self) -> Array:

@@ -47,7 +47,7 @@ class HiddenEffects:
     belt: Mapping[tuple[int, int], tuple[float, float]] = field(default_factory=dict)
     payload: tuple[float, tuple[float, float, float], float] | None = None
     law: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
-    late: float = 0.0
+    late: float | tuple[float, ...] = 0.0
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ def record(name, rows, rng, *, joints, share=0.04, late=0.0, every=8, encoder=1e
         rng: Random generator.
         joints: Names of the joints.
         share: Deviation of the effort's noise, as a share of that of the effort.
-        late: By how much logged efforts lag behind, s.
+        late: By how much logged efforts lag behind, all or each of them, s.
         every: Steps from one sample to the next.
         encoder: Deviation of the position's noise, rad.
     """
@@ -214,7 +214,9 @@ def record(name, rows, rng, *, joints, share=0.04, late=0.0, every=8, encoder=1e
     # An effort is held over a step: at the instant between two steps it is their mean.
     at = np.arange(1, len(q), every)
     u = 0.5 * (u[at] + u[at - 1])
-    u = np.stack([np.interp(time[at] - late, time[at], column) for column in u.T], 1)
+    lags = np.broadcast_to(late, u.shape[1])
+    both = zip(lags, u.T, strict=True)
+    u = np.stack([np.interp(time[at] - lag, time[at], column) for lag, column in both], 1)
     noise = np.hypot(share * u.std(0), least)
     return Recording(
         JointLog(

@@ -415,3 +415,39 @@ def test_small_bounded_problems(seed, exchanges, monkeypatch):
         target, box = np.concatenate([own_b, np.zeros(k)]), (lower / scale, upper / scale)
         expected = lsq_linear(ridged, target, box, method="bvls", tol=1e-14).x
         np.testing.assert_allclose(ridged @ (y / scale), ridged @ expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("delay", [(0, 1), (1, 0)])
+def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
+    """The same as with efforts of those columns in place of the first ones."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    chosen = []
+    for data, late in zip(dataset.data, delay, strict=True):
+        n = len(data.columns)
+        order = np.r_[np.arange(n), n + late, n + 1 - late]
+        rows = tuple(
+            tuple(replace(rows, b=rows.b[:, [late, 1 - late]]) for rows in blocks)
+            for blocks in data.rows
+        )
+        chosen.append(replace(data, factors=data.factors[:, :, order], rows=rows))
+    moved = replace(dataset, data=tuple(chosen))
+    found = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
+    expected = CrossValidation(moved, unknowns, WEIGHTS)
+    np.testing.assert_allclose(found.held_out.sse, expected.held_out.sse, rtol=1e-9)
+    np.testing.assert_allclose(found.fit_all(), expected.fit_all(), rtol=1e-7)
+    physical = held_out_physical(dataset, unknowns, WEIGHTS, delay=delay)
+    np.testing.assert_allclose(
+        physical.sse, held_out_physical(moved, unknowns, WEIGHTS).sse, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_errors_at_delays_are_those_of_refits(dataset, model, joint):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = replace(unknowns, lower=np.full(len(unknowns.lower), -np.inf))
+    for now in (0, 1):
+        found = CrossValidation(dataset, unknowns, WEIGHTS, delay=now).errors_at_delays(joint)
+        for delay in (0, 1):
+            other = [delay if j == joint else now for j in range(2)]
+            refit = CrossValidation(dataset, unknowns, WEIGHTS, delay=other).held_out.sse[:, joint]
+            np.testing.assert_allclose(found[delay], refit, rtol=1e-6)

@@ -225,6 +225,21 @@ def test_delays_advance_the_effort(model):
                 np.testing.assert_allclose(rows.b[:, d], truth, atol=2e-3)
 
 
+def test_every_joint_has_delays_of_its_own(model):
+    log = pendulum_log(3, noise=(0.0, 0.0))
+    rate = np.array([3.0, 5.0])
+    log = replace(log, effort=np.sin(rate * log.time[:, None]))
+    trajectories = prepare_logs([log], bandwidth=10.0)
+    late = replace(model, effects=(FittedEffect(EffortDelay(0.007, "elbow"), np.empty(0)),))
+    folds, delays = validation_blocks(trajectories), (0.0, [0.012, -0.02])
+    dataset = reduce_logs(late, trajectories, folds, effects=(), delays=delays)
+    np.testing.assert_array_equal(dataset.delays, [[0.0, 0.0], [0.012, -0.02]])
+    for j, advance in enumerate(((0.0, 0.012), (0.007, -0.013))):
+        for rows in (rows for blocks in dataset.data[j].rows for rows in blocks):
+            truth = np.sin(rate[j] * (rows.time[:, None] + advance))
+            np.testing.assert_allclose(rows.b, truth, atol=2e-3)
+
+
 def test_joint_at_rest_has_no_rows_of_that_time(model):
     """Dry friction of a joint that rests may be anything: those samples say nothing."""
     time = np.arange(8000) / 200.0

@@ -22,7 +22,7 @@ from pydrake.multibody.tree import (
 
 import geodrake.effects
 from geodrake import effects
-from geodrake.effects import Effect, JointMotion, RobotMotion
+from geodrake.effects import Effect, JointMotion, RobotMotion, effort_delay
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
@@ -367,6 +367,20 @@ class TestDelay:
         ramp = np.arange(n, dtype=float)
         delayed = effects.EffortDelay(0.5).delayed(ramp, 1.0)
         np.testing.assert_allclose(delayed, np.maximum(ramp - 0.5, 0.0), atol=1e-12)
+
+    def test_several_signals(self):
+        """Each is delayed by its own time; what makes delays is one effect where they are alike."""
+        signals = np.stack([np.sin(40 * self.time), np.cos(90 * self.time)], -1)
+        delays = np.array([0.004, -0.0013])
+        found = effort_delay.delayed_by(delays, signals, self.period)
+        for column, (delay, signal) in enumerate(zip(delays, signals.T, strict=True)):
+            alone = effects.EffortDelay(delay).delayed(signal, self.period)
+            np.testing.assert_array_equal(found[:, column], alone)
+        joints = ("a", "b")
+        for seconds, count in ((delays, 2), ([0.003, 0.003], 1), ([0.0, 0.01], 1), ([0, 0], 0)):
+            made = effort_delay.effort_delays(seconds, joints)
+            assert len(made) == count
+            np.testing.assert_array_equal(effort_delay.delays_of(made, joints), seconds)
 
     def test_bad_arguments(self):
         with pytest.raises(ArgumentError, match="finite delay"):

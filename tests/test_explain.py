@@ -226,9 +226,9 @@ def test_delay_is_found_between_the_samples(model, logs):
     ]
     found = explain(model, late, bandwidth=BANDWIDTH)
     assert places(found) == {**WHERE, "effort_delay": ()}
-    assert found.model.delay == pytest.approx(0.0123, abs=0.001)
+    np.testing.assert_allclose(found.model.delays, 0.0123, atol=0.001)
     step = next(step for step in found.steps if step.effect == "effort_delay")
-    assert step.parameters["all joints"]["delay"] == found.model.delay
+    assert step.parameters["all joints"]["delay"] == found.model.delays[0]
     again = explain(found.model, late, bandwidth=BANDWIDTH)
     assert again.steps == ()
 
@@ -411,7 +411,8 @@ def test_add_a_pair_and_a_body(model, logs):
         ("coulomb_friction", ["lower_link"], "cannot be added at lower_link"),
         ("payload", ["elbow"], "cannot be added at elbow"),
         ("coupled_friction", ["elbow"], "cannot be added at elbow"),
-        ("effort_delay", ["elbow"], "one of the whole robot and takes no place"),
+        ("effort_delay", ["lower_link"], "no joint 'lower_link'.*shoulder, elbow"),
+        ("wrong_inertia", ["elbow"], "one of the whole robot and takes no place"),
         ("effort_scale", None, "inertias or payloads that are known"),
         ("contact", ["lower_link"], "where the residual shows it and takes no place"),
         ("contact", None, "No contact stands out"),
@@ -459,6 +460,27 @@ def test_add_wrong_inertia_moves_the_bodies(model):
 def test_add_a_delay(model, logs):
     found = add("effort_delay", model, logs, bandwidth=BANDWIDTH)
     assert [step.effect for step in found.steps] in ([], ["effort_delay"])
+
+
+def test_add_delays_of_joints(model, logs):
+    """Each joint that is named gets its own, even where another one is later."""
+    shifts = {"shoulder": 0.0, "elbow": 0.015}
+
+    def late(log):
+        lags = zip(shifts.values(), log.effort.T, strict=True)
+        moved = [np.interp(log.time - lag, log.time, effort) for lag, effort in lags]
+        return replace(log, effort=np.stack(moved, 1))
+
+    logs, known = [late(log) for log in logs], with_friction(model)
+    found = add("effort_delay", known, logs, where=["elbow"], bandwidth=BANDWIDTH)
+    (step,) = found.steps
+    assert step.where == ("elbow",)
+    assert step.parameters["elbow"]["delay"] == pytest.approx(0.015, abs=1e-3)
+    assert step.deviations["elbow"]["delay"] < 1e-3
+    np.testing.assert_allclose(found.model.delays, [0.0, step.parameters["elbow"]["delay"]])
+    np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
+    again = explain(found.model, logs, bandwidth=BANDWIDTH)
+    assert "effort_delay" not in {step.effect for step in again.steps}
 
 
 def test_no_logs_are_refused(model):

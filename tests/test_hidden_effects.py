@@ -211,6 +211,16 @@ PINOCCHIO = {
         {"payload": ("link_7",)},
     ),
     "late efforts": ("arm6", HiddenEffects(late=0.015), {"effort_delay": ()}),
+    "late elbow": (
+        "arm6",
+        HiddenEffects(late=(0.0, 0.0, 0.012, 0.0, 0.0, 0.0), viscous={2: 4.0}),
+        {"effort_delay": ("elbow_pitch",), "viscous_friction": ("elbow_pitch",)},
+    ),
+    "two late joints": (
+        "arm6",
+        HiddenEffects(late=(0.0, 0.0, 0.015, 0.0, 0.02, 0.0)),
+        {"effort_delay": ("elbow_pitch", "wrist_pitch")},
+    ),
 }
 
 
@@ -236,7 +246,21 @@ def test_pinocchio_with_bodies_off(case, seed):
     plant = perturbed(file, rng, 0.2)
     rows = simulate(plant, file, random_motion(file, rng), hidden, 24.0)
     recording = record(case, rows, rng, joints=file.names[1:], late=hidden.late)
-    assert_found(name, recording, expected)
+    steps = assert_found(name, recording, expected)
+    for joint, delay in zip(file.names[1:], np.broadcast_to(hidden.late, file.nv), strict=True):
+        if joint in expected.get("effort_delay", ()):
+            assert steps["effort_delay"][joint]["delay"] == pytest.approx(delay, abs=1e-3)
+
+
+def test_one_joint_later_than_all_others():
+    """All are late, and one of them twice as much: every joint's delay is told."""
+    rng, file = np.random.default_rng(6), robot("arm6")
+    late = np.where(np.arange(6) == 1, 0.02, 0.01)
+    rows = simulate(file, file, random_motion(file, rng), HiddenEffects(), 24.0)
+    recording = record("later", rows, rng, joints=ARM6, late=late)
+    steps = assert_found("arm6", recording, {"effort_delay": ARM6})
+    told = [steps["effort_delay"][joint]["delay"] for joint in ARM6]
+    np.testing.assert_allclose(told, late, atol=1e-3)
 
 
 class TestNothingHidden:

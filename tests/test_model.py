@@ -99,7 +99,7 @@ def test_effects_add_to_the_effort_needed(arm, motion):
     expected[:, 4] += 0.7 * np.sign(w) + 0.3 * w
     expected[:, 5] -= 0.7 * np.sign(w) + 0.3 * w
     np.testing.assert_allclose(model.effort(motion), expected, rtol=0, atol=1e-9)
-    assert model.delay == 0.004
+    np.testing.assert_array_equal(model.delays, 0.004)
 
 
 def test_direction_is_smooth_where_it_is_not_known(arm):
@@ -153,7 +153,9 @@ def test_position_order_is_drakes(arm):
         assert arm.plant.GetJointByName(name).velocity_start() == i
 
 
-def test_delay_of_one_joint_is_refused(arm):
-    late = FittedEffect(EffortDelay(0.01, "elbow_pitch"), np.empty(0))
-    with pytest.raises(ArgumentError, match=r"0\.01 s at elbow_pitch alone"):
-        _ = replace(arm, effects=(late,)).delay
+def test_delays_of_joints_and_of_all_add_up(arm):
+    assert not arm.delays.any()
+    late = [EffortDelay(0.01, "elbow_pitch"), EffortDelay(0.002), EffortDelay(-0.001)]
+    effects = tuple(FittedEffect(effect, np.empty(0)) for effect in late)
+    expected = np.where(np.array(arm.joints) == "elbow_pitch", 0.011, 0.001)
+    np.testing.assert_allclose(replace(arm, effects=effects).delays, expected)

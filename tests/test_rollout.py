@@ -58,7 +58,7 @@ def test_late_efforts_are_advanced():
     log = recording(HiddenEffects(late=0.02), late=0.02)
     model = load_model(ARM)
     explained = explain(model, [log]).model
-    assert explained.delay == pytest.approx(0.02, abs=1e-3)
+    np.testing.assert_allclose(explained.delays, 0.02, atol=1e-3)
     before, after = (roll_out(m, [log], most=4).relative for m in (model, explained))
     assert after < 0.5 * before
 

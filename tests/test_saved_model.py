@@ -52,6 +52,7 @@ def every_effect(model):
         JointSpring(e, center=-1 / 3),
         RotorInertia(f),
         EffortDelay(0.0123),
+        EffortDelay(-0.004, b),
         Payload(model.bodies[-1]),
     )
 
@@ -96,7 +97,8 @@ def test_comes_back_exactly(fitted, saved):
         np.testing.assert_array_equal(after.deviations, before.deviations)
     for name in ("phi", "total_phi", "information", "effort_noise", "fading_speed"):
         np.testing.assert_array_equal(getattr(again, name), getattr(fitted, name))
-    assert again.delay == fitted.delay
+    np.testing.assert_array_equal(again.delays, fitted.delays)
+    assert fitted.delays.any()
     assert again.notes == fitted.notes
 
 
@@ -140,12 +142,12 @@ def test_moves_together_with_its_base(saved, tmp_path):
     elsewhere.mkdir()
     shutil.copytree(tmp_path / "robot", elsewhere / "robot")
     shutil.move(saved, elsewhere / saved.name)
-    assert len(load_model(elsewhere / saved.name).effects) == 14
+    assert len(load_model(elsewhere / saved.name).effects) == 15
 
 
 def test_works_from_any_directory(saved, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert len(load_model(saved.name).effects) == 14
+    assert len(load_model(saved.name).effects) == 15
 
 
 def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
@@ -153,7 +155,7 @@ def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
     real.mkdir(parents=True)
     link.symlink_to(real)
     save_model(fitted, link / "model.yaml")
-    assert len(load_model(link / "model.yaml").effects) == 14
+    assert len(load_model(link / "model.yaml").effects) == 15
 
 
 def test_base_that_moved_is_named(saved, tmp_path):

@@ -9,6 +9,7 @@ from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.columns import with_columns, with_episodes
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.coupled import other_pairs
+from geodrake.diagnosis.delay import delayed_at
 from geodrake.diagnosis.exact_shapes import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
@@ -19,7 +20,7 @@ from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import LOOSER_PRIORS
 from geodrake.diagnosis.steps import steps_of
 from geodrake.diagnosis.trials import gain_of
-from geodrake.effects import Contact, effect_class
+from geodrake.effects import Contact, EffortDelay, effect_class
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
 from geodrake.identification.model_fit import model_unknowns
@@ -47,8 +48,9 @@ def add(
             are those that the residual shows.
         model: The model as it stands.
         logs: Logs or their files.
-        where: Joints or bodies, or the two joints of a pair; by default all joints, or the body
-            that helps most, or of the pairs of joints that follow each other the one that does.
+        where: Joints or bodies, or the two joints of a pair; by default all joints (a delay is
+            then that of all efforts), or the body that helps most, or of the pairs of joints that
+            follow each other the one that does.
         extra: Effect classes of the user's own that may be named.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
         blocks: Blocks into which every log is cut for validation.
@@ -94,14 +96,16 @@ def _refuse_what_cannot_be(
 ) -> None:
     """Raises an ArgumentError for what no log could add."""
     cls = None if effect in WHOLE else effect_class(effect, extra)
-    if where and (cls is None or cls is Contact):
+    late = effect == EffortDelay.name
+    if where and not late and (cls is None or cls is Contact):
         whose = "where the residual shows it" if cls is Contact else "one of the whole robot"
         raise ArgumentError(f"{effect} is {whose} and takes no place.")
-    known = (*model.joints, *model.bodies)
+    known = model.joints if late else (*model.joints, *model.bodies)
     for name in where or ():
         if name not in known:
             raise ArgumentError(
-                f"There is no joint or body {name!r}.", advice=f"There are: {', '.join(known)}."
+                f"There is no joint {'' if late else 'or body '}{name!r}.",
+                advice=f"There are: {', '.join(known)}.",
             )
 
 
@@ -159,8 +163,7 @@ def _without_columns(
 
 def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:
     if effect == "effort_delay":
-        delays = [start.delayed(d) for d in range(1, len(case.dataset.delays))]
-        return max(delays, key=lambda h: gain_of(start, h))
+        return _late(start, case, where)
     if effect == "wrong_inertia":
         looser = [start.loosened(factor / start.looseness) for factor in LOOSER_PRIORS]
         return max(looser, key=lambda h: gain_of(start, h))
@@ -177,6 +180,16 @@ def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | Non
     if where is None and added[0].places != "joint":
         return max(best, key=lambda h: gain_of(start, h))
     return start.with_effects(added)
+
+
+def _late(start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:
+    """The best delay of all efforts, or of those of each of some joints."""
+    every, grid = tuple(range(len(case.model.joints))), range(1, len(case.dataset.delays))
+    together = [every] if where is None else [(case.model.joints.index(name),) for name in where]
+    end = start
+    for joints in together:
+        end = max((delayed_at(end, joints, d) for d in grid), key=lambda h: gain_of(start, h))
+    return end
 
 
 def _places(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
@@ -196,21 +196,22 @@ def reopen(case: Case, model: RobotModel) -> Case:
 
 
 def reduced(
-    case: Case, effects: Sequence[Effect], *, delays: Sequence[float] | None = None
+    case: Case, effects: Sequence[Effect], *, delays: Sequence[ArrayLike] | None = None
 ) -> Dataset:
     """The logs of a case with columns for other effects.
 
     Args:
         case: The case.
         effects: Effects that get columns.
-        delays: Delays to try on top of the model's, s; by default those of the case.
+        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; by default
+            those of the case.
     """
     return reduce_logs(
         case.load_model,
         case.trajectories,
         case.folds,
         effects=effects,
-        delays=case.dataset.delays if delays is None else delays,
+        delays=[*case.dataset.delays] if delays is None else delays,
         floor=case.dataset.noise_floor if delays is None else None,
         shared=case.shared,
     )

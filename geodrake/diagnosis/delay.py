@@ -2,16 +2,52 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.diagnosis.hypothesis import Hypothesis
 
+Array = NDArray[np.float64]
+Joints = tuple[int, ...]
 
-def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
+_NO_TIME = 1e-9
+"""Delays, s, that are none: what rounding leaves."""
+
+
+def seconds_of(hypothesis: Hypothesis) -> Array:
+    """(nv,) delays of a hypothesis on top of its model's, s."""
+    return hypothesis.dataset.delays[list(hypothesis.delay), np.arange(len(hypothesis.delay))]
+
+
+def later(start: Hypothesis, end: Hypothesis) -> list[Joints]:
+    """Joints whose efforts are advanced further by another hypothesis; see `late_together`."""
+    return late_together(seconds_of(end) - seconds_of(start))
+
+
+def late_together(seconds: Array) -> list[Joints]:
+    """Joints that are late together: all of them where delays (nv,) are alike, else each alone."""
+    late = np.abs(seconds) > _NO_TIME
+    if late.all() and np.ptp(seconds) <= _NO_TIME:
+        return [tuple(range(len(seconds)))]
+    return [(int(joint),) for joint in np.flatnonzero(late)]
+
+
+def fine_delays(hypothesis: Hypothesis, late: Sequence[Joints]) -> tuple[Array, Array]:
+    """`fine_delay` of groups of joints: (nv,) delays and deviations; others are as they are."""
+    delays, deviations = seconds_of(hypothesis), np.full(len(hypothesis.delay), np.nan)
+    for joints in late:
+        delays[[*joints]], deviations[[*joints]] = fine_delay(hypothesis, joints)
+    return delays, deviations
+
+
+def fine_delay(hypothesis: Hypothesis, joints: Joints) -> tuple[float, float]:
     """The delay near that of a hypothesis at which its held-out squared error is least.
 
     Args:
         hypothesis: A hypothesis whose delay has neighbours on both sides of the grid.
+        joints: Indices of the joints that have it.
 
     Returns:
         Delay on top of the model's, s, and its standard deviation, s, from a parabola through the
@@ -19,19 +55,25 @@ def fine_delay(hypothesis: Hypothesis) -> tuple[float, float]:
         likelihoods are not; the delay itself and NaN where there is no neighbour on one side, or no
         minimum between them.
     """
-    delays = np.array(hypothesis.dataset.delays)
-    order, chosen = np.argsort(delays), delays[hypothesis.delay]
-    order = order[(delays[order] != chosen) | (order == hypothesis.delay)]
-    at = int(np.flatnonzero(order == hypothesis.delay)[0])
+    delays, own = hypothesis.dataset.delays[:, joints[0]], hypothesis.delay[joints[0]]
+    order, chosen = np.argsort(delays), delays[own]
+    order = order[(delays[order] != chosen) | (order == own)]
+    at = int(np.flatnonzero(order == own)[0])
     if not 0 < at < len(order) - 1:
         return float(chosen), np.nan
     near = order[at - 1 : at + 2]
     mse = hypothesis.held_out.mse
     weight = hypothesis.effective / np.maximum(mse, np.finfo(float).tiny)
-    errors = [hypothesis.delayed(int(d)).held_out.mse @ weight for d in near]
+    errors = [delayed_at(hypothesis, joints, d).held_out.mse @ weight for d in near.tolist()]
     offsets = delays[near] - chosen
     curvature, slope, _ = np.polyfit(offsets, errors, 2)
     if curvature <= 0.0:
         return float(chosen), np.nan
     step = np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1])
     return float(chosen + step), float(1.0 / np.sqrt(curvature))
+
+
+def delayed_at(hypothesis: Hypothesis, joints: Joints, delay: int) -> Hypothesis:
+    """A hypothesis with another delay (an index) at some joints."""
+    every = enumerate(hypothesis.delay)
+    return hypothesis.delayed([delay if j in joints else own for j, own in every])

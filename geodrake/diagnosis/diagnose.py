@@ -17,8 +17,8 @@ from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.forward import Forward, Trail, next_step, tuned
 from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
 from geodrake.diagnosis.proposals import DOMINANT
+from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
-from geodrake.diagnosis.search import Ranked
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
 from geodrake.diagnosis.trials import PENALTY, gain_of
 from geodrake.effects.base import Effect

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import DRY_AND_VISCOUS
 from geodrake.diagnosis.case import Case, reduced
@@ -22,7 +23,7 @@ from geodrake.diagnosis.columns import (
     with_fitted_loads,
     with_suggestions,
 )
-from geodrake.diagnosis.delay import fine_delay
+from geodrake.diagnosis.delay import fine_delays, later
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact_shapes import to_profile, with_plain_shapes
 from geodrake.diagnosis.fading import with_fading
@@ -32,7 +33,10 @@ from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.refine import split_compromises
 from geodrake.effects import Contact, EffortDelay
 from geodrake.effects.base import Effect
+from geodrake.effects.effort_delay import effort_delays
 from geodrake.model import FittedEffect
+
+Array = NDArray[np.float64]
 
 _MOST_ROUNDS = 12
 _MOST_FADINGS = 3
@@ -92,8 +96,8 @@ class _State:
         self.case, self.trail, self.held = case, trail, fixed
         self.timed: tuple[Effect, ...] | None = None
         self._fixed, self._criteria = fixed, criteria
-        self._grid, self._origin = case.dataset.effects, case.model.delay
-        self._step = abs(case.dataset.delays[1]) if len(case.dataset.delays) > 1 else 0.0
+        self._grid, self._origin = case.dataset.effects, case.model.delays
+        self._delays = case.dataset.delays[1:, 0].tolist()
         self._profiled, self._expanded = set(fixed), set(fixed)
         self._episodes: tuple[Effect, ...] = ()
         self._looked = False
@@ -131,8 +135,8 @@ class _State:
 
     def retime(self, share: float) -> None:
         """Advance the efforts by the delay; later ones are tried by this share of half a step."""
-        self.case, self.trail = with_exact_delay(
-            self.case, self.trail, origin=self._origin, step=share * self._step
+        self.case, self.trail = with_exact_delays(
+            self.case, self.trail, origin=self._origin, grid=share * np.array(self._delays)
         )
         self.timed = self.trail.end.unknowns.effects
 
@@ -142,10 +146,12 @@ class _State:
             return hypothesis.delay != self.trail.start.delay
         if hypothesis.unknowns.effects == self.timed:
             return False
-        if hypothesis.delay != 0:
+        if any(hypothesis.delay):
             return True
-        delay, deviation = fine_delay(hypothesis)
-        return abs(delay) > _DEVIATIONS * deviation  # without a minimum nothing is known
+        late = later(self.trail.start, self.trail.end)
+        delays, deviations = fine_delays(hypothesis, late)
+        # Without a minimum nothing is known.
+        return bool(np.any(np.abs(delays) > _DEVIATIONS * deviations))
 
     def _suggest(self, *, least_share: float = 0.0) -> None:
         had = self.case.dataset.effects
@@ -209,24 +215,28 @@ def _rubs(hypothesis: Hypothesis) -> bool:
     )
 
 
-def with_exact_delay(case: Case, trail: Trail, *, origin: float, step: float) -> tuple[Case, Trail]:
-    """The case with its efforts advanced by the delay that was found, and the trail carried over.
+def with_exact_delays(
+    case: Case, trail: Trail, *, origin: Array, grid: Array
+) -> tuple[Case, Trail]:
+    """The case with its efforts advanced by the delays that were found, and the trail carried over.
 
     A delay that is off by a part of the grid's step would look like further effects.
 
     Args:
         case: The case, its dataset with delays around that of the trail's end.
         trail: A search that found a delay.
-        origin: Delay of the model before the search, s: where the trail starts.
-        step: Step of the grid of delays, s; the next grid has half of it.
+        origin: (nv,) delays of the model before the search, s: where the trail starts.
+        grid: Delays on a grid, s, by which joints may be late beside. Half its step is the next
+            one around the delays that were found.
     """
-    delay = case.model.delay + fine_delay(trail.end)[0]
-    lag = FittedEffect(EffortDelay(delay), np.empty(0), np.empty(0))
+    late = later(trail.start, trail.end)
+    delays = case.model.delays + fine_delays(trail.end, late)[0]
+    effects = effort_delays(delays, case.model.joints)
+    lags = [FittedEffect(effect, np.empty(0), np.empty(0)) for effect in effects]
     kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
-    model = replace(case.model, effects=(*kept, lag))
-    case = replace(case, model=model)
-    dataset = reduced(
-        case, case.dataset.effects, delays=(0.0, origin - delay, 0.5 * step, -0.5 * step)
-    )
+    case = replace(case, model=replace(case.model, effects=(*kept, *lags)))
+    near = [0.5 * abs(grid[0]), -0.5 * abs(grid[0])]
+    tried = (0.0, origin - delays, *near, *grid)
+    dataset = reduced(case, case.dataset.effects, delays=tried)
     start, end = trail.start.moved(dataset, delay=1), trail.end.moved(dataset, delay=0)
     return replace(case, dataset=dataset), replace(trail, start=start, end=end)

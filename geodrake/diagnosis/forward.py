@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.evidence import Criteria, tie_probability
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.pairs import open_joints, rank_pairs
+from geodrake.diagnosis.pairs import rank_pairs
+from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.refine import prune, reshape, simplify, swap
 from geodrake.diagnosis.rival import Rival
-from geodrake.diagnosis.search import Ranked, choose, rank
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.search import choose, rank
+from geodrake.diagnosis.trials import PENALTY, gain_of, open_joints
 from geodrake.effects.base import Effect
 
 TIGHTER_PRIORS = (0.1, 1.0 / 3.0, 1.0)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.evidence import effective_samples_of_each
+from geodrake.diagnosis.evidence import effective_samples_of_each, log_likelihood_gain
 from geodrake.effects.base import Effect
 from geodrake.errors import IdentificationError
 from geodrake.identification.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.dataset import Dataset, JointData, is_payload
+from geodrake.identification.dataset import Dataset, Delay, JointData, is_payload
 from geodrake.identification.model_fit import held_out_physical
 from geodrake.identification.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
@@ -44,7 +44,7 @@ class Hypothesis:
         dataset: The reduced logs.
         unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual: effective share of the samples / mse.
-        delay: Index of the dataset's effort delay.
+        delay: Index of the dataset's effort delay, for every joint.
         looseness: Factor by which the inertial prior is widened.
         cv: The fits.
         effective: (nv,) effective number of samples.
@@ -54,7 +54,7 @@ class Hypothesis:
     dataset: Dataset
     unknowns: Unknowns
     weights: Array
-    delay: int
+    delay: tuple[int, ...]
     looseness: float
     cv: CrossValidation
     effective: Array
@@ -148,9 +148,15 @@ class Hypothesis:
         unknowns = self.unknowns.released(effect, information)
         return settle(replace(self, unknowns=unknowns, released=(*self.released, effect)))
 
-    def delayed(self, delay: int) -> Hypothesis:
-        """This hypothesis against the effort with another delay."""
-        return settle(replace(self, delay=delay))
+    def delayed(self, delay: Delay) -> Hypothesis:
+        """This hypothesis against the effort with another delay, of all joints or of each."""
+        return settle(replace(self, delay=self.dataset.delay_of_each(delay)))
+
+    def quick_gain(self, delay: Delay) -> float:
+        """Twice the held-out log-likelihood ratio of another delay, the weights as they are."""
+        cv = CrossValidation(self.dataset, self.unknowns, self.weights, delay=delay)
+        gain = log_likelihood_gain(self.held_out.mse, cv.held_out.mse, self.effective)
+        return float(gain.sum())
 
     def moved_columns(self, dataset: Dataset) -> Indices:
         """(p,) columns of the unknowns in another dataset of the same bodies and effects."""
@@ -158,7 +164,7 @@ class Hypothesis:
         columns += [dataset.effect_columns(effect) for effect in self.unknowns.effects]
         return np.concatenate(columns)
 
-    def moved(self, dataset: Dataset, *, delay: int, iterations: int = 2) -> Hypothesis:
+    def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
         """This hypothesis on another dataset of the same bodies that has its effects, refitted.
 
         Args:
@@ -167,12 +173,13 @@ class Hypothesis:
             iterations: As in `settle`.
         """
         unknowns = replace(self.unknowns, columns=self.moved_columns(dataset))
-        moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delay)
+        delays = dataset.delay_of_each(delay)
+        moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delays)
         return settle(moved, iterations=iterations)
 
 
 def residual_blocks(
-    dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0
+    dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0
 ) -> list[list[Array]]:
     """Held-out residuals: per joint, one array per block.
 
@@ -183,19 +190,20 @@ def residual_blocks(
         delay: Index of the effort column.
     """
     return [
-        [block[:, 0] for block in _residuals(data, [(columns, x)], delay)] for data in dataset.data
+        [block[:, 0] for block in _residuals(data, [(columns, x)], late)]
+        for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
     ]
 
 
 def effective_per_joint(
-    dataset: Dataset, columns: Indices, held_out: HeldOut, *, delay: int = 0
+    dataset: Dataset, columns: Indices, held_out: HeldOut, *, delay: Delay = 0
 ) -> Array:
     """(nv,) effective samples of the held-out residuals."""
     return effective_of_each(dataset, [(columns, held_out.x)], delay=delay)[0]
 
 
 def effective_of_each(
-    dataset: Dataset, fits: Sequence[tuple[Indices, Array]], *, delay: int = 0
+    dataset: Dataset, fits: Sequence[tuple[Indices, Array]], *, delay: Delay = 0
 ) -> Array:
     """(m, nv) effective samples of the held-out residuals of each of m fits.
 
@@ -204,11 +212,11 @@ def effective_of_each(
         fits: Columns (p,) in use and parameters (F, p) for each fold.
         delay: Index of the effort column.
     """
-    found = np.empty((len(fits), len(dataset.joints)))
+    found, delays = np.empty((len(fits), len(dataset.joints))), dataset.delay_of_each(delay)
     for first in range(0, len(fits), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         for j, data in enumerate(dataset.data):
-            blocks = _residuals(data, fits[part], delay)
+            blocks = _residuals(data, fits[part], delays[j])
             kept = sum(map(len, blocks))
             found[part, j] = effective_samples_of_each(blocks) * (data.samples.sum() / max(kept, 1))
     return found
@@ -280,9 +288,10 @@ def _alike(weights: Array, before: Array) -> bool:
     return bool(np.all(np.abs(np.log(weights / before)) < _SETTLED))
 
 
-def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: int = 0) -> Hypothesis:
+def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
     """The model as it came, its parameters refitted within their prior."""
     weights = _FIRST_SHARE / dataset.effort_std**2
     cv = CrossValidation(dataset, unknowns, weights, delay=delay)
     effective = _FIRST_SHARE * dataset.samples.sum(0)
-    return settle(Hypothesis(dataset, unknowns, weights, delay, 1.0, cv, effective), iterations=3)
+    first = Hypothesis(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
+    return settle(first, iterations=3)

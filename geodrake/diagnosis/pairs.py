@@ -10,22 +10,15 @@ import numpy as np
 from geodrake.diagnosis.candidates import hidden_pairs
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.search import Ranked, with_ties
-from geodrake.diagnosis.trials import gain_of, try_packages
+from geodrake.diagnosis.ranked import Ranked
+from geodrake.diagnosis.search import with_ties
+from geodrake.diagnosis.trials import gain_of, open_joints, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import normal_matrices
 
-_CLEARLY = 1.5  # times the noise floor, at a joint
 _MOST = 0.5  # of the squared error
 _FITTED = 4  # pairs of a joint that are fitted in full
 _CANCELLED = 9.0  # times the power of two effects together, in one of them
-
-
-def open_joints(hypothesis: Hypothesis, least: float = _CLEARLY) -> list[str]:
-    """Joints that err by more than so many times their noise floor."""
-    dataset = hypothesis.dataset
-    errors = zip(dataset.joints, hypothesis.held_out.rms, dataset.noise_floor, strict=True)
-    return [joint for joint, rms, floor in errors if rms > least * floor]
 
 
 def rank_pairs(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.candidates import Kind, Package, kind_complexity, kinds
+from geodrake.diagnosis.candidates import Kind, Package, kinds
+from geodrake.diagnosis.delay import delayed_at
 from geodrake.diagnosis.evidence import (
     SEVERAL,
     Criteria,
@@ -17,59 +18,26 @@ from geodrake.diagnosis.evidence import (
     tie_probability,
 )
 from geodrake.diagnosis.hypothesis import CLEARLY_IMPOSSIBLE, HELD, Hypothesis
-from geodrake.diagnosis.trials import PENALTY, Trial, acted_upon, asked_of, gain_of, try_packages
+from geodrake.diagnosis.ranked import Ranked
+from geodrake.diagnosis.trials import (
+    PENALTY,
+    Trial,
+    acted_upon,
+    asked_of,
+    gain_of,
+    open_joints,
+    try_packages,
+)
+from geodrake.effects import EffortDelay
 from geodrake.effects.base import Effect
 from geodrake.identification.cross_validation import HeldOut
 from geodrake.identification.dataset import is_payload
 from geodrake.identification.unknowns import effect_prior
 
+_MOSTLY = 0.5  # of a joint's squared error, that a delay of its own must explain
 _NEAR = 0.5  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
 """Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
-
-
-@dataclass(frozen=True, eq=False)
-class Ranked:
-    """A kind of effects at the places where it convinces, refitted as a whole.
-
-    Attributes:
-        names: Effect names, two for a pair found together.
-        where: Joints or bodies.
-        effects: The effects added; none for a delay or a looser prior.
-        hypothesis: The hypothesis with them.
-        gain: Twice the held-out log-likelihood ratio.
-        parameters: How many parameters were added, shapes counted.
-        alarm: Probability of a false alarm.
-        tied: Whether the best of those that can be cannot be told from this one.
-    """
-
-    names: tuple[str, ...]
-    where: tuple[str, ...]
-    effects: tuple[Effect, ...]
-    hypothesis: Hypothesis
-    gain: float
-    parameters: int
-    alarm: float
-    tied: bool = False
-
-    @property
-    def score(self) -> float:
-        """Gain less the penalty of the parameters."""
-        return self.gain - PENALTY * self.parameters
-
-    @property
-    def told(self) -> tuple[str, ...]:
-        """Names of what it adds: those of its kind, less any that it does without everywhere."""
-        added = {effect.name for effect in self.effects}
-        return tuple(name for name in self.names if not added or name in added)
-
-    def is_same(self, other: Ranked) -> bool:
-        """Whether this adds just what another one does, as dry friction alone for a pair."""
-        return bool(self.effects) and set(self.effects) == set(other.effects)
-
-    def includes(self, other: Ranked) -> bool:
-        """Whether this is another one and something more, no alternative to it."""
-        return bool(other.effects) and set(self.effects) > set(other.effects)
 
 
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
@@ -119,6 +87,7 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     present = {effect.name for effect in hypothesis.unknowns.effects}
     ranked = [
         *_delays(hypothesis, criteria),
+        *_late_joints(hypothesis, criteria),
         *_looser_prior(hypothesis, criteria),
         *_other_payloads(hypothesis, criteria),
     ]
@@ -144,7 +113,7 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
     """Of those that cannot be told from the best, the simplest; of these the best."""
-    return min((r for r in ranked if r.tied), key=lambda r: (kind_complexity(r.names), -r.score))
+    return min((r for r in ranked if r.tied), key=lambda r: (r.complexity, -r.score))
 
 
 def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
@@ -184,19 +153,51 @@ def _stays_physical(candidate: Ranked, best: Ranked) -> bool:
 
 
 def _acted_upon(candidate: Ranked) -> NDArray[np.bool_]:
-    """(nv,) joints that what a candidate adds acts upon; all for a delay or a looser prior."""
+    """(nv,) joints that what a candidate adds acts upon; all for a looser prior."""
     dataset = candidate.hypothesis.dataset
     if not candidate.effects:
-        return np.ones(len(dataset.joints), bool)
+        late = np.isin(dataset.joints, candidate.where)
+        return late if late.any() else np.ones(len(dataset.joints), bool)
     return acted_upon(dataset, Package(candidate.effects, candidate.where))
 
 
 def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    delays = range(len(hypothesis.dataset.delays))
-    others = [hypothesis.delayed(d) for d in delays if d != hypothesis.delay]
+    """A delay of all efforts, that which is best with the weights as they are."""
+    dataset = hypothesis.dataset
+    delays = [dataset.delay_of_each(d) for d in range(len(dataset.delays))]
+    others = [delay for delay in delays if delay != hypothesis.delay]
+    if not others:
+        return []
+    gains = [hypothesis.quick_gain(delay) for delay in others]
     return _whole(
-        hypothesis, others, name="effort_delay", where=(), parameters=1, criteria=criteria
+        hypothesis,
+        [hypothesis.delayed(others[int(np.argmax(gains))])],
+        name=EffortDelay.name,
+        where=(),
+        parameters=1,
+        criteria=criteria,
+        tried=len(others),
     )
+
+
+def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
+    """Delays of single joints that err mostly for them."""
+    dataset, found = hypothesis.dataset, list[Ranked]()
+    for name in open_joints(hypothesis):
+        at = dataset.joints.index(name)
+        errors = hypothesis.cv.errors_at_delays(at).sum(axis=1)
+        best = int(errors.argmin())
+        if errors[best] <= (1.0 - _MOSTLY) * errors[hypothesis.delay[at]]:
+            found += _whole(
+                hypothesis,
+                [delayed_at(hypothesis, (at,), best)],
+                name=EffortDelay.name,
+                where=(name,),
+                parameters=1,
+                criteria=criteria,
+                tried=len(errors) * len(dataset.joints),
+            )
+    return found
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
@@ -246,13 +247,14 @@ def _whole(
     where: tuple[str, ...],
     parameters: int,
     criteria: Criteria,
+    tried: int | None = None,
 ) -> list[Ranked]:
     """The best of several variants of the whole hypothesis, if it convinces."""
     if not others:
         return []
     best = max(others, key=lambda other: gain_of(hypothesis, other))
     gain, before, after = gain_of(hypothesis, best), hypothesis.loss(), best.loss()
-    alarm = false_alarm_probability(gain, parameters, len(others))
+    alarm = false_alarm_probability(gain, parameters, tried or len(others))
     trial = Trial(
         Package((), where),
         gain,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.case import Case, error_table
-from geodrake.diagnosis.delay import fine_delay
 from geodrake.diagnosis.evidence import (
     Criteria,
     false_alarm_probability,
@@ -22,7 +21,7 @@ from geodrake.diagnosis.forward import Trail
 from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.results import Step
 from geodrake.diagnosis.rival import Rival
-from geodrake.diagnosis.step_values import told_parameters
+from geodrake.diagnosis.step_values import late_joints, told_delays, told_parameters
 from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
 from geodrake.effects import Payload
 from geodrake.effects.base import Effect
@@ -44,7 +43,7 @@ class _Group:
     name: str
     effects: tuple[Effect, ...] = ()
     released: Effect | None = None
-    delay: int | None = None
+    delay: tuple[int, ...] | None = None
     looseness: float | None = None
 
     def added_to(self, hypothesis: Hypothesis) -> Hypothesis:
@@ -83,7 +82,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     for i, group in enumerate(ordered):
         parameters, deviations = _values(case, group, trail, fit)
         count = _parameters(case, group)
-        gain, where = gain_of(hypotheses[i], hypotheses[i + 1]), _where(case, group, fit)
+        gain, where = gain_of(hypotheses[i], hypotheses[i + 1]), _where(case, group, trail, fit)
         rivals = _rivals(case, trail, group, where, fit.model.phi)
         steps.append(
             Step(
@@ -244,9 +243,11 @@ def _carried(case: Case, bodies: Collection[str], phi: Array) -> tuple[str, ...]
     return (Payload.name,) if may.intersection(case.model.last_bodies) else ()
 
 
-def _where(case: Case, group: _Group, fit: ModelFit) -> tuple[str, ...]:
+def _where(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[str, ...]:
     if group.looseness is not None:
         return tuple(moved_bodies(case, fit.model.phi))
+    if group.delay is not None:
+        return late_joints(case.model.joints, trail.start, trail.end)
     places = dict.fromkeys(place for effect in group.effects for place in effect.where)
     order = {name: i for i, name in enumerate((*case.model.joints, *case.model.bodies))}
     return tuple(sorted(places, key=lambda place: order.get(place, 0)))
@@ -277,8 +278,7 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
     if group.looseness is not None:
         return _inertias(moved_bodies(case, fit.model.phi), fit), deviations
     if group.delay is not None:
-        _, deviation = fine_delay(trail.end)
-        return {"all joints": {"delay": fit.model.delay}}, {"all joints": {"delay": deviation}}
+        return told_delays(case.model.joints, trail.start, trail.end, fit.model.delays)
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
             place = fitted.effect.place

@@ -31,6 +31,8 @@ _COMMON = 0.5
 
 _MORE_THAN_HALF = 0.51
 
+_CLEARLY = 1.5  # times the noise floor, at a joint
+
 PENALTY = 6.0
 """Gain that a parameter must bring before a hypothesis with it is preferred."""
 
@@ -71,6 +73,13 @@ def gain_of(before: Hypothesis, after: Hypothesis) -> float:
     """Twice the held-out log-likelihood ratio of two hypotheses."""
     gains = log_likelihood_gain(before.held_out.mse, after.held_out.mse, after.effective)
     return float(gains.sum())
+
+
+def open_joints(hypothesis: Hypothesis, least: float = _CLEARLY) -> list[str]:
+    """Joints that err by more than so many times their noise floor."""
+    dataset = hypothesis.dataset
+    errors = zip(dataset.joints, hypothesis.held_out.rms, dataset.noise_floor, strict=True)
+    return [joint for joint, rms, floor in errors if rms > least * floor]
 
 
 def try_package(

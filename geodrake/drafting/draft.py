@@ -178,7 +178,8 @@ def _drafted(found: Found, end: Hypothesis) -> DraftedEffect:
 def _traces(end: Hypothesis, columns: TermColumns) -> tuple[Array, Array, Array]:
     """Instants, held-out residual without a formula, and the formula's effort, (K,) each."""
     dataset, span = end.dataset, end.unknowns.span(columns)
-    data = dataset.data[dataset.joints.index(columns.formula.joint)]
+    joint = dataset.joints.index(columns.formula.joint)
+    data, late = dataset.data[joint], end.delay[joint]
     local, own = data.local(end.unknowns.columns), data.local(dataset.effect_columns(columns))
     used = local >= 0
     parts = []
@@ -186,7 +187,7 @@ def _traces(end: Hypothesis, columns: TermColumns) -> tuple[Array, Array, Array]
         x = end.held_out.x[fold]
         for rows in blocks:
             effort = rows.A[:, own] @ x[span]
-            residual = rows.b[:, end.delay] - rows.A[:, local[used]] @ x[used]
+            residual = rows.b[:, late] - rows.A[:, local[used]] @ x[used]
             parts.append((rows.time, residual + effort, effort))
     time, residual, effort = (np.concatenate(part) for part in zip(*parts, strict=True))
     return time, residual, effort

@@ -28,8 +28,7 @@ class EffortDelay(Effect):
 
     Attributes:
         delay: δ, s; negative if the efforts are ahead.
-        joint: The joint whose effort lags; all joints of the log if None. No fit does one
-            joint's: see `common_delay`.
+        joint: The joint whose effort lags; all joints of the log if None.
     """
 
     delay: float
@@ -83,18 +82,33 @@ class EffortDelay(Effect):
         return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
 
 
-def common_delay(effects: Sequence[Effect]) -> float:
-    """The delay, s, that some effects make together.
+def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
+    """(n,) delays, s, that some effects make together at n joints."""
+    delays = np.zeros(len(joints))
+    for effect in effects:
+        if isinstance(effect, EffortDelay):
+            delays[[effect.joint in (None, joint) for joint in joints]] += effect.delay
+    return delays
 
-    Raises:
-        ArgumentError: One is that of a single joint, which nothing takes into account.
+
+def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]:
+    """The effects that make delays (n,), s, at n joints: one of all efforts if they are alike."""
+    seconds = np.asarray(delays, float).tolist()
+    if len(set(seconds)) == 1:
+        return [EffortDelay(seconds[0])] if seconds[0] else []
+    return [EffortDelay(own, joint) for own, joint in zip(seconds, joints, strict=True) if own]
+
+
+def delayed_by(delays: ArrayLike, signals: Array, period: float) -> Array:
+    """Signals (N, n) as they were some time ago, each with a delay of its own.
+
+    Args:
+        delays: (n,) delays, s.
+        signals: (N, n) samples at a uniform rate.
+        period: Time between samples, s.
     """
-    delays = [effect for effect in effects if isinstance(effect, EffortDelay)]
-    for effect in delays:
-        if effect.joint is not None:
-            raise ArgumentError(
-                f"A model's {effect.name} is that of all efforts; this one is "
-                f"{effect.delay:g} s at {effect.joint} alone.",
-                advice="Advance that joint's effort in the log, and leave the delay out.",
-            )
-    return sum(effect.delay for effect in delays)
+    seconds = np.asarray(delays, float).tolist()
+    if len(set(seconds)) == 1:
+        return EffortDelay(seconds[0]).delayed(signals, period)
+    both = zip(seconds, signals.T, strict=True)
+    return np.stack([EffortDelay(own).delayed(signal, period) for own, signal in both], axis=1)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.identification.dataset import Dataset
+from geodrake.identification.dataset import Dataset, Delay
 from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
 from geodrake.identification.unknowns import Unknowns
 
@@ -63,7 +63,7 @@ class Candidate:
     upper: Array
 
 
-def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0) -> HeldOut:
+def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
     """Errors of given parameters in every fold, through the triangular factors.
 
     Args:
@@ -73,15 +73,15 @@ def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: int = 0) ->
         delay: Index of the effort column.
     """
     sse = np.empty((len(dataset.folds), len(dataset.joints)))
-    for j, data in enumerate(dataset.data):
+    for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
         n = len(data.columns)
         predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
-        sse[:, j] = np.square(data.factors[:, :, n + delay] - predicted).sum(1)
+        sse[:, j] = np.square(data.factors[:, :, n + late] - predicted).sum(1)
     return HeldOut(sse, dataset.samples, x)
 
 
 def normal_matrices(
-    dataset: Dataset, weights: Array, left: Indices, right: Indices, *, delay: int = 0
+    dataset: Dataset, weights: Array, left: Indices, right: Indices, *, delay: Delay = 0
 ) -> tuple[Array, Array]:
     """Weighted AᵀA between two sets of columns, and Aᵀb of the second, of every fold.
 
@@ -90,10 +90,11 @@ def normal_matrices(
     """
     gram = np.zeros((len(left), len(right), len(dataset.folds)))
     rhs = np.zeros((1, len(right), len(dataset.folds)))
-    for data, weight in zip(dataset.data, weights, strict=True):
+    delays = dataset.delay_of_each(delay)
+    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
         at_right = data.local(right)
         if np.any(at_right >= 0):
-            effort = np.array([len(data.columns) + delay])
+            effort = np.array([len(data.columns) + late])
             gram += weight * data.products(data.local(left), at_right)
             rhs += weight * data.products(effort, at_right)
     return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs[0].T)
@@ -110,9 +111,10 @@ class CrossValidation:
     """
 
     def __init__(
-        self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: int = 0
+        self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
     ) -> None:
-        self.dataset, self.unknowns, self.weights, self.delay = dataset, unknowns, weights, delay
+        self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
+        self.delay = dataset.delay_of_each(delay)
         gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
         information = unknowns.information
         self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
@@ -165,12 +167,12 @@ class CrossValidation:
     def _residuals(self) -> list[tuple[Array, Indices, Array]]:
         """Per joint: factors (F, m, l) of the unknowns it sees, which, and residuals (F, m)."""
         found = []
-        for data in self.dataset.data:
+        for data, late in zip(self.dataset.data, self.delay, strict=True):
             local = data.local(self.unknowns.columns)
             used = np.flatnonzero(local >= 0)
             factor = data.factors[:, :, local[used]]
             predicted = (factor @ self.held_out.x[:, used, None])[..., 0]
-            left = data.factors[:, :, len(data.columns) + self.delay] - predicted
+            left = data.factors[:, :, len(data.columns) + late] - predicted
             found.append((factor, used, left))
         return found
 
@@ -218,6 +220,20 @@ class CrossValidation:
             effect = data.factors[:, :, local[on]] @ y[:, on] + factor @ change[:, used]
             sse[:, j] = np.square(left[:, :, None] - effect).sum(1)
         return sse
+
+    def errors_at_delays(self, joint: int) -> Array:
+        """(d, F) squared held-out errors of a joint against its effort with every delay.
+
+        All else is refitted with the same weights; bounds are left aside.
+        """
+        data, (factor, used, _) = self.dataset.data[joint], self._residuals[joint]
+        efforts = len(data.columns) + np.arange(len(self.dataset.delays))
+        rhs = self.weights[joint] * data.products(data.local(self.unknowns.columns), efforts)
+        change = rhs - rhs[:, [self.delay[joint]]]
+        others = np.moveaxis(change.sum(axis=2, keepdims=True) - change, 2, 0)
+        x = [fit.x[:, None] + fit.solve(own) for fit, own in zip(self._fits, others, strict=True)]
+        left = data.factors[:, :, efforts] - factor @ np.array(x)[:, used]
+        return np.asarray(np.square(left).sum(axis=1).T)
 
     def without_columns(self, places: Indices) -> HeldOut | None:
         """Held-out errors without some of the unknowns, all else refitted with the same weights.

@@ -19,6 +19,8 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+Delay = int | Sequence[int]
+"""Index of a dataset's delay: that of all joints, or one for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +133,8 @@ class Dataset:
         bodies: Names of the nb bodies.
         effects: Effects to fit or try, in column order after the 10·nb inertial ones; payloads
             have the columns of their body.
-        delays: Seconds by which the effort columns are advanced; delays[0] is that of the model.
+        delays: (d, nv) seconds by which the effort columns of each joint are advanced on top of
+            the model's delays; delays[0] is zero.
         folds: Names of the validation folds.
         logs: Names of the logs.
         data: One entry per joint.
@@ -144,7 +147,7 @@ class Dataset:
     joints: tuple[str, ...]
     bodies: tuple[str, ...]
     effects: tuple[Effect, ...]
-    delays: tuple[float, ...]
+    delays: Array
     folds: tuple[str, ...]
     logs: tuple[str, ...]
     data: tuple[JointData, ...]
@@ -176,6 +179,10 @@ class Dataset:
             squares = np.square(data.factors[:, :, : len(data.columns)]).sum((0, 1))
             power[data.columns] += squares / std**2 / data.samples.sum()
         return power
+
+    def delay_of_each(self, delay: Delay) -> tuple[int, ...]:
+        """Index of the delay of every joint."""
+        return tuple(np.broadcast_to(delay, len(self.joints)).tolist())
 
     def effect_columns(self, effect: Effect) -> Indices:
         """(k,) global columns of an effect of this dataset."""

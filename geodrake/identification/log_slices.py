@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geodrake.effects.base import Effect, RobotMotion
 from geodrake.effects.contact import log_number
 from geodrake.effects.deflection import DeflectionEffect, slopes_of
-from geodrake.effects.effort_delay import EffortDelay
+from geodrake.effects.effort_delay import EffortDelay, delayed_by
 from geodrake.held_payloads import held_phi, holding
 from geodrake.identification.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.identification.shared_rows import Blocks, SharedRows
@@ -130,7 +130,7 @@ class LogSlice:
         trajectory: The log.
         stretch: One of its segments.
         samples: Some of the segment's samples.
-        advance: Seconds by which the efforts were logged late, one for each column of efforts.
+        advance: (nv,) seconds by which the efforts were logged late, for each column of efforts.
         place: Names the samples.
     """
 
@@ -138,7 +138,7 @@ class LogSlice:
     trajectory: Trajectory
     stretch: Stretch
     samples: slice
-    advance: Sequence[float]
+    advance: Sequence[Array]
     place: Hashable
 
     def rows(self, shared: SharedRows) -> list[JointRows]:
@@ -161,7 +161,7 @@ class LogSlice:
     @cached_property
     def _near(self) -> tuple[Segment, slice]:
         """The samples and some around them, and where in these they are."""
-        late = max(map(abs, self.advance)) / self.stretch.period
+        late = float(np.abs(self.advance).max()) / self.stretch.period
         margin = SPLINE_REACH + round(late)
         low = max(0, self.samples.start - margin)
         inner = slice(self.samples.start - low, self.samples.stop - low)
@@ -190,11 +190,11 @@ class LogSlice:
         """(K, nv, d) filtered efforts as they were logged `advance` seconds later."""
         columns = []
         for seconds in self.advance:
-            key = ("effort", seconds, self.place)
+            key = ("effort", seconds.tobytes(), self.place)
             found = shared.get(key)
             if found is None:
                 near, inner = self._near
-                moved = EffortDelay(-seconds).delayed(near.effort, self.stretch.period)[inner]
+                moved = delayed_by(-seconds, near.effort, self.stretch.period)[inner]
                 found = {0: self.trajectory.filter.apply(moved)}
                 shared.keep(key, found)
             columns.append(found[0])

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from geodrake.effects.base import Effect
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.identification.cross_validation import HeldOut, hold_out
-from geodrake.identification.dataset import Dataset, is_payload
+from geodrake.identification.dataset import Dataset, Delay, is_payload
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.unknowns import (
@@ -68,7 +68,7 @@ def fit_problem(
     weights: Array,
     *,
     without: int | None = None,
-    delay: int = 0,
+    delay: Delay = 0,
 ) -> FitProblem:
     """The convex program of a fit to all folds, or to all but one.
 
@@ -81,14 +81,15 @@ def fit_problem(
     """
     p = len(unknowns.columns)
     triangle = np.zeros((1, p + 1))
-    for data, weight in zip(dataset.data, weights, strict=True):
+    delays = dataset.delay_of_each(delay)
+    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
         local = data.local(unknowns.columns)
         used = local >= 0
         kept = [fold for fold in range(len(dataset.folds)) if fold != without]
         stacked = np.concatenate(data.factors[kept])
         rows = np.zeros((len(stacked), p + 1))
         rows[:, :p][:, used] = stacked[:, local[used]]
-        rows[:, p] = stacked[:, len(data.columns) + delay]
+        rows[:, p] = stacked[:, len(data.columns) + late]
         triangle = triangular_factor([triangle, np.sqrt(weight) * rows])
     payloads = [e for e in unknowns.effects if is_payload(e)]
     scalar = np.ones(p, bool)  # P ≻ 0 bounds the inertial parameters
@@ -106,7 +107,7 @@ def fit_problem(
 
 
 def held_out_physical(
-    dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: int = 0
+    dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
 ) -> HeldOut:
     """Held-out errors of physically consistent fits, one for every fold."""
     folds = range(len(dataset.folds))

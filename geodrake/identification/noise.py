@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.effects.effort_delay import EffortDelay
+from geodrake.effects.effort_delay import delayed_by
 from geodrake.held_payloads import holding
 from geodrake.model import RobotModel
 from geodrake.motion import Motion, Segment, Trajectory
@@ -85,4 +85,4 @@ def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began:
     q, since = model.positions(segment.position), segment.time - began
     motion = Motion(q, segment.velocity, segment.acceleration, since)
     needed = model.effort(motion, sign_width=sign_width)
-    return segment.effort - EffortDelay(model.delay).delayed(needed, segment.period)
+    return segment.effort - delayed_by(model.delays, needed, segment.period)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.base import Effect
 from geodrake.effects.effort_delay import EffortDelay
@@ -56,18 +56,19 @@ def reduce_logs(
     folds: Sequence[Fold],
     *,
     effects: Sequence[Effect],
-    delays: Sequence[float] = (0.0,),
+    delays: Sequence[ArrayLike] = (0.0,),
     floor: Array | None = None,
     shared: SharedRows | None = None,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
 
     Args:
-        model: The model; its inertial parameters give the load, its delay shifts the efforts.
+        model: The model; its inertial parameters give the load, its delays shift the efforts.
         trajectories: Prepared logs, joints in the model's order.
         folds: Validation folds of the trajectories.
         effects: Effects that get columns: those of the model and those to try.
-        delays: Delays to try on top of the model's, s; the first must be 0.
+        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
+            must be 0.
         floor: (nv,) noise floor, if it is known already.
         shared: What earlier reductions of the same logs by the same robot have in common with this
             one; used and filled.
@@ -77,7 +78,8 @@ def reduce_logs(
     """
     effects = tuple(e for e in dict.fromkeys(effects) if not isinstance(e, EffortDelay))
     layout, shared = _layout(model, effects, trajectories), shared or SharedRows(0)
-    advance = [delay + model.delay for delay in delays]
+    further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
+    advance = list(further + model.delays)
     boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
     for f, fold in enumerate(folds):
@@ -96,7 +98,7 @@ def reduce_logs(
         model.joints,
         model.bodies,
         effects,
-        tuple(delays),
+        further,
         tuple(fold.name for fold in folds),
         tuple(trajectory.name for trajectory in trajectories),
         tuple(
@@ -173,7 +175,7 @@ def _slices(
     layout: Layout,
     trajectories: Sequence[Trajectory],
     at: tuple[int, int],
-    advance: Sequence[float],
+    advance: Sequence[Array],
 ) -> Iterator[tuple[int, LogSlice]]:
     """First output of every slice of a segment, and the slice."""
     trajectory, stretch = trajectories[at[0]], trajectories[at[0]].segments[at[1]]

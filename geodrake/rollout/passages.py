@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case
-from geodrake.effects import EffortDelay
+from geodrake.effects.effort_delay import delayed_by
 from geodrake.errors import LogError
 from geodrake.identification.reduce import peak_speeds
 from geodrake.motion import MEMORY, Segment, Stretch
@@ -26,7 +26,7 @@ class Passage:
     Attributes:
         log: Name of the log.
         began: The log's first time stamp, s.
-        segment: The samples, with the efforts that acted there: a model's delay is taken out.
+        segment: The samples, with the efforts that acted there: a model's delays are taken out.
         stretch: The part of the log without gaps that the passage is from.
         start: Number of its first sample in the stretch.
     """
@@ -59,7 +59,7 @@ def moving_passages(case: Case, seconds: float) -> list[Passage]:
         Passage(trajectory.name, trajectory.began, segment, stretch, start)
         for trajectory in case.trajectories
         for stretch in trajectory.segments
-        for start, segment in _moving(stretch, seconds, peak, case.model.delay)
+        for start, segment in _moving(stretch, seconds, peak, case.model.delays)
     ]
     if not found:
         raise LogError(
@@ -70,15 +70,15 @@ def moving_passages(case: Case, seconds: float) -> list[Passage]:
 
 
 def _moving(
-    stretch: Stretch, seconds: float, peak: Array, delay: float
+    stretch: Stretch, seconds: float, peak: Array, delays: Array
 ) -> Iterator[tuple[int, Segment]]:
     """First samples of the passages of a stretch, and the passages."""
     count = round(seconds / stretch.period) + 1
-    ahead = round(abs(delay) / stretch.period) + 1
+    ahead = round(float(np.abs(delays).max()) / stretch.period) + 1
     for start in range(ahead, len(stretch) - count - ahead, count):
         near = stretch[start - ahead : start + count + ahead]
         inner = near[ahead : ahead + count]
         speed = np.abs(inner.velocity) / np.maximum(peak, 1e-300)
         if speed.mean(0).max() > _MOVING:
-            effort = EffortDelay(-delay).delayed(near.effort, stretch.period)
+            effort = delayed_by(-delays, near.effort, stretch.period)
             yield start, replace(inner, effort=effort[ahead:][:count])

@@ -41,7 +41,7 @@ def roll_out(
     """Simulate a model under the efforts of logs, window by window.
 
     The simulation is a Drake diagram: the plant with the model's inertias, `EffectForce` with its
-    effects, and the measured efforts, advanced by the model's delay. It runs in the time of the
+    effects, and the measured efforts, advanced by the model's delays. It runs in the time of the
     log, so that friction that drifts has drifted, and contacts act in their log when they did.
     Hidden states, such as the bend of bristles, start as the measured motion before the window
     leaves them. Effects that are no forces on the links (`JointElasticity`, `Backlash`) are left

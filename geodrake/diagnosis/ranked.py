@@ -1,0 +1,61 @@
+"""What a ranking says of a kind of effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geodrake.diagnosis.candidates import kind_complexity
+from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.trials import PENALTY
+from geodrake.effects import EffortDelay
+from geodrake.effects.base import Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """A kind of effects at the places where it convinces, refitted as a whole.
+
+    Attributes:
+        names: Effect names, two for a pair found together.
+        where: Joints or bodies.
+        effects: The effects added; none for a delay or a looser prior.
+        hypothesis: The hypothesis with them.
+        gain: Twice the held-out log-likelihood ratio.
+        parameters: How many parameters were added, shapes counted.
+        alarm: Probability of a false alarm.
+        tied: Whether the best of those that can be cannot be told from this one.
+    """
+
+    names: tuple[str, ...]
+    where: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    hypothesis: Hypothesis
+    gain: float
+    parameters: int
+    alarm: float
+    tied: bool = False
+
+    @property
+    def score(self) -> float:
+        """Gain less the penalty of the parameters."""
+        return self.gain - PENALTY * self.parameters
+
+    @property
+    def complexity(self) -> int:
+        """That of its kind; the delay of a joint alone is less simple than that of all."""
+        alone = self.names == (EffortDelay.name,) and bool(self.where)
+        return kind_complexity(self.names) + alone
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Names of what it adds: those of its kind, less any that it does without everywhere."""
+        added = {effect.name for effect in self.effects}
+        return tuple(name for name in self.names if not added or name in added)
+
+    def is_same(self, other: Ranked) -> bool:
+        """Whether this adds just what another one does, as dry friction alone for a pair."""
+        return bool(self.effects) and set(self.effects) == set(other.effects)
+
+    def includes(self, other: Ranked) -> bool:
+        """Whether this is another one and something more, no alternative to it."""
+        return bool(other.effects) and set(self.effects) > set(other.effects)
