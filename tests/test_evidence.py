@@ -69,6 +69,17 @@ def test_effective_samples_of_each_are_those_of_one():
     assert found[2] == 47.0
 
 
+def test_effective_samples_of_blocks_of_all_lengths():
+    """By the sum itself: n / (1 + 2 Σ ρ) up to the first ρ below 0.02."""
+    rng = np.random.default_rng(8)
+    blocks = [autoregressive(rng, n, 0.8) for n in (400, *[7] * 30, 1)]
+    products = [sum(b[: len(b) - k] @ b[k:] for b in blocks if k < len(b)) for k in range(400)]
+    correlation = np.array(products[1:]) / products[0]
+    last = int(np.argmax(correlation < 0.02))
+    expected = sum(map(len, blocks)) / (1.0 + 2.0 * correlation[:last].sum())
+    assert effective_samples(blocks) == pytest.approx(expected, rel=1e-9)
+
+
 def test_effective_samples_stay_within_bounds():
     assert effective_samples([np.zeros(12), np.zeros(5)]) == 17.0
     assert 1.0 <= effective_samples([np.ones(50)]) < 2.0

@@ -23,6 +23,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import from_mass_com_inertia, inertial_parameters
 from geodrake.model import FittedEffect
 from geodrake.motion import Motion
+from geodrake.regressor import inverse_dynamics_regressor
 
 MODELS = Path(__file__).parents[1] / "models"
 
@@ -151,6 +152,18 @@ def test_position_order_is_drakes(arm):
     np.testing.assert_array_equal(arm.positions(by_joint), by_joint)
     for i, name in enumerate(arm.joints):
         assert arm.plant.GetJointByName(name).velocity_start() == i
+
+
+def test_motion_with_a_load_that_is_known(arm, motion):
+    seen, load = arm.motion(motion), drake_effort(arm, motion)
+    known = arm.motion(motion, load=2.0 * load)
+    np.testing.assert_allclose(seen.load, load, atol=1e-9)
+    np.testing.assert_array_equal(known.load, 2.0 * load)
+    regressor = inverse_dynamics_regressor(arm.tree, motion.q, motion.v, motion.vd)
+    for body, name in enumerate(arm.bodies):
+        columns = known.body_columns(name)
+        np.testing.assert_allclose(columns, regressor[:, :, 10 * body : 10 * body + 10])
+    assert arm.motion(motion[:0]).load.shape == (0, 6)
 
 
 def test_delays_of_joints_and_of_all_add_up(arm):

@@ -28,7 +28,14 @@ from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.refine import prune, simplify
 from geodrake.diagnosis.search import choose, convincing, rank, with_ties
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
-from geodrake.diagnosis.trials import Trial, asked_of, gain_of, try_package, try_packages
+from geodrake.diagnosis.trials import (
+    Trial,
+    asked_of,
+    gain_of,
+    quick_fit,
+    try_package,
+    try_packages,
+)
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
@@ -207,6 +214,27 @@ def test_trials_together_are_those_one_by_one(with_friction, monkeypatch):
         assert trial.gain == pytest.approx(alone.gain, rel=1e-9)
         assert (trial.alarm, trial.reduction) == pytest.approx((alone.alarm, alone.reduction))
     assert try_packages(with_friction, [], 9) == []
+
+
+def test_gains_are_those_of_their_packages(with_friction):
+    """Where what does not help is spared, first, in the middle and last."""
+    useless = [EffortOffset("shoulder"), RotorInertia("elbow"), EffortOffset("elbow")]
+    effects = [useless[0], COULOMB[0], useless[1], COULOMB[1], VISCOUS[0], useless[2]]
+    packages = [Package((effect,), effect.where) for effect in effects]
+    trials = try_packages(with_friction, packages, 9, least=Criteria())
+    assert [trial.gain > 0.0 for trial in trials] == [False, True, False, True, True, False]
+    for package, trial in zip(packages, trials, strict=True):
+        assert trial.package is package
+        if trial.gain > 0.0:
+            after = quick_fit(with_friction, package)
+            columns = with_friction.dataset.effect_columns(package.effects[0])
+            both = np.concatenate([with_friction.unknowns.columns, columns])
+            blocks = residual_blocks(with_friction.dataset, both, after.x)
+            effective = np.array([effective_samples(joint) for joint in blocks])
+            kept = np.array([sum(map(len, joint)) for joint in blocks])
+            effective *= after.samples.sum(0) / kept
+            expected = log_likelihood_gain(with_friction.held_out.mse, after.mse, effective).sum()
+            assert trial.gain == pytest.approx(expected, rel=1e-9)
 
 
 def test_hypothesis_is_stripped_once(with_friction):

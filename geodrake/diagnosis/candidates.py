@@ -87,7 +87,7 @@ def kind_complexity(names: Sequence[str]) -> int:
 def kinds_at(
     effects: Sequence[Effect], present: Sequence[Effect], place: tuple[str, ...]
 ) -> list[Kind]:
-    """The kinds to try of which there are packages at a place; see `kinds`.
+    """The kinds to try of which there are packages at a place, as they first appear there.
 
     Args:
         effects: Every effect that has columns in the dataset, the shapes of a grid included.

@@ -142,7 +142,7 @@ def open_case(
         effects += candidate_effects(model, peak_speeds(trajectories), extra, told=told)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
-    shared = SharedRows() if candidates else SharedRows(signals=0)  # a comparison needs them once
+    shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow
     dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays, shared=shared)
     notes = [*model.notes, *hints]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]

@@ -159,7 +159,7 @@ def _change_of_load(dataset: Dataset, step: Array) -> float:
     for j, data in enumerate(dataset.data):
         local = data.local(np.arange(len(step)))
         seen = local >= 0
-        gram = data.grams[:, local[seen][:, None], local[seen]].sum(0)
+        gram = data.products(local[seen], local[seen]).sum(axis=2)
         power = float(step[seen] @ gram @ step[seen]) / max(int(data.samples.sum()), 1)
         shares.append(np.sqrt(max(power, 0.0)) / dataset.effort_std[j])
     return float(max(shares))

@@ -66,12 +66,10 @@ def effective_samples_of_each(blocks: Sequence[Array]) -> Array:
         (m,) numbers between 1 and Σ K_i.
     """
     n, longest = sum(map(len, blocks)), max(map(len, blocks))
-    padded = np.zeros((blocks[0].shape[1], len(blocks), next_fast_len(2 * longest)))
-    for i, block in enumerate(blocks):
-        padded[:, i, : len(block)] = block.T
-    transform = np.fft.rfft(padded)
-    spectrum = (np.square(transform.real) + np.square(transform.imag)).sum(1)
-    covariance = np.fft.irfft(spectrum, padded.shape[2])[:, :longest]
+    size = next_fast_len(2 * longest)
+    transforms = (np.fft.rfft(block, size, axis=0) for block in blocks)
+    spectrum = sum(np.square(each.real) + np.square(each.imag) for each in transforms)
+    covariance = np.fft.irfft(spectrum, size, axis=0)[:longest].T
     power = covariance[:, 0]
     correlation = covariance[:, 1:] / np.where(power > 0.0, power, 1.0)[:, None]
     counted = ~np.logical_or.accumulate(correlation < 0.02, axis=1)

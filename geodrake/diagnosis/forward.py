@@ -221,10 +221,11 @@ def _anew(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         if gone:
             bare = hypothesis.without(gone)
             ranked = rank_pairs(bare, criteria, joints=[joint])
-            ranked = [r for r in ranked if gain_of(hypothesis, r.hypothesis) > 0.0]
-            chosen = choose(ranked) if any(r.tied for r in ranked) else None
-            after = _refined(bare, chosen, fixed, criteria) if chosen else None
-            if chosen and after:
+            chosen = choose(ranked) if ranked else None
+            if chosen is None or gain_of(hypothesis, chosen.hypothesis) <= 0.0:
+                continue
+            after = _refined(bare, chosen, fixed, criteria)
+            if after:
                 more = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
                 if gain_of(hypothesis, after) > PENALTY * max(more, 1):
                     return Forward(tuple(ranked), chosen, after)

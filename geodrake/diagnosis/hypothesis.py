@@ -118,8 +118,12 @@ class Hypothesis:
         return settle(replace(self, unknowns=unknowns))
 
     def stripped(self, effect: Effect) -> Hypothesis:
-        """This hypothesis less one of its effects, refitted with the weights that it has."""
+        """This hypothesis less one of its effects, refitted with the weights that it has.
+
+        The last one is kept, as several questions are asked of it.
+        """
         if effect not in self._stripped:
+            self._stripped.clear()
             unknowns = self.unknowns.without_effect(effect)
             cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
             self._stripped[effect] = replace(self, unknowns=unknowns, cv=cv)
@@ -154,9 +158,8 @@ class Hypothesis:
 
     def quick_gain(self, delay: Delay) -> float:
         """Twice the held-out log-likelihood ratio of another delay, the weights as they are."""
-        cv = CrossValidation(self.dataset, self.unknowns, self.weights, delay=delay)
-        gain = log_likelihood_gain(self.held_out.mse, cv.held_out.mse, self.effective)
-        return float(gain.sum())
+        after = CrossValidation(self.dataset, self.unknowns, self.weights, delay=delay).held_out
+        return float(log_likelihood_gain(self.held_out.mse, after.mse, self.effective).sum())
 
     def moved_columns(self, dataset: Dataset) -> Indices:
         """(p,) columns of the unknowns in another dataset of the same bodies and effects."""

@@ -16,7 +16,7 @@ from geodrake.motion import Segment
 
 Array = NDArray[np.float64]
 
-_SAMPLES = 100_000  # of a segment that are looked at
+_SAMPLES = 100_000  # of a segment that are looked at, and of all together that are kept
 _SLOW = 0.01  # share of its peak speed below which a joint's direction of motion is doubtful
 
 
@@ -113,13 +113,16 @@ def joint_residuals(
 
 def full_motion(case: Case) -> list[tuple[int, Segment]]:
     """The segments of all logs, in memory, each with the index of its log."""
-    if Segment not in case.kept:
-        case.kept[Segment] = [
-            (log, segment[:_SAMPLES])
-            for log, trajectory in enumerate(case.trajectories)
-            for segment in trajectory.segments
-        ]
-    return list(case.kept[Segment])
+    if Segment in case.kept:
+        return list(case.kept[Segment])
+    found = [
+        (log, segment[:_SAMPLES])
+        for log, trajectory in enumerate(case.trajectories)
+        for segment in trajectory.segments
+    ]
+    if sum(len(segment) for _, segment in found) <= _SAMPLES:
+        case.kept[Segment] = list(found)
+    return found
 
 
 def filtered_columns(

@@ -105,18 +105,19 @@ def try_packages(
     least: Criteria | None = None,
 ) -> list[Trial]:
     """Held-out evidence for each of several packages; see `try_package`."""
-    dataset, before, known = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
+    dataset, before, present = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
     trials, promising = list[Trial](), list[int]()
     fits = _quick_fits(hypothesis, packages) if packages else []
     for package, after in zip(packages, fits, strict=True):
         reduction, agreement = improvement((before, after), acted_upon(dataset, package))
         few = least and (reduction < least.reduction or agreement < least.agreement)
-        if not few and not is_nothing(package.effects, after.x[:, len(known) :]):
+        if not few and not is_nothing(package.effects, after.x[:, len(present) :]):
             promising.append(len(trials))
         trials.append(Trial(package, 0.0, reduction, agreement, 1.0))
-    columns = [np.concatenate([known, columns_of(dataset, packages[k])]) for k in promising]
-    both = [(used, fits[k].x) for used, k in zip(columns, promising, strict=True)]
-    counts = effective_of_each(dataset, both, delay=hypothesis.delay)
+    columns = [np.concatenate([present, columns_of(dataset, packages[k])]) for k in promising]
+    parameters = [fits[k].x for k in promising]
+    tried_ones = list(zip(columns, parameters, strict=True))
+    counts = effective_of_each(dataset, tried_ones, delay=hypothesis.delay)
     for k, effective in zip(promising, counts, strict=True):
         gain = float(log_likelihood_gain(before.mse, fits[k].mse, effective).sum())
         alarm = false_alarm_probability(gain, packages[k].parameters, tried)

@@ -20,6 +20,9 @@ from geodrake.identification.unknowns import Unknowns
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_MOST_SEEN = 0.3
+"""Share of products that a joint sees from which on it is quicker to add zeros to the others."""
+
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
@@ -92,11 +95,16 @@ def normal_matrices(
     rhs = np.zeros((1, len(right), len(dataset.folds)))
     delays = dataset.delay_of_each(delay)
     for data, weight, late in zip(dataset.data, weights, delays, strict=True):
-        at_right = data.local(right)
-        if np.any(at_right >= 0):
+        at_left, at_right = data.local(left), data.local(right)
+        rows, columns = np.flatnonzero(at_left >= 0), np.flatnonzero(at_right >= 0)
+        if len(columns):
             effort = np.array([len(data.columns) + late])
-            gram += weight * data.products(data.local(left), at_right)
             rhs += weight * data.products(effort, at_right)
+            if len(rows) * len(columns) > _MOST_SEEN * len(left) * len(right):
+                gram += weight * data.products(at_left, at_right)
+            else:
+                seen = weight * data.products(at_left[rows], at_right[columns])
+                gram[rows[:, None], columns] += seen
     return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs[0].T)
 
 

@@ -84,19 +84,20 @@ class JointData:
     samples: NDArray[np.int_]
     rows: tuple[tuple[JointRows, ...], ...]
 
-    @cached_property
+    @property
     def grams(self) -> Array:
         """(F, p_j + d, p_j + d) normal matrices RᵀR of every fold."""
         return np.swapaxes(self.factors, 1, 2) @ self.factors
 
     @cached_property
     def _entries(self) -> Array:
-        """(n², F) entries of the normal matrices with zeros at their end, where position −1 is."""
+        """((p_j + d + 1)², F) entries of the normal matrices, with zeros where position −1 is."""
         padded = np.pad(np.moveaxis(self.grams, 0, 2), ((0, 1), (0, 1), (0, 0)))
         return padded.reshape(-1, len(self.factors))
 
     @cached_property
     def _positions(self) -> Indices:
+        """Position of every global column up to the last, and −1 for all that follow."""
         positions = np.full(self.columns[-1] + 2, -1)
         positions[self.columns] = np.arange(len(self.columns))
         return positions
@@ -168,6 +169,7 @@ class Dataset:
 
     @property
     def _width(self) -> int:
+        """Number p of global columns."""
         own = sum(len(effect.parameters) for effect in self.effects if not is_payload(effect))
         return len(self.bodies) * PARAMETERS_PER_BODY + own
 

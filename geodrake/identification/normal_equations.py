@@ -29,19 +29,19 @@ def cholesky(matrix: Array) -> Array:
         (n, n) array whose lower triangle is the factor; above it there may be anything.
 
     Raises:
-        LinAlgError: The matrix is not positive definite.
+        LinAlgError: The matrix is not positive definite, or not finite.
     """
     ridged = matrix.T.copy(order="F")
     np.fill_diagonal(ridged, np.diagonal(ridged) + RIDGE)
     factor, failed = dpotrf(ridged, lower=True, clean=False, overwrite_a=True)
-    if failed:
+    if failed or not np.isfinite(np.diagonal(factor)).all():
         raise np.linalg.LinAlgError("The normal matrix of a fit is not positive definite.")
     return np.asarray(factor)
 
 
 def solved(factor: Array, right: Array) -> Array:
-    """Solutions for right sides (n,) or (n, m) by what `cholesky` gave."""
-    return np.asarray(dpotrs(factor, right, lower=True)[0])
+    """Solutions, shaped as the right sides (n,) or (n, m), by the (n, n) that `cholesky` gave."""
+    return np.asarray(dpotrs(factor, right, lower=True)[0]) if len(right) else right
 
 
 def bounded_minimizers(gram: Array, rhs: Array, lower: Array, upper: Array) -> Array:
@@ -62,9 +62,9 @@ def bounded_minimizers(gram: Array, rhs: Array, lower: Array, upper: Array) -> A
     values = np.maximum(values, 0.0) + RIDGE
     bounds = lower / scale, upper / scale
     if len(lower) == 1:
-        return np.asarray(scale * np.clip(scale * rhs / values, *bounds))
+        return np.clip(scale**2 * rhs / values, lower, upper)
     matrix = (vectors * values[:, None]) @ np.swapaxes(vectors, 1, 2)
-    return scale * _within(matrix, scale * rhs, *bounds)
+    return np.clip(scale * _within(matrix, scale * rhs, *bounds), lower, upper)
 
 
 def _within(matrix: Array, rhs: Array, lower: Array, upper: Array) -> Array:
@@ -80,6 +80,7 @@ def _within(matrix: Array, rhs: Array, lower: Array, upper: Array) -> Array:
         m, r, fixed, place = matrix[left], rhs[left], held[left], at[left]
         system = np.where(fixed[:, :, None], unit, m)
         found = np.linalg.solve(system, np.where(fixed, place, r)[..., None])[..., 0]
+        found = np.where(fixed, place, found)  # but for rounding it is
         pull = r - (m @ found[..., None])[..., 0]
         leaves = ~fixed & ((found < lower[left]) | (found > upper[left]))
         stays = fixed & np.where(place <= lower[left], pull <= 0.0, pull >= 0.0)

@@ -56,4 +56,4 @@ class SharedRows:
         if 0 < size <= room and key not in self._kept:
             self._room -= size
             self._signals -= size if signals else 0
-            self._kept[key] = {at: np.ascontiguousarray(block) for at, block in blocks.items()}
+            self._kept[key] = {at: np.array(block, order="C") for at, block in blocks.items()}
