@@ -17,7 +17,7 @@ import geodrake
 from geodrake import visualization
 from geodrake.cli import tables, wording
 from geodrake.cli.app import app
-from geodrake.diagnosis import compare, diagnose, explain
+from geodrake.diagnosis import Step, compare, diagnose, explain
 from geodrake.effects import CoulombFriction
 from geodrake.log_files import write_log
 from geodrake.motion import JointLog, Motion
@@ -218,6 +218,14 @@ def test_numbers_have_three_digits(value, text):
 )
 def test_values_end_where_their_deviation_begins(value, deviation, text):
     assert wording.with_deviation(value, deviation) == text
+
+
+def test_delays_are_told_in_milliseconds_with_their_deviation():
+    told = {"elbow": {"delay": 0.01161}}, {"elbow": {"delay": 0.00016}}
+    step = Step("effort_delay", ("elbow",), 0.2, 0.1, *told, (), 0.0, 1.0, {}, {})
+    words = wording.Wording(load_model(MODEL))
+    assert words.parameters(step) == ("delay 11.6 ± 0.2 ms",)
+    assert "11.6 ± 0.2 ms" in words.finding(step)
 
 
 def test_shares_are_not_rounded_up_to_all():

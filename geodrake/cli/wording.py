@@ -105,15 +105,16 @@ class Wording:
 
     def _amount(self, step: Step, name: str, values: Mapping[str, float]) -> str:
         """Values of one parameter with their unit."""
-        unit = self.unit(step.effect, name, tuple(values))
+        unit, scale = self.unit(step.effect, name, tuple(values)), 1.0
         if name == "delay":
-            values, unit = {place: 1e3 * value for place, value in values.items()}, "ms"
+            unit, scale = "ms", 1e3
+        values = {place: scale * value for place, value in values.items()}
         if len(values) > _FEW:
             low, high = number(min(values.values())), number(max(values.values()))
             text = low if low == high else f"{low} … {high}"
         else:
             text = ", ".join(
-                with_deviation(value, step.deviations.get(place, {}).get(name, np.nan))
+                with_deviation(value, scale * step.deviations.get(place, {}).get(name, np.nan))
                 for place, value in values.items()
             )
         return text if unit in ("", "1") else f"{text} {unit}"
