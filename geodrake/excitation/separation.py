@@ -116,8 +116,9 @@ class Separation(Objective):
         """
         measurement = self.target.measure(motion)
         separations, solutions = self._solve(measurement)
-        if not separations.min() > _LEAST * len(motion):
-            pair = self.pairs[int(np.argmin(separations))]
+        alike = np.flatnonzero(~(separations > _LEAST * len(motion)))
+        if len(alike):
+            pair = self.pairs[alike[0]]
             raise ArgumentError(
                 f"{pair.rival} explains {pair.truth} of {', '.join(pair.where) or 'the robot'} "
                 "wholly on this motion.",
