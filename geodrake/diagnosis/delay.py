@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.effects.effort_delay import effort_delays
+from geodrake.model import FittedEffect
 
 Array = NDArray[np.float64]
 Joints = tuple[int, ...]
@@ -40,6 +42,12 @@ def fine_delays(hypothesis: Hypothesis, late: Sequence[Joints]) -> tuple[Array, 
     for joints in late:
         delays[[*joints]], deviations[[*joints]] = fine_delay(hypothesis, joints)
     return delays, deviations
+
+
+def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
+    """The effects of a fitted model that make delays (nv,), s, at its joints."""
+    none = np.empty(0)
+    return [FittedEffect(effect, none, none) for effect in effort_delays(delays, joints)]
 
 
 def fine_delay(hypothesis: Hypothesis, joints: Joints) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from geodrake.diagnosis.columns import (
     with_fitted_loads,
     with_suggestions,
 )
-from geodrake.diagnosis.delay import fine_delays, later
+from geodrake.diagnosis.delay import fine_delays, fitted_delays, later
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.exact_shapes import to_profile, with_plain_shapes
 from geodrake.diagnosis.fading import with_fading
@@ -33,8 +33,6 @@ from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.refine import split_compromises
 from geodrake.effects import Contact, EffortDelay
 from geodrake.effects.base import Effect
-from geodrake.effects.effort_delay import effort_delays
-from geodrake.model import FittedEffect
 
 Array = NDArray[np.float64]
 
@@ -231,8 +229,7 @@ def with_exact_delays(
     """
     late = later(trail.start, trail.end)
     delays = case.model.delays + fine_delays(trail.end, late)[0]
-    effects = effort_delays(delays, case.model.joints)
-    lags = [FittedEffect(effect, np.empty(0), np.empty(0)) for effect in effects]
+    lags = fitted_delays(delays, case.model.joints)
     kept = [f for f in case.model.effects if not isinstance(f.effect, EffortDelay)]
     case = replace(case, model=replace(case.model, effects=(*kept, *lags)))
     near = [0.5 * abs(grid[0]), -0.5 * abs(grid[0])]

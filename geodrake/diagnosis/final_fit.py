@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from geodrake.diagnosis.case import Case, reopen
-from geodrake.diagnosis.delay import fine_delays, late_together, seconds_of
+from geodrake.diagnosis.delay import fine_delays, fitted_delays, late_together, seconds_of
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.forward import TIGHTER_PRIORS
 from geodrake.diagnosis.hypothesis import Hypothesis, settle
 from geodrake.diagnosis.refine import prune
 from geodrake.effects import Contact, CoulombFriction, EffortDelay, ViscousFriction
 from geodrake.effects.base import Effect
-from geodrake.effects.effort_delay import effort_delays
 from geodrake.identification.dataset import Dataset
 from geodrake.identification.model_fit import ModelFit, effects_of, fit_model
 from geodrake.identification.unknowns import Unknowns, effect_prior
@@ -47,9 +46,8 @@ def final_fit(
     """
     delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
     if late := late_together(seconds_of(end)):
-        seconds = case.model.delays + fine_delays(end, late)[0]
-        effects = effort_delays(seconds, case.model.joints)
-        delays = [FittedEffect(effect, np.empty(0), np.empty(0)) for effect in effects]
+        found = case.model.delays + fine_delays(end, late)[0]
+        delays = fitted_delays(found, case.model.joints)
     reopened = _with_fitted_loads(case, end, delays, companions=criteria is not None)
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     if criteria is not None:
