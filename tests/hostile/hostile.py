@@ -1,0 +1,200 @@
+"""Rows of the tables in this folder: an input that is wrong, unlucky or meant to harm, and its end.
+
+Every row runs a command in a folder of its own that holds `robot.urdf`, `log.csv` and `other.csv`,
+all in order, and `kept.yaml`, `kept.json` and `kept.html` from before. Whatever the input, the
+command must end in time, with the exit code and the words of the row, without a traceback, without
+calling it a bug of geodrake, without a control character on the terminal, and without a number that
+is none. A command that fails leaves every file as it was.
+"""
+
+import json
+import os
+import re
+import shlex
+import signal
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+
+ROOT = Path(__file__).parents[2]
+PENDULUM = ROOT / "models" / "double_pendulum.urdf"
+HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
+KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
+SECONDS = 30  # that nothing may hang for
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\u2028\u2029]")
+_NO_NUMBER = re.compile(r"(?<![\w.'\"])[-+]?(nan|inf)(?![\w'\"])")
+
+
+class HangError(BaseException):
+    """A command that did not end; no handler of errors may take it for one of its own."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One input, and what must become of it.
+
+    Attributes:
+        name: What the input is, in words.
+        command: What follows `geodrake`, as typed in a shell in the folder.
+        says: Words that must be in what is printed; on standard error if the command fails.
+        make: Makes the input in the folder.
+        code: Exit code.
+        writes: Files that a command which ends well writes.
+        apart: Whether it runs in a process of its own, such as what once ended the process.
+        environment: Variables of that process; None takes one out.
+    """
+
+    name: str
+    command: str
+    says: tuple[str, ...] = ()
+    make: Callable[[Path], object] = lambda folder: None
+    code: int = 2
+    writes: tuple[str, ...] = ()
+    apart: bool = False
+    environment: Mapping[str, str | None] = field(default_factory=dict)
+
+    def __str__(self):
+        return self.name
+
+    def check(self, folder, monkeypatch):
+        """Run the row in an empty folder and assert all that is promised."""
+        fill(folder)
+        self.make(folder)
+        before = contents(folder)
+        monkeypatch.chdir(folder)
+        run = run_apart if self.apart or self.environment else run_here
+        code, out, err = run(shlex.split(self.command), self.environment)
+        assert code == self.code, f"exit code {code}\n{out}\n{err}"
+        check_words(out, err)
+        if code:
+            assert len(err.strip().splitlines()) == 1 or "Usage" in err, err
+            assert out == ""
+        for words in self.says:
+            assert words in (err if code else out + err), f"no {words!r} in:\n{out}\n{err}"
+        after = contents(folder)
+        written = self.writes if code == 0 else ()
+        assert changed(before, after) <= set(written), changed(before, after) - set(written)
+        for name in written:
+            if name.endswith(".json"):
+                read_json(folder / name)
+
+
+def fill(folder):
+    """Put what is in order into a folder."""
+    (folder / "robot.urdf").write_bytes(PENDULUM.read_bytes())
+    write_log(folder / "log.csv", table(seed=1))
+    write_log(folder / "other.csv", table(seed=2))
+    for name, text in KEPT.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+@cache
+def _table(seed, seconds, rate):
+    """A motion and efforts that have gravity, inertia and friction in them, in plain formulas."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(round(seconds * rate)) / rate
+    rates = 2 * np.pi * np.array([0.13, 0.31, 0.53])[:, None]
+    angle = rates[:, None] * time[:, None] + rng.uniform(0, 2 * np.pi, (3, 1, 2))
+    swing = rng.uniform(0.3, 0.6, (3, 1, 2))
+    q = (swing * np.sin(angle)).sum(0)
+    v = (swing * rates[:, None] * np.cos(angle)).sum(0)
+    vd = -(swing * rates[:, None] ** 2 * np.sin(angle)).sum(0)
+    tip = 1.6 * np.sin(q.sum(1))
+    effort = np.stack([2.3 * np.sin(q[:, 0]) + tip + 0.12 * vd[:, 0], tip + 0.05 * vd[:, 1]], 1)
+    effort += 0.3 * np.tanh(50.0 * v) + 0.1 * v + 0.01 * rng.standard_normal(v.shape)
+    return np.column_stack([time, q, effort])
+
+
+def table(*, seed=1, seconds=24.0, rate=100.0):
+    """(N, 5) rows of a log of the pendulum, as `HEADER` has its columns."""
+    return _table(seed, seconds, rate).copy()
+
+
+def write_log(path, rows, header=HEADER):
+    """Write rows of numbers, or of anything that has words, as a CSV file."""
+    lines = [header, *(",".join(map(str, row)) for row in np.asarray(rows, object).tolist())]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def contents(folder):
+    """Every path below a folder, hidden ones too, with what it is and what is in it."""
+    found = {}
+    for path in sorted(folder.rglob("*")):
+        status = path.lstat()
+        name = os.fsdecode(path.relative_to(folder))
+        if stat.S_ISLNK(status.st_mode):
+            found[name] = ("link", str(path.readlink()))
+        elif stat.S_ISREG(status.st_mode):
+            found[name] = (oct(status.st_mode), path.read_bytes())
+        elif "__pycache__" not in path.parts:
+            found[name] = (oct(status.st_mode), None)
+    return {name: what for name, what in found.items() if "__pycache__" not in name}
+
+
+def changed(before, after):
+    """Names of what is new, gone or different."""
+    return {name for name in before.keys() | after if before.get(name) != after.get(name)}
+
+
+def check_words(out, err):
+    """No traceback, no excuse, no control character, no number that is none."""
+    both = out + err
+    assert "Traceback" not in both, both
+    assert "Internal error" not in both, both
+    assert not _CONTROL.search(both), ascii(both)
+    assert not _NO_NUMBER.search(out), out
+
+
+def read_json(path):
+    """A JSON file in which every number is finite."""
+
+    def refuse(constant):
+        raise AssertionError(f"{path} holds {constant}")
+
+    return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def run_here(arguments, environment=None):
+    """Exit code, standard output and standard error of a command in this process."""
+    del environment
+
+    def hang(*_):
+        raise HangError(f"geodrake {shlex.join(arguments)} has not ended in {SECONDS} s")
+
+    before = signal.signal(signal.SIGALRM, hang)
+    signal.alarm(SECONDS)
+    try:
+        result = CliRunner().invoke(app, arguments)
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def run_apart(arguments, environment=None):
+    """The same in a process of its own; a negative code is the signal that ended it."""
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", **(environment or {})}
+    done = subprocess.run(
+        [sys.executable, "-m", "geodrake", *arguments],
+        env={name: value for name, value in variables.items() if value is not None},
+        capture_output=True,
+        encoding="utf-8",
+        errors="replace",
+        stdin=subprocess.DEVNULL,
+        timeout=2 * SECONDS,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
