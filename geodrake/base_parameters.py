@@ -18,15 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from scipy.linalg import qr, solve_triangular
 
+from geodrake.arguments import instances, integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
 from geodrake.kinematics import KinematicTree
 from geodrake.manifolds import PhysicalInertia
 from geodrake.reduction import triangular_factor
-from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.regressor import checked_tree, inverse_dynamics_regressor
 
 Indices = NDArray[np.intp]
 
+_ROUNDING = 1e-17  # share of the greatest singular value that is none
 _KINDS = (np.array([0]), np.arange(1, 4), np.arange(4, PARAMETERS_PER_BODY))  # m, h, I
 _PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # what is kept: I, then h, then m
 
@@ -69,8 +71,7 @@ class BaseParameters:
         Raises:
             ArgumentError: The regressor has another number of columns.
         """
-        regressor = np.asarray(regressor, float)
-        self._check_size("regressor", regressor.shape[-1] if regressor.ndim else 0)
+        regressor = real_array(regressor, "regressor", ("...", self.matrix.shape[1]))
         return regressor[..., self.independent]
 
     def values(self, phi: ArrayLike) -> Array:
@@ -79,16 +80,8 @@ class BaseParameters:
         Raises:
             ArgumentError: There are not p parameters.
         """
-        flat = np.asarray(phi, float).ravel()
-        self._check_size("parameter vector", len(flat))
-        return self.matrix @ flat
-
-    def _check_size(self, name: str, size: int) -> None:
-        if size != self.matrix.shape[1]:
-            raise ArgumentError(
-                f"The {name} is of {size} parameters; these are base parameters of "
-                f"{self.matrix.shape[1]}."
-            )
+        flat = real_array(phi, "phi").ravel()
+        return np.asarray(self.matrix @ real_array(flat, "phi", (self.matrix.shape[1],)))
 
     def metric(self, prior: ArrayLike, *, extra: ArrayLike | None = None) -> Array:
         """H₀ (n_B, n_B) at a prior; see `pushforward_metric`."""
@@ -106,6 +99,7 @@ class BaseParameters:
         Raises:
             ArgumentError: There are not as many names as columns.
         """
+        bodies, extra = instances(bodies, "bodies", str), instances(extra, "extra", str)
         names = [f"{name} of {body}" for body in bodies for name in PARAMETER_NAMES] + [*extra]
         if len(names) != self.matrix.shape[1]:
             raise ArgumentError(
@@ -134,13 +128,12 @@ def base_parameters(
     Raises:
         ArgumentError: The shape or the tolerance is impossible, or a value is not finite.
     """
-    rows = np.asarray(regressor, float)
-    if rows.ndim < 2 or not rows.size or not 0 < tolerance < 1:
-        raise ArgumentError(
-            f"Base parameters need a regressor (..., p) and a tolerance between 0 and 1; got the "
-            f"shape {rows.shape} and {tolerance:g}."
-        )
+    rows = real_array(regressor, "regressor", ("...", "m", "p"))
+    number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
+    if not rows.size:
+        raise ArgumentError(f"Base parameters need a regressor that is not empty {rows.shape}.")
     p = rows.shape[-1]
+    integer(extra, "extra")
     if not 0 <= extra <= p or (p - extra) % PARAMETERS_PER_BODY:
         raise ArgumentError(
             f"The regressor has {p} columns, which is not ten a body and {extra} further ones.",
@@ -171,8 +164,14 @@ def structural_base_parameters(
         plant: A finalized plant, or its tree.
         seed: Of the random motions; another one finds the same combinations.
         tolerance: As in `base_parameters`.
+
+    Raises:
+        ArgumentError: A value is something else, or out of its range.
+        ModelError: The plant is not finalized, or has a joint that is not supported.
     """
-    tree = plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
+    tree = checked_tree(plant)
+    integer(seed, "seed", lower=0)
+    number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
     random, nv = np.random.default_rng(seed), tree.num_velocities
     count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
     sizes = (tree.num_positions, nv, nv)
@@ -199,9 +198,10 @@ def pushforward_metric(
     Raises:
         ArgumentError: Shapes do not fit, the prior is not physical, or rows of B are dependent.
     """
-    B, prior = np.asarray(matrix, float), np.asarray(prior, float)
-    weights = np.zeros(0) if extra is None else np.atleast_1d(np.asarray(extra, float))
-    if B.shape[1:] != (prior.size + len(weights),) or prior.shape[1:] != (PARAMETERS_PER_BODY,):
+    B = real_array(matrix, "matrix", ("n", "p"))
+    prior = real_array(prior, "prior", ("nb", PARAMETERS_PER_BODY))
+    weights = np.zeros(0) if extra is None else np.atleast_1d(real_array(extra, "extra"))
+    if not len(B) or weights.ndim > 1 or B.shape[1:] != (prior.size + len(weights),):
         raise ArgumentError(
             f"B has the shape {B.shape}, but a prior of shape {prior.shape} and {len(weights)} "
             f"further parameters need {prior.size + len(weights)} columns."

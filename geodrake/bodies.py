@@ -13,6 +13,10 @@ from dataclasses import dataclass
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.systems.framework import Context
+
+from geodrake.arguments import instance
+from geodrake.errors import ArgumentError, ModelError
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,33 @@ class LumpedBody:
     members: tuple[Member, ...]
 
 
+def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
+    """Refuses what is no finalized plant.
+
+    Raises:
+        ArgumentError: It is something else.
+        ModelError: It is not finalized.
+    """
+    if not instance(plant, name, MultibodyPlant).is_finalized():
+        raise ModelError(f"The {name} is not finalized.", advice="Call plant.Finalize() first.")
+
+
+def check_context(plant: MultibodyPlant, context: Context) -> None:
+    """Refuses what is no Context of the plant.
+
+    Raises:
+        ArgumentError: It is something else.
+    """
+    instance(context, "context", Context)
+    try:
+        plant.ValidateContext(context)
+    except RuntimeError as error:
+        raise ArgumentError(
+            "The context belongs to another system than the plant.",
+            advice="Use plant.CreateDefaultContext(), or plant.GetMyContextFromRoot(root_context).",
+        ) from error
+
+
 def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
     """Groups of welded links that move with respect to the world.
 
@@ -53,7 +84,12 @@ def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
 
     Returns:
         The groups without the one welded to the world, in order of the representative's BodyIndex.
+
+    Raises:
+        ArgumentError: It is no plant.
+        ModelError: The plant is not finalized.
     """
+    check_plant(plant)
     context = plant.CreateDefaultContext()
     names = body_names(plant)
 

@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake import positive_definite
+from geodrake.arguments import Sizes
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array, central_second_moment, pseudo_inertia
+from geodrake.inertia.parameters import checked_phi
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +55,10 @@ def riemannian_distance(phi1: ArrayLike, phi2: ArrayLike) -> Array:
         (...) distances √(Σ log² λᵢ(P₁⁻¹ P₂)) ([Lee2019] Eqs. (3.3.25), (2.2.10)).
 
     Raises:
-        ArgumentError: A body is not physical.
+        ArgumentError: A value is something else, or not finite, or a body is not physical.
     """
-    return positive_definite.distance(pseudo_inertia(phi1), pseudo_inertia(phi2))
+    first, second = _together(phi1=phi1, phi2=phi2)
+    return positive_definite.distance(pseudo_inertia(first), pseudo_inertia(second))
 
 
 def entropic_divergence(phi1: ArrayLike, phi2: ArrayLike) -> Array:
@@ -69,9 +72,10 @@ def entropic_divergence(phi1: ArrayLike, phi2: ArrayLike) -> Array:
         (...) divergences, which compare to squares of distances ([Lee2019] Eq. (3.3.28)).
 
     Raises:
-        ArgumentError: A body is not physical.
+        ArgumentError: A value is something else, or not finite, or a body is not physical.
     """
-    return positive_definite.log_det_divergence(pseudo_inertia(phi1), pseudo_inertia(phi2))
+    first, second = _together(phi1=phi1, phi2=phi2)
+    return positive_definite.log_det_divergence(pseudo_inertia(first), pseudo_inertia(second))
 
 
 def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) -> Array:
@@ -86,9 +90,10 @@ def pullback_distance(phi1: ArrayLike, phi2: ArrayLike, reference: ArrayLike) ->
         (...) distances √(½ tr((P₀⁻¹ P(φ₁ − φ₂))²)) ([Lee2019] Eq. (3.3.33), with its ½).
 
     Raises:
-        ArgumentError: The reference is not physical.
+        ArgumentError: A value is something else, or not finite, or the reference is not physical.
     """
-    step = pseudo_inertia(np.asarray(phi1, float) - np.asarray(phi2, float))
+    first, second, reference = _together(phi1=phi1, phi2=phi2, reference=reference)
+    step = pseudo_inertia(first - second)
     squared = positive_definite.inner_product(pseudo_inertia(reference), step, step)
     return np.asarray(np.sqrt(squared))
 
@@ -104,9 +109,9 @@ def metric_parts(phi: ArrayLike, step: ArrayLike) -> DistanceParts:
         The terms ½ (dm/m)², ½ tr((Σᶜ⁻¹ dΣᶜ)²) and m dpᵀ Σᶜ⁻¹ dp ([Lee2019] Eq. (3.3.20)).
 
     Raises:
-        ArgumentError: A body is not physical.
+        ArgumentError: A value is something else, or not finite, or a body is not physical.
     """
-    phi, step = np.broadcast_arrays(np.asarray(phi, float), np.asarray(step, float))
+    phi, step = np.broadcast_arrays(*_together(phi=phi, step=step))
     mass, mass_step = phi[..., 0], step[..., 0]
     if not (mass > 0).all():  # Σᶜ alone may be positive definite with a negative mass
         raise ArgumentError(f"Masses are above zero, or no body can be; got {mass.tolist()}.")
@@ -140,9 +145,9 @@ def divergence_parts(phi1: ArrayLike, phi2: ArrayLike) -> DistanceParts:
         Eq. (3.3.29)).
 
     Raises:
-        ArgumentError: A body is not physical.
+        ArgumentError: A value is something else, or not finite, or a body is not physical.
     """
-    phi1, phi2 = np.broadcast_arrays(np.asarray(phi1, float), np.asarray(phi2, float))
+    phi1, phi2 = np.broadcast_arrays(*_together(phi1=phi1, phi2=phi2))
     first, second = central_second_moment(phi1), central_second_moment(phi2)
     _, inverse = positive_definite.whitening(second)
     apart = phi1[..., 1:4] / phi1[..., :1] - phi2[..., 1:4] / phi2[..., :1]
@@ -153,3 +158,9 @@ def divergence_parts(phi1: ArrayLike, phi2: ArrayLike) -> DistanceParts:
         shape=positive_definite.log_det_divergence(first, second),
         position=phi1[..., 0] * (whitened**2).sum(-1),
     )
+
+
+def _together(**phi: ArrayLike) -> list[Array]:
+    """Inertial parameters (..., 10) whose leading axes broadcast, by the names of arguments."""
+    sizes: Sizes = {}
+    return [checked_phi(values, name, sizes) for name, values in phi.items()]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import Sizes, instance, instances, number, positive, real_array
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import (
     Array,
@@ -20,6 +21,7 @@ from geodrake.inertia import (
     principal_axes,
     pseudo_inertia,
 )
+from geodrake.inertia.parameters import checked_phi
 
 _FLAT = 1e-9  # thickness over length at which points are said to lie in a plane
 _MOST_STEPS = 100_000
@@ -40,20 +42,16 @@ class Ellipsoid:
     rotation: Array
 
     def __post_init__(self) -> None:
+        sizes: Sizes = {}
         for name, end in (("center", (3,)), ("semi_axes", (3,)), ("rotation", (3, 3))):
-            value = np.asarray(getattr(self, name), float)
-            if value.shape[-len(end) :] != end or not np.isfinite(value).all():
-                raise ArgumentError(
-                    f"An ellipsoid's {name} has shape (..., {', '.join(map(str, end))}) and is "
-                    f"finite; got {value.tolist()}."
-                )
+            value = real_array(getattr(self, name), name, ("...", *end), sizes)
             object.__setattr__(self, name, value)
         if not (self.semi_axes > 0).all():
             raise ArgumentError(
                 f"An ellipsoid's semi-axes are above zero; got {self.semi_axes.tolist()}."
             )
         error = self.rotation @ np.swapaxes(self.rotation, -1, -2) - np.eye(3)
-        if np.abs(error).max() > 1e-6 or (np.linalg.det(self.rotation) < 0).any():
+        if np.abs(error).max(initial=0.0) > 1e-6 or (np.linalg.det(self.rotation) < 0).any():
             raise ArgumentError(f"Not a rotation: {self.rotation.tolist()}.")
         shape = np.broadcast_shapes(
             self.center.shape[:-1], self.semi_axes.shape[:-1], self.rotation.shape[:-2]
@@ -80,19 +78,18 @@ class Ellipsoid:
 
     def scaled(self, factor: float) -> Ellipsoid:
         """The same ellipsoid with semi-axes `factor` times as long."""
+        factor = positive(factor, "factor")
         return Ellipsoid(self.center, factor * self.semi_axes, self.rotation)
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Whether points (..., 3), m, are inside."""
-        points = np.asarray(points, float)
-        if points.shape[-1:] != (3,):
-            raise ArgumentError(f"Expected points (..., 3); got the shape {points.shape}.")
+        points = real_array(points, "points", ("...", 3), {"...": self.center.shape[:-1]})
         local = np.einsum("...ji,...j->...i", self.rotation, points - self.center)
         return np.asarray(((local / self.semi_axes) ** 2).sum(-1) <= 1.0)
 
     def uniform_body(self, mass: ArrayLike) -> Array:
         """Inertial parameters (..., 10) of this ellipsoid filled evenly with a mass (...), kg."""
-        mass = np.asarray(mass, float)
+        mass = real_array(mass, "mass", ("...",), {"...": self.center.shape[:-1]})
         mass = np.broadcast_to(mass, np.broadcast_shapes(mass.shape, self.center.shape[:-1]))
         squares = self.semi_axes**2
         moments = 0.2 * mass[..., None] * (squares.sum(-1, keepdims=True) - squares)
@@ -101,11 +98,26 @@ class Ellipsoid:
 
     def random_points(self, rng: np.random.Generator, size: tuple[int, ...]) -> Array:
         """Points (*size, 3), m, evenly distributed over one ellipsoid or several of shape size."""
-        direction = rng.normal(size=(*size, 3))
+        instance(rng, "rng", np.random.Generator)
+        direction = rng.normal(size=(*_checked_size(size, self.center.shape[:-1]), 3))
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
         radius = rng.uniform(size=(*size, 1)) ** (1 / 3)
         local = radius * direction * self.semi_axes
         return np.asarray(self.center + np.einsum("...ij,...j->...i", self.rotation, local))
+
+
+def _checked_size(size: tuple[int, ...], leading: tuple[int, ...]) -> tuple[int, ...]:
+    """A shape of points whose last axes are those of the ellipsoids."""
+    size = instances(size, "size", int)
+    if min(size, default=0) < 0 or len(size) < len(leading) or not _broadcast(size, leading):
+        raise ArgumentError(
+            f"size must be the shape of the points, the ellipsoids' {leading} last; it is {size}."
+        )
+    return size
+
+
+def _broadcast(size: tuple[int, ...], leading: tuple[int, ...]) -> bool:
+    return all(b in (1, a) for a, b in zip(size[::-1], leading[::-1], strict=False))
 
 
 def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ellipsoid:
@@ -123,17 +135,17 @@ def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ell
         ArgumentError: A body is not physical, so that no ellipsoid is like it, or the least
             semi-axis is negative.
     """
-    phi = np.asarray(phi, float)
-    if not least_semi_axis >= 0:
-        raise ArgumentError(f"A least semi-axis is zero or more; got {least_semi_axis:g} m.")
-    thin = np.isfinite(phi).all(-1) & (phi[..., 0] > 0)
+    phi = checked_phi(phi)
+    least_semi_axis = number(least_semi_axis, "least_semi_axis", lower=0.0)
+    thin = phi[..., 0] > 0
     possible = thin if least_semi_axis > 0 else is_physical(phi)
     if not possible.all():
         bad = phi.reshape(-1, 10)[int(np.argmin(possible.ravel()))]
         raise ArgumentError(f"No body has the inertial parameters {bad.tolist()}.")
     principal = principal_axes(phi)
-    squares = 5.0 * principal.second_moments / principal.mass[..., None]
-    least = max(least_semi_axis**2, np.finfo(float).tiny)  # rounding takes a thin body below zero
+    squares: Array = 5.0 * principal.second_moments / principal.mass[..., None]
+    # Rounding takes a thin body below zero.
+    least = max(least_semi_axis**2, float(np.finfo(float).tiny))
     return Ellipsoid(principal.center, np.sqrt(np.maximum(squares, least)), principal.rotation)
 
 
@@ -147,9 +159,7 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
         ArgumentError: Q describes no bounded region, as with its sign turned around, or is not
             symmetric, finite and of that shape.
     """
-    Q = np.asarray(Q, float)
-    if Q.shape[-2:] != (4, 4) or not np.isfinite(Q).all():
-        raise ArgumentError(f"Expected finite matrices (..., 4, 4); got {Q.tolist()}.")
+    Q = real_array(Q, "Q", ("...", 4, 4))
     if (np.abs(Q - np.swapaxes(Q, -1, -2)) > 1e-8 * np.abs(Q).max((-2, -1), keepdims=True)).any():
         raise ArgumentError(
             f"Expected symmetric matrices; got {Q.tolist()}.",
@@ -162,7 +172,7 @@ def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
             advice="Its upper left 3×3 block must be negative definite; turn its sign around if "
             "your Q is negative inside.",
         )
-    center = np.linalg.solve(-Q[..., :3, :3], Q[..., :3, 3, None])[..., 0]
+    center = np.asarray(np.linalg.solve(-Q[..., :3, :3], Q[..., :3, 3, None])[..., 0], float)
     level = Q[..., 3, 3] + (Q[..., :3, 3] * center).sum(-1)
     if not (level > 0).all():
         raise ArgumentError(f"[x;1]ᵀ Q [x;1] ≥ 0 holds nowhere for Q = {Q.tolist()}.")
@@ -208,15 +218,14 @@ def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
 
 def _trace(phi: ArrayLike, Q: ArrayLike) -> Array:
     """tr(P(φ) Q), (...)."""
-    Q = np.asarray(Q, float)
-    if Q.shape[-2:] != (4, 4):
-        raise ArgumentError(f"Expected matrices of ellipsoids (..., 4, 4); got {Q.shape}.")
+    sizes: Sizes = {}
+    phi, Q = checked_phi(phi, "phi", sizes), real_array(Q, "Q", ("...", 4, 4), sizes)
     return np.asarray(np.einsum("...ij,...ij->...", pseudo_inertia(phi), Q))
 
 
 def realizability_row(Q: ArrayLike) -> Array:
     """Coefficients a (..., 10) of the constraint aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
-    return from_dual(Q)
+    return from_dual(real_array(Q, "Q", ("...", 4, 4)))
 
 
 def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipsoid:
@@ -235,11 +244,8 @@ def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipso
             zero.
         ConvergenceError: The tolerance was not reached.
     """
-    if not tolerance > 0:
-        raise ArgumentError(f"A tolerance is above zero; got {tolerance:g}.")
-    points = np.asarray(points, float)
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise ArgumentError(f"Expected finite points (k, 3); got shape {points.shape}.")
+    positive(tolerance, "tolerance")
+    points = real_array(points, "points", ("k", 3))
     middle = points.mean(0) if len(points) else np.zeros(3)
     _, extent, axes = np.linalg.svd(points - middle, full_matrices=False)
     if len(extent) < 3 or extent[2] <= _FLAT * extent[0]:

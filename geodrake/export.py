@@ -11,6 +11,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 
+from geodrake.arguments import file_path, instance
 from geodrake.bodies import LumpedBody, lumped_bodies
 from geodrake.errors import ModelError, OutputError
 from geodrake.inertia import (
@@ -61,8 +62,8 @@ def save_export(model: RobotModel, path: str | Path) -> Export:
         ModelError: The model's file cannot take them.
         OutputError: The target cannot be written, or is named like another format.
     """
-    path = Path(path)
-    check_export(model, path)
+    path = file_path(path)
+    check_export(instance(model, "model", RobotModel), path)
     export = export_model(model)
     write_whole(path, export.content)
     return export
@@ -102,6 +103,7 @@ def export_model(model: RobotModel) -> Export:
     Raises:
         ModelError: The model's file cannot take the inertias.
     """
+    instance(model, "model", RobotModel)
     kind, data = _kind(model), model.path.read_bytes()
     stated, here = _stated_inertias(model.path), link_names(data, model.path)
     written: dict[str, Array] = {}

@@ -18,12 +18,13 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.arguments import integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.joints import JointMotion, constant
 from geodrake.kinematics import KinematicTree, Mobilizer
 from geodrake.recursion import pieces
-from geodrake.regressor import checked_samples
+from geodrake.regressor import checked_samples, checked_tree
 
 _LEAST_FORCE = 1e-9  # of the largest number in a wrench
 _SKEWNESS = 1e-6  # of a rotation, beyond rounding
@@ -79,7 +80,7 @@ def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
     Raises:
         ArgumentError: X_WP is no pose.
     """
-    return _wrench_map(_poses(X_WP, count))
+    return _wrench_map(_poses(X_WP, integer(count, "count", lower=0), "X_WP"))
 
 
 def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
@@ -97,8 +98,8 @@ def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
     Raises:
         ArgumentError: A shape does not fit, or X_QP is no pose.
     """
-    wrench = _wrenches(wrench)
-    inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench))), float)
+    wrench = real_array(wrench, "wrench", ("N", 6))
+    inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench), "X_QP")), float)
     return np.asarray(np.einsum("...ij,...j->...i", _wrench_map(inverse), wrench))
 
 
@@ -118,7 +119,8 @@ def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
     Raises:
         ArgumentError: The shape is another.
     """
-    wrench = _wrenches(wrench)
+    wrench = real_array(wrench, "wrench", ("N", 6), finite=False)
+    number(height, "height")
     nx, ny, _, fx, fy, fz = wrench.T
     largest = np.max(np.abs(wrench), initial=0.0, where=np.isfinite(wrench))
     pressed = fz > _LEAST_FORCE * largest
@@ -136,9 +138,8 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
     Returns:
         (N, nb, 4, 4) homogeneous matrices.
     """
-    tree = plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
-    resting = np.zeros((len(np.asarray(q)), tree.num_velocities))
-    _, (q, _, _) = checked_samples(tree, q, resting, resting)
+    tree = checked_tree(plant)
+    q = real_array(q, "q", ("N", tree.num_positions))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))
     X_WM: list[Array] = []
     for mobilizer in tree.mobilizers:
@@ -175,16 +176,9 @@ def on_a_free_world(tree: KinematicTree) -> KinematicTree:
     return replace(tree, mobilizers=tuple(mobilizers), num_velocities=own.stop)
 
 
-def _wrenches(wrench: ArrayLike) -> Array:
-    array = np.asarray(wrench, float)
-    if array.ndim != 2 or array.shape[1] != 6:
-        raise ArgumentError(f"Wrenches have the shape (N, 6); got {array.shape}.")
-    return array
-
-
-def _poses(X: RigidTransform | ArrayLike, count: int) -> Array:
+def _poses(X: RigidTransform | ArrayLike, count: int, name: str) -> Array:
     """A pose, or one for each sample, as homogeneous matrices."""
-    poses = np.asarray(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, float)
+    poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, name)
     if poses.shape not in ((4, 4), (count, 4, 4)):
         raise ArgumentError(
             f"The pose has the shape {poses.shape}, expected one pose (4, 4) or {count} of them."

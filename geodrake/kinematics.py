@@ -72,11 +72,10 @@ class KinematicTree:
             plant: Any finalized plant; it is not kept.
 
         Raises:
+            ArgumentError: It is no plant.
             ModelError: The plant is not finalized, has a joint of an unsupported type or a loop,
                 or has gravity switched off for a part of a connected robot only.
         """
-        if not plant.is_finalized():
-            raise ModelError("The plant is not finalized.", advice="Call plant.Finalize() first.")
         bodies = lumped_bodies(plant)
         gravity = [_has_gravity(plant, body) for body in bodies]
         last = {_WORLD: -1}  # every body reached so far: its mobilizer

@@ -25,6 +25,8 @@ from pydrake.systems.primitives import (
 )
 from pydrake.trajectories import Trajectory
 
+from geodrake.arguments import instance, positive
+from geodrake.bodies import check_plant
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -131,14 +133,14 @@ def add_adaptive_loop(
     Raises:
         ArgumentError: Plant, controller and motion do not fit together, or a joint has no actuator.
     """
-    _check(plant, controller, motion)
-    builder.AddSystem(controller)
+    _check(plant, controller, motion, log_period)
+    instance(builder, "builder", DiagramBuilder).AddSystem(controller)
     desired = builder.AddSystem(TrajectorySource(motion, 1))
     acceleration = builder.AddSystem(TrajectorySource(motion.MakeDerivative(2)))
     actuation = controller.GetOutputPort("actuation")
     measured = plant.get_state_output_port()
     if sensor is not None:
-        builder.AddSystem(sensor)
+        builder.AddSystem(instance(sensor, "sensor", System))
         builder.Connect(measured, sensor.get_input_port())
         measured = sensor.get_output_port()
     builder.Connect(measured, controller.GetInputPort("estimated_state"))
@@ -193,7 +195,17 @@ def _actuate(builder: DiagramBuilder, plant: MultibodyPlant, actuation: OutputPo
     builder.Connect(order.get_output_port(), port)
 
 
-def _check(plant: MultibodyPlant, controller: AdaptiveController, motion: Trajectory) -> None:
+def _check(
+    plant: MultibodyPlant,
+    controller: AdaptiveController,
+    motion: Trajectory,
+    log_period: float | None,
+) -> None:
+    if log_period is not None:
+        positive(log_period, "log_period")  # a negative one would end the process
+    check_plant(plant)
+    instance(controller, "controller", AdaptiveController)
+    instance(motion, "motion", Trajectory)
     joints = joint_names(plant)
     if joints != controller.control.joints:
         raise ArgumentError(

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
+from geodrake.arguments import instance, instances, one_or_each, real_array
 from geodrake.effects import (
     CoulombFriction,
-    Effect,
     EffortScale,
     RobotMotion,
     RotorInertia,
@@ -22,6 +22,7 @@ from geodrake.effects import (
 )
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.effort_delay import delays_of
+from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.kinematics import KinematicTree
@@ -29,25 +30,12 @@ from geodrake.motion import Motion
 from geodrake.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
 from geodrake.regressor import body_regressor, inverse_dynamics
 
+__all__ = ["Array", "FittedEffect", "RobotModel", "from_loaded_plant", "load_description"]
+
 Array = NDArray[np.float64]
 
 LARGEST_REGRESSOR = 5_000_000
 """Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
-
-
-@dataclass(frozen=True, eq=False)
-class FittedEffect:
-    """An effect with the values of its linear parameters.
-
-    Attributes:
-        effect: The effect at its place.
-        parameters: (k,) values, in the order and units of `effect.parameters`.
-        deviations: (k,) their standard deviations; None for values that were not fitted.
-    """
-
-    effect: Effect
-    parameters: Array
-    deviations: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +128,9 @@ class RobotModel:
         return phi
 
     def sign_widths(self, least: ArrayLike) -> Array:
-        """(nv,) speeds below which dry friction fades, at least those given (nv,), rad/s or m/s."""
-        width = np.broadcast_to(np.asarray(least, float), (len(self.joints),))
-        return width if self.fading_speed is None else np.maximum(width, self.fading_speed)
+        """(nv,) speeds below which dry friction fades, at least those given, rad/s or m/s."""
+        width = one_or_each(least, "a sign width", len(self.joints))
+        return np.maximum(width, 0.0 if self.fading_speed is None else self.fading_speed)
 
     def motion(
         self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None
@@ -154,8 +142,10 @@ class RobotModel:
             sign_width: As in `sign_widths`.
             load: (N, nv) effort of the rigid bodies, if it is known already.
         """
-        samples = motion.q, motion.v, motion.vd
-        if load is None:
+        samples = instance(motion, "motion", Motion).q, motion.v, motion.vd
+        if load is not None:
+            load = real_array(load, "load", motion.v.shape, finite=False)
+        else:
             load = inverse_dynamics(self.tree, *samples, self.total_phi)
         q = np.full(motion.v.shape, np.nan)
         at_velocity, at_position = self._single_joints
@@ -181,7 +171,7 @@ class RobotModel:
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
         """Effort that a motion needs, (N, nv), N·m or N; delays are not applied."""
         size = max(1, LARGEST_REGRESSOR // (len(self.joints) * self.phi.size))
-        effort = np.empty(motion.v.shape)
+        effort = np.empty(instance(motion, "motion", Motion).v.shape)
         if motion.time is not None and motion.before is None:
             motion = replace(motion, before=motion.q[:0])
         for start in range(0, len(motion), size):
@@ -207,6 +197,7 @@ class RobotModel:
         Raises:
             ArgumentError: The robot has joints of several degrees, whose positions are not those.
         """
+        by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)), finite=False)
         at_velocity, at_position = self._single_joints
         if len(at_velocity) < len(self.joints):
             several = [n for i, n in enumerate(self.joints) if i not in at_velocity]
@@ -266,11 +257,19 @@ class RobotModel:
             effects: Effects and their parameters.
             information: (p, p) information matrix of all of them.
             effort_noise: (nv,) held-out RMS that the fit leaves.
+
+        Raises:
+            ArgumentError: A value is not finite, or a shape does not fit the model.
         """
+        effects = instances(effects, "effects", FittedEffect)
+        p = self.phi.size + sum(len(fitted.parameters) for fitted in effects)
+        phi = real_array(phi, "phi", self.phi.shape)
+        information = real_array(information, "information", (p, p))
+        effort_noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
         return replace(
             self,
             phi=phi,
-            effects=tuple(effects),
+            effects=effects,
             information=information,
             effort_noise=effort_noise,
         )

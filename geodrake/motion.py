@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.arguments import instance, instances, real_array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.filtering import ZeroPhaseFilter
 from geodrake.known_payload import KnownPayload
@@ -57,12 +58,17 @@ class JointLog:
     def __post_init__(self) -> None:
         for quantity in ("time", "position", "effort", "velocity", "acceleration"):
             if (values := getattr(self, quantity)) is not None:
-                object.__setattr__(self, quantity, np.asarray(values, float))
+                name = f"{quantity} of log {self.name!r}"
+                object.__setattr__(self, quantity, real_array(values, name, finite=False))
         if np.ndim(self.time) != 1 or isinstance(self.joints, str):
             raise ArgumentError(
                 f"Log {self.name!r} needs time stamps (N,) and a tuple of joint names; it got time "
                 f"of shape {np.shape(self.time)} and joints {self.joints!r}."
             )
+        instance(self.name, "name", str)
+        object.__setattr__(self, "joints", instances(self.joints, "joints", str))
+        for name, values in (("position", self.position), ("effort", self.effort)):
+            instance(values, name, np.ndarray)
         shape = (len(self.time), len(self.joints))
         for quantity in ("position", "effort", "velocity", "acceleration"):
             values = getattr(self, quantity)
@@ -131,6 +137,13 @@ class Motion:
     before: Array | None = None
 
     def __post_init__(self) -> None:
+        for name in ("q", "v", "vd", "time", "before"):
+            if (values := getattr(self, name)) is not None or name in ("q", "v", "vd"):
+                object.__setattr__(self, name, real_array(values, name, finite=False))
+        if self.q.ndim != 2 or self.v.ndim != 2 or self.vd.ndim != 2:
+            raise ArgumentError(
+                f"A motion is (N, nq) and (N, nv); got {self.q.shape} and {self.v.shape}."
+            )
         times = () if self.time is None else np.shape(self.time)
         lengths = {len(self.q), len(self.v), len(self.vd), *times}
         if len(lengths) > 1 or np.shape(self.v) != np.shape(self.vd):

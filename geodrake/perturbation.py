@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instance, integer, number, real_array
 from geodrake.body_distances import riemannian_distance
 from geodrake.ellipsoids import Ellipsoid, equivalent_ellipsoid
 from geodrake.errors import ArgumentError, ConvergenceError
@@ -66,9 +67,18 @@ def perturb(
         ArgumentError: A body is not physical, or a number is out of its range.
         ConvergenceError: Hardly any draw of a body is physical.
     """
-    phi = np.asarray(phi, float)
-    _check(phi, count, mass_uncertainty, point_masses)
-    support = equivalent_ellipsoid(phi) if support is None else support
+    phi = real_array(phi, "phi", ("nb", 10))
+    if not is_physical(phi).all():
+        wrong = np.flatnonzero(~is_physical(phi)).tolist()
+        raise ArgumentError(f"Bodies {wrong} are not physical, so nothing is near them.")
+    count, point_masses = (
+        integer(count, "count", lower=1),
+        integer(point_masses, "point_masses", lower=1),
+    )
+    number(mass_uncertainty, "mass_uncertainty", lower=0.0, upper=1.0, strict=True)
+    instance(rng, "rng", np.random.Generator)
+    given = equivalent_ellipsoid(phi) if support is None else support
+    support = instance(given, "support", Ellipsoid)
     if support.center.shape[:-1] not in ((), (len(phi),)):
         raise ArgumentError(
             f"Expected one support, or one for each of {len(phi)} bodies; got "
@@ -92,16 +102,3 @@ def perturb(
         advice="Choose a smaller mass_uncertainty, more point masses, or a support that is not "
         "larger than the body.",
     )
-
-
-def _check(phi: Array, count: int, mass_uncertainty: float, point_masses: int) -> None:
-    if phi.ndim != 2 or phi.shape[1] != 10:
-        raise ArgumentError(f"Expected inertial parameters (nb, 10); got shape {phi.shape}.")
-    if not is_physical(phi).all():
-        wrong = np.flatnonzero(~is_physical(phi)).tolist()
-        raise ArgumentError(f"Bodies {wrong} are not physical, so nothing is near them.")
-    if count < 1 or point_masses < 1 or not 0 < mass_uncertainty < 1:
-        raise ArgumentError(
-            "Expected count and point_masses of at least one, and a mass_uncertainty between 0 and "
-            f"1; got {count}, {point_masses} and {mass_uncertainty}."
-        )

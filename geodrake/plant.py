@@ -23,8 +23,9 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
+from geodrake.arguments import real_array
 from geodrake.bodies import lumped_bodies
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_spatial_inertia
 from geodrake.model_files import ModelDescription, read_description
 from geodrake.model_files.description import drake_errors, drake_messages
@@ -237,14 +238,8 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
     Raises:
         ArgumentError: The shape does not fit, or a value is not finite.
     """
-    lumps, phi = lumped_bodies(plant), np.asarray(phi, float)
-    if phi.shape != (len(lumps), PARAMETERS_PER_BODY) or not np.isfinite(phi).all():
-        raise ArgumentError(
-            f"phi has shape {phi.shape} and {np.sum(~np.isfinite(phi))} values that are not "
-            f"finite; the plant has {len(lumps)} bodies.",
-            advice="Give a finite (nb, 10) array, bodies in the order of lumped_bodies(plant).",
-            phi=phi,
-        )
+    lumps = lumped_bodies(plant)
+    phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
     for body, parameters in zip(lumps, phi, strict=True):
         for member in body.members[1:]:
             plant.get_body(member.index).SetSpatialInertiaInBodyFrame(

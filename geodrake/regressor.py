@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.errors import ArgumentError
+from geodrake.arguments import Sizes, integer, real_array
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.kinematics import KinematicTree, Mobilizer
 from geodrake.recursion import Samples, piece_size, pieces
@@ -55,8 +55,7 @@ def body_regressor(
 ) -> Array:
     """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, without the others."""
     tree, samples = checked_samples(plant, q, v, vd)
-    if not 0 <= body < len(tree.bodies):
-        raise ArgumentError(f"Body {body} is not one of the plant's {len(tree.bodies)} bodies.")
+    integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
     for part, blocks in pieces(tree.branch(body), samples):
         for mobilizer, block in blocks:
@@ -82,9 +81,7 @@ def inverse_dynamics(
         phi: (nb, 10) inertial parameters.
     """
     tree, samples = checked_samples(plant, q, v, vd)
-    phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
-    if phi.shape != expected:
-        raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
+    phi = real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY))
     effort = np.zeros((len(samples[0]), tree.num_velocities))
     for part, blocks in pieces(tree, samples):
         for mobilizer, block in blocks:
@@ -119,24 +116,22 @@ def checked_samples(
     Raises:
         ArgumentError: A shape does not fit the plant, or a value is not finite.
     """
-    tree = plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
-    q, v, vd = np.asarray(q, float), np.asarray(v, float), np.asarray(vd, float)
+    tree = checked_tree(plant)
+    sizes: Sizes = {}
     nq, nv = tree.num_positions, tree.num_velocities
-    count = len(q) if q.ndim else 0
-    for name, values, width in (("q", q, nq), ("v", v, nv), ("vd", vd, nv)):
-        if values.shape != (count, width):
-            raise ArgumentError(
-                f"{name} has the shape {values.shape}, expected (N, {width}) with N = {count}.",
-                advice=f"The plant has nq = {nq} and nv = {nv}; N is the number of rows of q.",
-            )
-        if not np.isfinite(values).all():
-            sample = int(np.argmin(np.isfinite(values).all(axis=1)))
-            raise ArgumentError(
-                f"{name} is not finite at sample {sample}: {values[sample]}.",
-                advice="Leave out or repair such samples first.",
-                sample=sample,
-            )
+    q = real_array(q, "q", ("N", nq), sizes)
+    v, vd = real_array(v, "v", ("N", nv), sizes), real_array(vd, "vd", ("N", nv), sizes)
     return tree, (q, v, vd)
+
+
+def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:
+    """The tree of a plant, or the tree that it is.
+
+    Raises:
+        ArgumentError: It is something else.
+        ModelError: The plant is not finalized, or has a joint that is not supported.
+    """
+    return plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
 
 
 def _columns(mobilizer: Mobilizer) -> slice:

@@ -148,7 +148,9 @@ def _stated_parameters(
         phi = description.held_back.get(_scoped(plant, member.index))
         phi = from_spatial_inertia(spatial) if phi is None else phi
         X_RB = member.X_RB
-        rows.append(change_frame(phi, X_RB.rotation().matrix(), X_RB.translation()))
+        if np.isfinite(phi).all():
+            phi = change_frame(phi, X_RB.rotation().matrix(), X_RB.translation())
+        rows.append(phi)
     return np.array(rows)
 
 

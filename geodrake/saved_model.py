@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
+from geodrake.arguments import file_path, instance, instances
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.errors import GeodrakeError, ModelError, OutputError
 from geodrake.model import FittedEffect, RobotModel, load_description
@@ -75,7 +76,8 @@ def load_model(
         ModelError: The file cannot be read or does not describe a robot; or the file that a saved
             model is based on is gone or has other joints or bodies.
     """
-    path = Path(path)
+    path = file_path(path)
+    instances(extra, "extra", type)
     if is_saved_model(path):
         return _read(path, extra)
     return load_description(path, floating=floating)
@@ -96,8 +98,8 @@ def save_model(model: RobotModel, path: str | Path) -> None:
     Raises:
         OutputError: The target cannot be written.
     """
-    path = Path(path)
-    base = model.path.resolve()
+    path = file_path(path)
+    base = instance(model, "model", RobotModel).path.resolve()
     saved = SavedModel(
         base_model=os.path.relpath(base, path.resolve().parent),
         base_sha256=hashlib.sha256(base.read_bytes()).hexdigest(),

@@ -280,7 +280,7 @@ def test_composite_covector_takes_off_the_prediction_error():
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
 def test_laws_refuse_a_gain_that_is_none(wrong):
-    with pytest.raises(ArgumentError, match="positive gamma"):
+    with pytest.raises(ArgumentError, match="gamma must be"):
         natural_adaptation(BODIES, wrong)
 
 
@@ -291,7 +291,7 @@ def test_laws_refuse_what_they_cannot_use():
         pullback_adaptation(BODIES, -np.ones(BODIES.dimension))
     with pytest.raises(ArgumentError, match="positive definite"):
         ConstantMetric(np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2))
-    with pytest.raises(ArgumentError, match="both"):
+    with pytest.raises(ArgumentError, match="dimension must be"):
         euclidean_adaptation(0)
     law = natural_adaptation(BODIES)
     with pytest.raises(ArgumentError, match="limits are on 40"):
@@ -547,12 +547,12 @@ def test_limits_say_what_they_mean():
     np.testing.assert_allclose(-ellipsoid, np.trace(pseudo_inertia(phi) @ HULL.quadric))
     mass = LinearSet(mass_limits(22, 1, 0.0, phi[0] + 0.5)).values(x)
     np.testing.assert_allclose(mass, [-0.5, -phi[0]])
-    with pytest.raises(ArgumentError, match="ten of 22"):
+    with pytest.raises(ArgumentError, match="in 22 of them"):
         mass_limits(22, 2, 0.0, 1.0)
     for index in (22, -1):
-        with pytest.raises(ArgumentError, match="22 parameters"):
+        with pytest.raises(ArgumentError, match="from 0 to 21"):
             parameter_limits(22, [index], 0.0, 1.0)
-    with pytest.raises(ArgumentError, match="lower and upper"):
+    with pytest.raises(ArgumentError, match="lower must be"):
         parameter_limits(22, [1], [0.0, 1.0], 1.0)
     with pytest.raises(ArgumentError, match="corner"):
         center_of_mass_box(22, 0, [1.0, 0.0, 0.0], [0.0, 1.0, 1.0])

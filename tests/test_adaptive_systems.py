@@ -306,30 +306,30 @@ def test_only_what_is_needed_is_read():
 
 
 def test_what_does_not_fit_is_refused():
-    with pytest.raises(ArgumentError, match="has 22 parameters"):
+    with pytest.raises(ArgumentError, match=r"parameters must be \(22,\)"):
         passive(parameters=np.ones(3))
-    with pytest.raises(ArgumentError, match="not finite"):
+    with pytest.raises(ArgumentError, match="holds nan"):
         passive(parameters=np.full(len(TRUTH), np.nan))
     with pytest.raises(ArgumentError, match="inside of the law's manifold"):
         passive(parameters=-TRUTH)
-    with pytest.raises(ArgumentError, match="time step"):
+    with pytest.raises(ArgumentError, match="time_step"):
         passive(time_step=-1.0)
-    with pytest.raises(ArgumentError, match="positive rates"):
+    with pytest.raises(ArgumentError, match=r"rates? must be"):
         passive(gains=VaryingGains(0.0))
     with pytest.raises(ArgumentError, match="damping gains"):
         passive(gains=FixedGains([1.0, 2.0, 3.0], 1.0))
     with pytest.raises(ArgumentError, match="Effort limits"):
         passive(safeguards=Safeguards(effort_limits=[1.0, -1.0]))
-    with pytest.raises(ArgumentError, match="one rate for all"):
+    with pytest.raises(ArgumentError, match="rate must be a real number"):
         passive(gains=VaryingGains([1.0, 9.0]))
     with pytest.raises(ArgumentError, match="VaryingGains or FixedGains"):
         passive(gains=8.0)
     with pytest.raises(ArgumentError, match="dead zone"):
         passive(safeguards=Safeguards(dead_zone=[1.0, 1.0, 1.0]))
-    with pytest.raises(ArgumentError, match="stale time"):
+    with pytest.raises(ArgumentError, match="stale_time"):
         Safeguards(stale_time=np.nan)
     for rate in ([1.0, 2.0, 3.0], np.inf, -1.0):
-        with pytest.raises(ArgumentError, match="positive rates"):
+        with pytest.raises(ArgumentError, match=r"rates? must be"):
             computed(rate=rate)
     with pytest.raises(ArgumentError, match="needs a time step"):
         computed(time_step=0.0, bandwidth=10.0)

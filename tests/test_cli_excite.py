@@ -238,7 +238,7 @@ class TestLimits:
             ("elbow.position=1:0", "'elbow' has no room to move"),
             ("velocity=0", "'shoulder' has no room to move"),
             ("velocity=inf", "speed of joint 'shoulder' is not limited"),
-            ("-1", "share of limits is positive"),
+            ("-1", "share must be a finite number above 0"),
         ],
     )
     def test_that_cannot_be(self, text, words):

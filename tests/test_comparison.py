@@ -77,7 +77,7 @@ def test_bad_comparisons_are_refused():
     A, b = data(2)
     with pytest.raises(ArgumentError, match="can be compared once"):
         compare_regularizers(A, b, PRIOR, gamma=1.0, regularizers=["entropic", "entropic"])
-    with pytest.raises(ArgumentError, match='no regularizer "ridge"'):
+    with pytest.raises(ArgumentError, match="is 'ridge'"):
         compare_regularizers(A, b, PRIOR, gamma=1.0, reference="ridge")
 
 

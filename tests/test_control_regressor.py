@@ -327,5 +327,5 @@ def test_what_is_not_finite_comes_out_as_such(arm):
 
 @pytest.mark.parametrize("width", [-1.0, np.nan, np.inf, [0.1, 0.1]])
 def test_widths_of_signs_that_are_none_are_refused(arm, width):
-    with pytest.raises(ArgumentError, match="sign widths"):
+    with pytest.raises(ArgumentError, match=r"sign widths|sign_width must"):
         ControlModel.of(arm, sign_width=width)

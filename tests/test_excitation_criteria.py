@@ -120,7 +120,7 @@ class TestValues:
         with pytest.raises(ArgumentError, match=r"no criterion 'g'.*e_optimality"):
             Criterion("g")
         for wrong in ({"sharpness": 0.0}, {"kept": 0}):
-            with pytest.raises(ArgumentError, match="positive sharpness"):
+            with pytest.raises(ArgumentError, match=r"positive sharpness|kept must be"):
                 Criterion(**wrong)
         with pytest.raises(ArgumentError, match="4 eigenvalues needs as many; there are 3"):
             Criterion(kept=4).value(np.ones(3))

@@ -267,7 +267,7 @@ def test_robots_with_gravity_of_their_own():
 def test_bad_input():
     plant = load_plant(MODELS / "arm6.urdf").plant
     tree, still = KinematicTree.from_plant(plant), np.zeros((3, 6))
-    with pytest.raises(ArgumentError, match="v has the shape"):
+    with pytest.raises(ArgumentError, match=r"v must be \(N, 6\)"):
         base_wrench_regressor(tree, still, still[:, 1:], still)
     with pytest.raises(ArgumentError, match=r"pose has the shape \(2, 4, 4\)"):
         base_wrench_regressor(tree, still, still, still, X_WP=np.zeros((2, 4, 4)))
@@ -275,7 +275,7 @@ def test_bad_input():
         base_wrench_regressor(tree, still, still, still, X_WP=2 * np.eye(4))
     with pytest.raises(ArgumentError, match=r"\(N, 6\)"):
         zero_moment_point(np.zeros(6))
-    with pytest.raises(ArgumentError, match=r"\(N, 6\); got \(3, 5\)"):
+    with pytest.raises(ArgumentError, match=r"\(N, 6\) .* \(3, 5\)"):
         move_wrench(np.zeros((3, 5)), np.eye(4))
     with pytest.raises(ArgumentError, match="R Rᵀ is 1 off"):
         move_wrench(np.zeros((3, 6)), np.zeros((4, 4)))

@@ -175,11 +175,11 @@ def test_invariance_under_frames_and_units(seed, length, mass):
 
 def test_bad_arguments_are_refused():
     A, b = data(6)
-    with pytest.raises(ArgumentError, match="no method 'gradient'; there are newton, cyclic"):
+    with pytest.raises(ArgumentError, match=r"newton.*cyclic.*gradient"):
         geodesic_least_squares(A, b, PRIOR, gamma=1.0, method="gradient")
-    with pytest.raises(ArgumentError, match="gamma must be positive; got -1"):
+    with pytest.raises(ArgumentError, match="gamma must be a finite number above 0; it is -1"):
         geodesic_least_squares(A, b, PRIOR, gamma=-1.0)
-    with pytest.raises(ArgumentError, match="must be positive; got 1e-08, 0"):
+    with pytest.raises(ArgumentError, match="max_iterations must be"):
         geodesic_least_squares(A, b, PRIOR, gamma=1.0, max_iterations=0)
     with pytest.raises(ArgumentError, match="A has 21 columns, but 2 bodies of the prior have 20"):
         geodesic_least_squares(np.hstack([A, A[:, :1]]), b, PRIOR, gamma=1.0)

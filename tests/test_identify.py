@@ -151,26 +151,26 @@ def test_total_mass_and_ellipsoids_hold():
 
 
 BAD = {
-    "regularizer": ({"regularizer": "ridge"}, 'no regularizer "ridge"; there are "euclidean", "p'),
+    "regularizer": ({"regularizer": "ridge"}, 'one of "euclidean", "pullback", .* is .ridge'),
     "neither": ({"gamma": None}, "Exactly one of gamma and residual_bound"),
     "both": ({"residual_bound": 1.0}, "Exactly one of gamma and residual_bound"),
-    "gamma": ({"gamma": 0.0}, "gamma must be positive; got 0"),
-    "b": ({"b": np.ones(3)}, r"b must have shape \(24,\); got \(3,\)"),
-    "words": ({"b": ["1", "two"]}, "b is not an array of real numbers: could not convert"),
-    "ragged": ({"A": [[1.0, 2.0], [3.0]]}, "A is not an array of real numbers"),
+    "gamma": ({"gamma": 0.0}, "gamma must be .* above 0; it is 0"),
+    "b": ({"b": np.ones(3)}, r"b must be \(24,\) .* \(3,\)"),
+    "words": ({"b": ["1", "two"]}, "b must be .* it is of type"),
+    "ragged": ({"A": [[1.0, 2.0], [3.0]]}, "A must be .* it is"),
     "solver": ({"solver": "simplex"}, "No conic solver 'simplex' here; there are clarabel"),
     "no bodies": ({"prior": np.zeros((0, 10))}, "The prior has no bodies"),
-    "nan": ({"b": np.full(24, np.nan)}, "b has 24 values that are not finite"),
+    "nan": ({"b": np.full(24, np.nan)}, r"b must be .* holds nan at \[0\]"),
     "prior": (
         {"prior": PRIOR * np.array([[1], [-1], [1]])},
         r"not physical for bodies \[1\].*eigenvalues -",
     ),
     "bodies": ({"prior": np.vstack([PRIOR, PRIOR])}, "30 columns, but 6 bodies of the prior need"),
     "sigma": ({"sigma": -1.0}, "sigma has values that are not positive"),
-    "sigma shape": ({"sigma": np.ones(3)}, r"sigma must have shape \(24,\)"),
-    "ellipsoids": ({"ellipsoids": np.eye(4)}, r"ellipsoids must have shape \(3, 4, 4\)"),
-    "mass": ({"total_mass": -1.0}, "total_mass must be positive"),
-    "extra": ({"extra_bounds": [[0, 1]]}, r"extra_bounds must have shape \(0, 2\)"),
+    "sigma shape": ({"sigma": np.ones(3)}, r"sigma must be \(24,\)"),
+    "ellipsoids": ({"ellipsoids": np.eye(4)}, r"ellipsoids must be \(3, 4, 4\)"),
+    "mass": ({"total_mass": -1.0}, "total_mass must be a finite number"),
+    "extra": ({"extra_bounds": [[0, 1]]}, r"extra_bounds must be \(0, 2\)"),
 }
 
 
@@ -308,13 +308,13 @@ def test_bounds_on_mass_and_centre_of_mass_hold(regularizer):
 CONSTRAINTS = {
     "mass shape": (
         {"mass_bounds": [[0, 1]]},
-        r"mass_bounds must have shape \(3, 2\); got \(1, 2\)",
+        r"mass_bounds must be \(3, 2\) .* \(1, 2\)",
     ),
     "mass order": ({"mass_bounds": [[2, 1]] * 3}, r"mass_bounds leaves nothing .* at \[\[0\]"),
     "no mass": ({"mass_bounds": [[-2, -1]] * 3}, r"no positive mass to bodies \[0, 1, 2\]"),
-    "com shape": ({"com_bounds": np.zeros((3, 2))}, r"com_bounds must have shape \(3, 3, 2\)"),
+    "com shape": ({"com_bounds": np.zeros((3, 2))}, r"com_bounds must be \(3, 3, 2\)"),
     "nan": ({"com_bounds": np.full((3, 3, 2), np.nan)}, "com_bounds leaves nothing"),
-    "mass": ({"total_mass": np.inf}, "total_mass must be positive"),
+    "mass": ({"total_mass": np.inf}, "total_mass must be a finite number"),
 }
 
 

@@ -283,7 +283,7 @@ def test_bad_arguments():
         Interval((1.0,), (1.0,))
     with pytest.raises(ArgumentError, match=r"\(1, 9\)"):
         ConstrainedInertia(np.ones((1, 9)), np.ones(1))
-    with pytest.raises(ArgumentError, match="above zero"):
+    with pytest.raises(ArgumentError, match="above 0"):
         ConstrainedInertia(np.ones((1, 10)), np.ones(1), 0.0)
     with pytest.raises(ArgumentError, match="positive weight"):
         Product((Free(), Free()), (1.0, -1.0))

@@ -328,7 +328,7 @@ def test_a_start_saves_steps_and_changes_nothing():
     for start in (cold.x, np.append(PRIOR.ravel(), [0.0, 0.0]), 1.01 * cold.x, -cold.x):
         warm = solve_newton(problem, start=start)
         np.testing.assert_allclose(warm.x, cold.x, rtol=1e-6, atol=1e-8)
-    with pytest.raises(ArgumentError, match=r"start must have shape \(32,\)"):
+    with pytest.raises(ArgumentError, match=r"start must be \(32,\)"):
         solve_newton(problem, start=np.zeros(3))
 
 

@@ -456,7 +456,7 @@ def test_written_parameters_are_read_back():
     phi = np.random.default_rng(2).normal(size=(6, 10)) + 3.0
     set_inertial_parameters(plant, context, phi)
     np.testing.assert_allclose(inertial_parameters(plant, context), phi, rtol=1e-9)
-    with pytest.raises(ArgumentError, match="6 bodies"):
+    with pytest.raises(ArgumentError, match=r"phi must be \(6, 10\)"):
         set_inertial_parameters(plant, context, phi[:-1])
     with pytest.raises(ArgumentError, match="finite"):
         set_inertial_parameters(plant, context, phi * np.nan)

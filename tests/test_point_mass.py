@@ -110,15 +110,15 @@ def test_constraints_hold(kind):
 
 def test_bad_points_are_refused():
     A, b = data(6)
-    with pytest.raises(ArgumentError, match="counts must be at least 10"):
+    with pytest.raises(ArgumentError, match="counts must be"):
         PointMasses.of_bodies(PRIOR, 5)
     with pytest.raises(ArgumentError, match=r"Bodies \[1\] have no points, or prior masses"):
         PointMasses(POINTS.positions, (POINTS.masses[0], -POINTS.masses[1]))
-    with pytest.raises(ArgumentError, match=r"masses\[1\] must have shape \(25,\); got \(40,\)"):
+    with pytest.raises(ArgumentError, match=r"masses\[1\] must be \(25,\) .* \(40,\)"):
         PointMasses(POINTS.positions, (POINTS.masses[0], POINTS.masses[0]))
     with pytest.raises(ArgumentError, match="Masses are needed for each of the 2"):
         PointMasses(POINTS.positions, POINTS.masses[:1])
-    with pytest.raises(ArgumentError, match=r"counts must have shape \(2,\); got \(3,\)"):
+    with pytest.raises(ArgumentError, match=r"counts must have shape \(2,\)"):
         PointMasses.of_bodies(PRIOR, [10, 10, 10])
     with pytest.raises(ArgumentError, match=r"Bodies \[0\] are not physical"):
         PointMasses.of_bodies(PRIOR * [[-1.0], [1.0]])

@@ -189,9 +189,9 @@ class TestKarcherMean:
             pd.karcher_mean(P, [1.0, -1.0])
         with pytest.raises(ArgumentError, match="zero or more"):
             pd.karcher_mean(P, [0.0, 0.0])
-        with pytest.raises(ArgumentError, match="a weight for each"):
+        with pytest.raises(ArgumentError, match=r"weights must be .* k = 2"):
             pd.karcher_mean(P, [1.0])
-        with pytest.raises(ArgumentError, match="at least one"):
+        with pytest.raises(ArgumentError, match="no matrices"):
             pd.karcher_mean(np.zeros((0, 4, 4)))
 
 
@@ -221,8 +221,8 @@ def test_steps_of_any_length_stay_positive():
         (np.array([[1.0, 2.0], [2.0, 1.0]]), "positive-definite"),
         (np.diag([1.0, np.nan]), "positive-definite"),
         (np.array([[1.0, 0.5], [0.0, 1.0]]), "symmetric"),
-        (np.ones((2, 3)), r"square.*\(2, 3\)"),
-        (np.ones(4), "square"),
+        (np.ones((2, 3)), r"n, n.*\(2, 3\)"),
+        (np.ones(4), "n, n"),
     ],
 )
 def test_bad_matrices(matrix, message):
@@ -245,11 +245,11 @@ def test_bad_tangents(tangent):
 
 
 def test_matrices_of_different_sizes():
-    with pytest.raises(ArgumentError, match=r"\(2, 2\) and \(3, 3\)"):
+    with pytest.raises(ArgumentError, match=r"n = 2; it has the shape \(3, 3\)"):
         pd.distance(np.eye(2), np.eye(3))
 
 
 @pytest.mark.parametrize("limits", [{"tolerance": 0.0}, {"max_iterations": 0}])
 def test_limits_of_the_mean(limits):
-    with pytest.raises(ArgumentError, match="at least one iteration"):
+    with pytest.raises(ArgumentError, match=r"max_iterations|tolerance must be"):
         pd.karcher_mean(np.stack([np.eye(2), 2 * np.eye(2)]), **limits)

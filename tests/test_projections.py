@@ -236,7 +236,7 @@ class TestBadInput:
             bregman_projection(PhysicalInertia(), self.X, halfspace([1.0], 0.0))
         with pytest.raises(ArgumentError, match="not inside"):
             bregman_projection(PhysicalInertia(), -self.X, halfspace(np.eye(10)[0], 0.0))
-        with pytest.raises(ArgumentError, match="lower and upper"):
+        with pytest.raises(ArgumentError, match="lower must be"):
             Polyhedron(np.eye(2), np.zeros(3), np.ones(3))
         with pytest.raises(ArgumentError, match="do not exceed"):
             slab([1.0], 2.0, 1.0)

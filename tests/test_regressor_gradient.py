@@ -157,9 +157,9 @@ def test_bad_arguments():
     rng = np.random.default_rng(6)
     plant = random_plant(rng, ("revolute",))
     motion = random_motion(plant, rng, 2)
-    with pytest.raises(ArgumentError, match=r"\(2, 1, 9\).*\(2, 1, 10\)"):
+    with pytest.raises(ArgumentError, match=r"\(2, 1, 10\).*\(2, 1, 9\)"):
         inverse_dynamics_regressor_gradient(plant, *motion, np.zeros((2, 1, 9)))
-    with pytest.raises(ArgumentError, match="not finite"):
+    with pytest.raises(ArgumentError, match="holds nan"):
         inverse_dynamics_regressor_gradient(plant, *motion, np.full((2, 1, 10), np.nan))
     with pytest.raises(ArgumentError, match=r"\(2, 6, 10\)"):
         base_wrench_regressor_gradient(plant, *motion, np.zeros((2, 1, 10)))

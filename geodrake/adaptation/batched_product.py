@@ -64,7 +64,7 @@ class _Group:
         if self._span is None:
             x[..., self.places] = values
         else:
-            x[..., self._span] = values.reshape((*x.shape[:-1], -1))
+            x[..., self._span] = values.reshape((*x.shape[:-1], self.places.size))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,30 +99,28 @@ class BatchedProduct(Product):
             groups.append(_Group(Interval(lower, upper), places[None], weight, bounds))
         return tuple(groups)
 
-    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether x is inside every factor (...)."""
-        x = np.asarray(x, float)
-        inside = [g.manifold.contains(g.part(x)).all(-1) for g in self._groups]
+        inside = [g.manifold.calc_contains(g.part(x)).all(-1) for g in self._groups]
         return np.logical_and.reduce(inside)
 
-    def barrier(self, x: ArrayLike) -> Array:
+    def calc_barrier(self, x: Array) -> Array:
         """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
-        x = np.asarray(x, float)
-        terms = [g.weight * g.manifold.barrier(g.part(x)).sum(-1) for g in self._groups]
+        terms = [g.weight * g.manifold.calc_barrier(g.part(x)).sum(-1) for g in self._groups]
         return np.asarray(sum(terms), float)
 
-    def gradient(self, x: ArrayLike) -> Array:
+    def calc_gradient(self, x: Array) -> Array:
         """The factors' gradients times their weights, (..., n)."""
-        return self._filled(lambda g, x: g.weight * g.manifold.gradient(x), x)
+        return self._filled(lambda g, x: g.weight * g.manifold.calc_gradient(x), x)
 
-    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
 
         def solved(group: _Group, x: Array, b: Array) -> Array:
             if isinstance(group.manifold, PhysicalInertia):
                 P, X = _matrices(x, _TO_MATRIX), _matrices(b, _TO_DUAL)
                 return _parameters(P @ X @ P) / group.weight
-            return group.manifold.inverse_metric_times(x, b) / group.weight
+            return group.manifold.calc_inverse_metric_times(x, b) / group.weight
 
         return self._filled(solved, x, b)
 
@@ -139,27 +137,26 @@ class BatchedProduct(Product):
                 pulled = (p - group.lower) * b
                 square = np.vdot(pulled, pulled)
             else:
-                square = np.vdot(b, group.manifold.inverse_metric_times(p, b))
+                square = np.vdot(b, group.manifold.calc_inverse_metric_times(p, b))
             total += float(square) / group.weight
         return total
 
-    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def calc_divergence(self, x: Array, y: Array) -> Array:
         """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
-        x, y = np.asarray(x, float), np.asarray(y, float)
         terms = [
-            g.weight * g.manifold.divergence(g.part(x), g.part(y)).sum(-1) for g in self._groups
+            g.weight * g.manifold.calc_divergence(g.part(x), g.part(y)).sum(-1)
+            for g in self._groups
         ]
         return np.asarray(sum(terms), float)
 
-    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
         """The least of the factors' times (...)."""
-        x, v = np.asarray(x, float), np.asarray(v, float)
-        times = [g.manifold.longest_step(g.part(x), g.part(v)).min(-1) for g in self._groups]
+        times = [g.manifold.calc_longest_step(g.part(x), g.part(v)).min(-1) for g in self._groups]
         return np.minimum.reduce(times)
 
-    def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_retract(self, x: Array, v: Array) -> Array:
         """Each factor by itself."""
-        return self._filled(lambda g, x, v: g.manifold.retract(x, v), x, v)
+        return self._filled(lambda g, x, v: g.manifold.calc_retract(x, v), x, v)
 
     def natural_step(self, x: ArrayLike, b: ArrayLike, time: float) -> Array:
         """`retract` along −time g(x)⁻¹ b, which for bodies needs no inverse.
@@ -203,7 +200,7 @@ def _natural_step(group: _Group, x: Array, b: Array, time: float) -> Array:
         return _body_step(x, b, time)
     if group.lower is not None:
         return _positive_step(x, b, time, lower=group.lower)
-    return group.manifold.retract(x, -time * group.manifold.inverse_metric_times(x, b))
+    return group.manifold.calc_retract(x, -time * group.manifold.calc_inverse_metric_times(x, b))
 
 
 def _body_step(phi: Array, b: Array, time: float) -> Array:
@@ -257,7 +254,7 @@ def _well_inside(P: Array) -> bool:
 def _careful_step(phi: Array, b: Array, time: float) -> Array:
     """The natural step for long steps, and for bodies at the edge of what can exist."""
     body = PhysicalInertia()
-    return body.retract(phi, -time * body.inverse_metric_times(phi, b))
+    return body.calc_retract(phi, -time * body.calc_inverse_metric_times(phi, b))
 
 
 def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
@@ -272,4 +269,4 @@ def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
         if (stepped > lower).all() and np.vdot(stepped, stepped) < _GREATEST:
             return np.asarray(stepped)
     above = Interval(tuple(lower.tolist()), (np.inf,) * len(lower))
-    return above.retract(x, slack * growth)
+    return above.calc_retract(x, slack * growth)

@@ -10,10 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instance, instances, integer, number, real_array
 from geodrake.ellipsoids import realizability_row
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.projections import Polyhedron
+
+_MOST = 10_000  # parameters of one robot
 
 
 class ConvexSet(abc.ABC):
@@ -40,6 +43,11 @@ class FunctionSet(ConvexSet):
     function: Callable[[Array], ArrayLike]
     gradient: Callable[[Array], ArrayLike]
 
+    def __post_init__(self) -> None:
+        for name in ("function", "gradient"):
+            if not callable(given := getattr(self, name)):
+                raise ArgumentError(f"{name} must be a function; it is {given!r}.")
+
     def values(self, p: Array) -> Array:
         """c(p) (k,)."""
         return np.atleast_1d(np.asarray(self.function(p), float))
@@ -58,6 +66,9 @@ class LinearSet(ConvexSet):
     """
 
     polyhedron: Polyhedron
+
+    def __post_init__(self) -> None:
+        instance(self.polyhedron, "polyhedron", Polyhedron)
 
     @cached_property
     def _rows(self) -> tuple[Array, Array]:
@@ -92,12 +103,12 @@ def body_limits(
     Raises:
         ArgumentError: There is no such body, or shapes do not fit.
     """
-    rows = np.atleast_2d(np.asarray(rows, float))
-    first = PARAMETERS_PER_BODY * body
-    if rows.shape[1] != PARAMETERS_PER_BODY or not 0 <= first <= size - PARAMETERS_PER_BODY:
-        raise ArgumentError(
-            f"Body {body} has ten of {size} parameters; rows of shape {rows.shape} do not fit."
-        )
+    rows = real_array(rows, "rows")
+    rows = real_array(rows[None] if rows.ndim == 1 else rows, "rows", ("k", PARAMETERS_PER_BODY))
+    integer(size, "size", lower=0, upper=_MOST)
+    first = PARAMETERS_PER_BODY * integer(body, "body", lower=0)
+    if first > size - PARAMETERS_PER_BODY:
+        raise ArgumentError(f"There is no body {body}, ten parameters a body, in {size} of them.")
     matrix = np.zeros((len(rows), size))
     matrix[:, first : first + PARAMETERS_PER_BODY] = rows
     return Polyhedron(matrix, _of_rows(lower, len(rows)), _of_rows(upper, len(rows)))
@@ -105,13 +116,17 @@ def body_limits(
 
 def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
     """The mass of a body between two values, kg."""
-    return body_limits(size, body, np.eye(PARAMETERS_PER_BODY)[0], lower=lower, upper=upper)
+    limits = {
+        "lower": number(lower, "lower", finite=False),
+        "upper": number(upper, "upper", finite=False),
+    }
+    return body_limits(size, body, np.eye(PARAMETERS_PER_BODY)[0], **limits)
 
 
 def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike) -> Polyhedron:
     """The centre of mass p_BoBcm_B of a body between two corners (3,), m: m l ≤ h ≤ m u."""
-    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-    if lower.shape != (3,) or upper.shape != (3,) or not (lower < upper).all():
+    lower, upper = real_array(lower, "lower", (3,)), real_array(upper, "upper", (3,))
+    if not (lower < upper).all():
         raise ArgumentError(
             f"A box has a lower corner (3,) below an upper one; got {lower.tolist()} and "
             f"{upper.tolist()}."
@@ -130,7 +145,9 @@ def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
         body: Index of the body.
         quadric: (4, 4) Q with [x;1]ᵀ Q [x;1] ≥ 0 inside ([Lee2019] Eq. (3.5.46)).
     """
-    return body_limits(size, body, realizability_row(quadric), lower=0.0)
+    return body_limits(
+        size, body, realizability_row(real_array(quadric, "quadric", (4, 4))), lower=0.0
+    )
 
 
 def parameter_limits(
@@ -147,14 +164,24 @@ def parameter_limits(
     Raises:
         ArgumentError: There is no such parameter, or shapes do not fit.
     """
-    if not all(0 <= index < size for index in indices):
-        raise ArgumentError(f"There are {size} parameters; got indices {list(indices)}.")
+    integer(size, "size", lower=1, upper=_MOST)
+    for index in (indices := instances(indices, "indices", int)):
+        integer(index, "an index", lower=0, upper=size - 1)
     matrix = np.eye(size)[list(indices)]
     return Polyhedron(matrix, _of_rows(lower, len(matrix)), _of_rows(upper, len(matrix)))
 
 
 def intersection(*polyhedra: Polyhedron) -> Polyhedron:
-    """The points that are in all polyhedra."""
+    """The points that are in all polyhedra.
+
+    Raises:
+        ArgumentError: There are none, or they are of different numbers of parameters.
+    """
+    sizes = {instance(each, "a polyhedron", Polyhedron).matrix.shape[1] for each in polyhedra}
+    if len(sizes) != 1:
+        raise ArgumentError(
+            f"An intersection is of polyhedra of one number of parameters; got {sorted(sizes)}."
+        )
     return Polyhedron(
         np.concatenate([each.matrix for each in polyhedra]),
         np.concatenate([each.lower for each in polyhedra]),
@@ -164,5 +191,5 @@ def intersection(*polyhedra: Polyhedron) -> Polyhedron:
 
 def _of_rows(limits: ArrayLike, count: int) -> Array:
     """Limits (k,) from one for all rows, or one for each; Polyhedron tells of a wrong shape."""
-    limits = np.asarray(limits, float)
+    limits = real_array(limits, "limits", finite=False)
     return np.full(count, limits) if limits.ndim == 0 else limits

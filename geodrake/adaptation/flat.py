@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import Sizes, instance, positive_definite, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold
 from geodrake.manifolds.base import Array
 from geodrake.manifolds.mirror import MirrorLine
 
-_ASYMMETRY = 1e-9
+_NOT_INVERSE = 1e-3  # error of the product of a matrix and its inverse, on a unit diagonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +29,16 @@ class ConstantMetric(Manifold):
     inverse: Array
 
     def __post_init__(self) -> None:
-        matrix, inverse = np.asarray(self.matrix, float), np.asarray(self.inverse, float)
-        n = len(matrix)
-        if not (n and matrix.shape == inverse.shape == (n, n)):
+        sizes: Sizes = {}
+        matrix = positive_definite(self.matrix, "matrix", ("n", "n"), sizes)
+        inverse = real_array(self.inverse, "inverse", ("n", "n"), sizes)
+        scale = np.sqrt(np.diagonal(matrix))
+        off = (matrix @ inverse) / scale[:, None] * scale - np.eye(len(matrix))
+        if np.abs(off).max(initial=0.0) > _NOT_INVERSE:
             raise ArgumentError(
-                f"A metric and its inverse are both (n, n); got {matrix.shape}, {inverse.shape}."
+                f"inverse must be that of matrix; their product is {np.abs(off).max():.2g} off the "
+                "identity."
             )
-        # Units of parameters differ by orders of magnitude: judged on a unit diagonal.
-        diagonal = np.diagonal(matrix)
-        if not (np.isfinite(matrix).all() and (diagonal > 0).all()):
-            raise ArgumentError(f"A metric has a positive diagonal; got {diagonal.tolist()}.")
-        scaled = matrix / np.sqrt(diagonal[:, None] * diagonal)
-        if np.abs(scaled - scaled.T).max() > _ASYMMETRY or np.linalg.eigvalsh(scaled)[0] <= 0:
-            raise ArgumentError("A metric is symmetric and positive definite; this one is not.")
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "inverse", inverse)
 
@@ -50,7 +48,7 @@ class ConstantMetric(Manifold):
 
         The inverse comes from the manifold too, so that it is as precise as there.
         """
-        x = np.asarray(x, float)
+        x = real_array(x, "x", (instance(manifold, "manifold", Manifold).dimension,))
         inverse = manifold.inverse_metric_times(x, np.eye(manifold.dimension))
         return cls(manifold.metric(x), 0.5 * (inverse + inverse.T))
 
@@ -59,44 +57,42 @@ class ConstantMetric(Manifold):
         """Number of parameters."""
         return len(self.matrix)
 
-    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether x is finite (...)."""
-        return np.isfinite(np.asarray(x, float)).all(-1)
+        return np.asarray(np.isfinite(x).all(-1))
 
-    def barrier(self, x: ArrayLike) -> Array:
+    def calc_barrier(self, x: Array) -> Array:
         """½ xᵀ Γ x."""
-        x = np.asarray(x, float)
         return np.asarray(0.5 * (x * (x @ self.matrix)).sum(-1))
 
-    def gradient(self, x: ArrayLike) -> Array:
+    def calc_gradient(self, x: Array) -> Array:
         """Γ x, (..., n)."""
-        return np.asarray(np.asarray(x, float) @ self.matrix)
+        return np.asarray(x @ self.matrix)
 
-    def metric(self, x: ArrayLike) -> Array:
+    def calc_metric(self, x: Array) -> Array:
         """Γ, (..., n, n)."""
         return np.broadcast_to(self.matrix, (*np.shape(x)[:-1], *self.matrix.shape)).copy()
 
-    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """Γ⁻¹ b, whatever x is."""
-        return np.asarray(np.asarray(b, float) @ self.inverse)
+        return np.asarray(b @ self.inverse)
 
-    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def calc_divergence(self, x: Array, y: Array) -> Array:
         """½ (x − y)ᵀ Γ (x − y)."""
-        return self.barrier(np.asarray(x, float) - np.asarray(y, float))
+        return self.calc_barrier(x - y)
 
-    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
         """Infinite."""
         return np.full(np.broadcast_shapes(np.shape(x), np.shape(v))[:-1], np.inf)
 
-    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """The straight line x + t Γ⁻¹ b."""
-        x, b = np.asarray(x, float), np.asarray(b, float)
-        v = self.inverse_metric_times(x, b)
+        v = self.calc_inverse_metric_times(x, b)
         start, slope = float(b @ x), float(b @ v)
         return MirrorLine(
             lambda t: x + t * v, lambda t: start + t * slope, np.inf, 1.0 / np.sqrt(slope)
         )
 
-    def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_retract(self, x: Array, v: Array) -> Array:
         """The straight line x + v."""
-        return np.asarray(x, float) + np.asarray(v, float)
+        return x + v

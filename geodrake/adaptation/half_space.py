@@ -46,7 +46,7 @@ def half_space_projection(manifold: Product, x: Array, a: Array, limit: float) -
     if np.count_nonzero(a) == 1 and all(issubclass(kind, Interval) for kind in kinds):
         y, i = x.copy(), int(np.flatnonzero(a)[0])
         y[i] = limit / a[i]
-        return y if bool(manifold.contains(y)) else None
+        return y if bool(manifold.calc_contains(y)) else None
     return None
 
 

@@ -12,9 +12,12 @@ from numpy.typing import ArrayLike
 
 from geodrake.adaptation.batched_product import BatchedProduct
 from geodrake.adaptation.flat import ConstantMetric
+from geodrake.arguments import instance, integer, one_of, positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold
 from geodrake.manifolds.base import Array
+
+_MOST = 10_000  # parameters of one law
 
 Integrator = Literal["geodesic", "euler"]
 
@@ -65,17 +68,15 @@ class AdaptationLaw(UpdateLaw):
     integrator: Integrator = "geodesic"
 
     def __post_init__(self) -> None:
-        if not 0 < self.gamma < np.inf:
-            raise ArgumentError(f"An adaptation law needs a positive gamma; got {self.gamma}.")
-        if self.integrator not in ("geodesic", "euler"):
-            raise ArgumentError(
-                f"There is no integrator {self.integrator!r}.", advice='Use "geodesic" or "euler".'
-            )
+        instance(self.manifold, "manifold", Manifold)
+        positive(self.gamma, "gamma")
+        one_of(self.integrator, "integrator", ("geodesic", "euler"))
 
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """−γ⁻¹ g(p̂)⁻¹ b (n,), [Lee2019] Eq. (5.4.51); zero if b is not finite."""
         b = _finite(b)
-        return self.manifold.inverse_metric_times(parameters, b) / -self.gamma
+        p = np.asarray(parameters, float)
+        return self.manifold.calc_inverse_metric_times(p, b) / -self.gamma
 
     def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
         """The estimate (n,) after dt seconds, by the integrator; as it was if b is not finite."""
@@ -84,19 +85,21 @@ class AdaptationLaw(UpdateLaw):
             return np.asarray(parameters, float) + dt * self.rate(parameters, b)
         if isinstance(self.manifold, BatchedProduct):
             return self.manifold.natural_step(parameters, b, dt / self.gamma)
-        return self.manifold.retract(parameters, dt * self.rate(parameters, b))
+        p = np.asarray(parameters, float)
+        return self.manifold.calc_retract(p, dt * self.rate(p, b))
 
     def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
         """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n): no |Y p̂|² falls faster along −Yᵀ Y p̂."""
         if isinstance(self.manifold, BatchedProduct):
             return self.manifold.squared_length(parameters, rows) / self.gamma
-        rows = np.asarray(rows, float)
-        pulls = self.manifold.inverse_metric_times(parameters, rows)
+        p, rows = np.asarray(parameters, float), np.asarray(rows, float)
+        pulls = self.manifold.calc_inverse_metric_times(p, rows)
         return float(np.vdot(rows, pulls)) / self.gamma
 
     def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
         """γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
-        return np.asarray(self.gamma * self.manifold.divergence(truth, parameters))
+        p, estimate = np.asarray(truth, float), np.asarray(parameters, float)
+        return np.asarray(self.gamma * self.manifold.calc_divergence(p, estimate))
 
 
 def _finite(b: ArrayLike) -> Array:
@@ -127,8 +130,9 @@ def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -
         at: (n,) the initial estimate p̂₀, inside of the manifold.
         gamma: γ.
     """
-    at = np.asarray(at, float)
-    if at.shape != (manifold.dimension,) or not manifold.contains(at):
+    n = instance(manifold, "manifold", Manifold).dimension
+    at = real_array(at, "at", (n,))
+    if not manifold.contains(at):
         raise ArgumentError(
             f"A pullback law needs an initial estimate ({manifold.dimension},) inside of the "
             f"manifold; got {at.tolist()}."
@@ -141,5 +145,5 @@ def euclidean_adaptation(dimension: int, gamma: float = 1.0) -> AdaptationLaw:
 
     Units matter, and nothing keeps the estimate physical.
     """
-    identity = np.eye(dimension)
+    identity = np.eye(integer(dimension, "dimension", lower=1, upper=_MOST))
     return AdaptationLaw(ConstantMetric(identity, identity), gamma)

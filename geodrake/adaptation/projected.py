@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 from geodrake.adaptation.constraints import ConvexSet, LinearSet
 from geodrake.adaptation.half_space import half_space_projection
 from geodrake.adaptation.law import AdaptationLaw, UpdateLaw
+from geodrake.arguments import instance, number, real_array
 from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Manifold, Product
@@ -46,14 +47,18 @@ class ProjectedLaw(UpdateLaw):
     margin: float = 1e-6
 
     def __post_init__(self) -> None:
-        convex, n = self._set, self.law.manifold.dimension
+        n = instance(self.law, "law", AdaptationLaw).manifold.dimension
+        number(self.margin, "margin", lower=0.0)
+        if not isinstance(self.constraints, ConvexSet | Polyhedron):
+            raise ArgumentError(
+                f"constraints must be a Polyhedron or a ConvexSet; got {self.constraints!r}."
+            )
+        convex = self._set
         if isinstance(convex, LinearSet) and convex.polyhedron.matrix.shape[1] != n:
             raise ArgumentError(
                 f"The law moves {n} parameters; the limits are on "
                 f"{convex.polyhedron.matrix.shape[1]}."
             )
-        if not 0 <= self.margin < np.inf:
-            raise ArgumentError(f"A margin is zero or more; got {self.margin}.")
 
     @cached_property
     def _set(self) -> ConvexSet:
@@ -76,7 +81,7 @@ class ProjectedLaw(UpdateLaw):
         if not leaving.any():
             return v
         # Limits that do not bind are far from it, so the metric is only asked about those near it.
-        pulls = self.law.manifold.inverse_metric_times(p, normals)
+        pulls = self.law.manifold.calc_inverse_metric_times(p, normals)
         lengths = np.sqrt((normals * pulls).sum(-1))
         active = values >= -self.margin * lengths
         if not (active & leaving).any():
@@ -119,7 +124,7 @@ class ProjectedLaw(UpdateLaw):
             ConvergenceError: C does not meet the manifold.
             ArgumentError: The estimate is not inside of the manifold, as after an Euler step.
         """
-        p = np.asarray(parameters, float)
+        p = real_array(parameters, "parameters", (self.law.manifold.dimension,))
         if not (self._set.values(p) > 0).any():
             return p
         if not isinstance(self._set, LinearSet):
@@ -194,7 +199,7 @@ def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
     matrix, upper = np.zeros((0, len(p))), np.zeros(0)
     for _ in range(_MOST_CUTS):
         values, normals = convex.values(point), convex.gradients(point)
-        lengths = np.sqrt((normals * manifold.inverse_metric_times(p, normals)).sum(-1))
+        lengths = np.sqrt((normals * manifold.calc_inverse_metric_times(p, normals)).sum(-1))
         outside = values > _CUT_TOLERANCE * lengths
         if not outside.any():
             return point

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from geodrake.adaptation.batched_product import BatchedProduct
+from geodrake.arguments import instance, positive
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold, PhysicalInertia
 from geodrake.model import RobotModel
@@ -31,7 +32,11 @@ def parameter_manifold(
     Raises:
         ArgumentError: There is no such body or effect, or a manifold is not one of a body.
     """
-    weights, bodies = dict(weights or {}), dict(bodies or {})
+    instance(model, "model", RobotModel)
+    positive(body_weight, "body_weight")
+    positive(effect_weight, "effect_weight")
+    weights = dict(instance(weights or {}, "weights", Mapping))
+    bodies = dict(instance(bodies or {}, "bodies", Mapping))
     names = {fitted.effect.name for fitted in model.effects}
     unknown = (set(weights) - names | set(bodies)) - set(model.bodies)
     if unknown:
@@ -41,7 +46,7 @@ def parameter_manifold(
         )
     factors, factor_weights = [], []
     for body in model.bodies:
-        factor = bodies.get(body, PhysicalInertia())
+        factor = instance(bodies.get(body, PhysicalInertia()), f"bodies[{body!r}]", Manifold)
         if factor.dimension != PhysicalInertia().dimension:
             raise ArgumentError(
                 f"The manifold of body {body!r} has {factor.dimension} coordinates instead of ten."

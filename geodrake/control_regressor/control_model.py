@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import instance, one_or_each
 from geodrake.control_regressor.effect_columns import EffectColumns, OnlineMotion
 from geodrake.control_regressor.online_tree import OnlineTree
 from geodrake.control_regressor.rigid_bodies import RigidSample
 from geodrake.effects import Effect, EffortScale
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.kinematics import KinematicTree
 from geodrake.model import RobotModel
@@ -72,7 +72,7 @@ class ControlModel:
         Raises:
             ArgumentError: A sign width is negative or not finite, or they are not (nv,).
         """
-        joints, bodies = model.joints, model.bodies
+        joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
         positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
         for mobilizer in model.tree.mobilizers:
             for velocity in range(mobilizer.velocities.start, mobilizer.velocities.stop):
@@ -85,7 +85,7 @@ class ControlModel:
         columns = EffectColumns.of(
             joints,
             [fitted.effect for fitted in model.effects],
-            sign_width=model.sign_widths(_checked_width(sign_width, len(joints))),
+            sign_width=model.sign_widths(one_or_each(sign_width, "sign_width", len(joints))),
             single=single,
             body_columns=lambda body: some[None, bodies.index(body)],
             bodies=RobotBodies(model.tree, q, total_phi),
@@ -147,15 +147,6 @@ class ControlModel:
         Values are not checked: whatever is not finite comes out as such.
         """
         return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
-
-
-def _checked_width(sign_width: ArrayLike, nv: int) -> Array:
-    width = np.asarray(sign_width, float)
-    if width.shape not in ((), (nv,)) or not ((width >= 0) & np.isfinite(width)).all():
-        raise ArgumentError(
-            f"Expected sign widths of zero or more, one or {nv}; got {width.tolist()}."
-        )
-    return np.broadcast_to(width, (nv,))
 
 
 def _parts(model: RobotModel) -> Iterator[tuple[Effect, slice]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from geodrake.arguments import instance, instances
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.columns import with_columns, with_episodes
 from geodrake.diagnosis.compare import comparison
@@ -63,7 +64,8 @@ def add(
             there already, or it cannot be told by these logs or this model.
         LogError: A log cannot be used.
     """
-    where = tuple(dict.fromkeys(where or ())) or None
+    instance(model, "model", RobotModel)
+    where = tuple(dict.fromkeys(instances(where or (), "where", str))) or None
     _refuse_what_cannot_be(effect, model, where, extra)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.diagnosis.inputs import checked_logs
 from geodrake.diagnosis.library import candidate_delays, candidate_effects
 from geodrake.diagnosis.results import ErrorTable, JointError, Series
 from geodrake.effects.base import Effect
@@ -114,6 +115,7 @@ def open_case(
         LogError: A log cannot be used.
         ArgumentError: There is no log, or a setting is no usable number.
     """
+    logs = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     read = [
         match_joints(log, model.joints)

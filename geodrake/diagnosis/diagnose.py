@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from geodrake.arguments import instance
 from geodrake.diagnosis.absorbed import absorbed
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
@@ -56,7 +57,7 @@ def diagnose(
         LogError: A log cannot be used.
         ArgumentError: There is no log, or a setting is no usable number.
     """
-    criteria = criteria or Criteria()
+    criteria = Criteria() if criteria is None else instance(criteria, "criteria", Criteria)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     hypothesis = tuned(start) if model.information is None else start

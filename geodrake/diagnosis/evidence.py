@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.stats import chi2, t
 
+from geodrake.arguments import number
+
 Array = NDArray[np.float64]
 
 _HARDLY, _NO_RISE, _HALF = 0.01, 0.05, 0.5  # of a fold's loss
@@ -39,6 +41,10 @@ class Criteria:
     reduction: float = 0.05
     agreement: float = 0.7
     tie: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("alarm", "reduction", "agreement", "tie"):
+            number(getattr(self, name), name, lower=0.0, upper=1.0)
 
 
 def effective_samples(blocks: Sequence[Array]) -> float:

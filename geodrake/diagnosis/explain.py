@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from geodrake.arguments import function, instance
 from geodrake.diagnosis.absorbed import Absorbed, absorbed
 from geodrake.diagnosis.case import Case, at_bandwidth, error_table, open_case
 from geodrake.diagnosis.compare import comparison
@@ -78,6 +79,10 @@ def explain(
         LogError: A log cannot be used.
         ArgumentError: There is no log, or a setting is no usable number.
     """
+    if progress is not None:
+        function(progress, "progress")
+    if criteria is not None:
+        instance(criteria, "criteria", Criteria)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     return investigate(case, criteria=criteria, progress=progress).explanation
 
@@ -86,7 +91,7 @@ def investigate(
     case: Case, *, criteria: Criteria | None = None, progress: Progress | None = None
 ) -> Investigation:
     """Explain a case that has columns for candidates; see `explain`."""
-    criteria = criteria or Criteria()
+    criteria = Criteria() if criteria is None else instance(criteria, "criteria", Criteria)
     found = _investigated(case, criteria, progress)
     explained = found.explanation.verdict != "unexplained"
     for other in other_bandwidths(found.case, found.hypothesis, criteria, explained=explained):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geodrake.arguments import function, instance
 from geodrake.diagnosis.case import error_table, open_case
 from geodrake.diagnosis.evidence import Criteria
 from geodrake.diagnosis.explain import Investigation, investigate
@@ -61,6 +62,10 @@ def draft_effects(
     Raises:
         LogError: A log cannot be used.
     """
+    if progress is not None:
+        function(progress, "progress")
+    if criteria is not None:
+        instance(criteria, "criteria", Criteria)
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     found = investigate(case, criteria=criteria, progress=progress)
     return found.explanation, draft_rest(

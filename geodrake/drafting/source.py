@@ -8,6 +8,7 @@ import textwrap
 from collections.abc import Sequence
 from keyword import iskeyword
 
+from geodrake.arguments import instance
 from geodrake.drafting.formula import Formula
 from geodrake.drafting.results import Draft, DraftedEffect
 
@@ -74,7 +75,7 @@ def source_of(draft: Draft) -> str:
 
 def effect_name(joint: str) -> str:
     """Name of the effect drafted for a joint, such as "elbow_joint_draft"."""
-    return f"{_identifier(joint)}_draft"
+    return f"{_identifier(instance(joint, 'joint', str))}_draft"
 
 
 def _class(effect: DraftedEffect) -> str:

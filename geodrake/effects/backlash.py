@@ -41,6 +41,7 @@ class Backlash(DeflectionEffect):
     confused_with = ("joint_elasticity", "hysteresis", "coulomb_friction")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "half_width")
 
     def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:

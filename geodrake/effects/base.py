@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.gradient import RobotGradient, joint_gradient
-from geodrake.effects.parameter import Parameter, require_positive
+from geodrake.effects.parameter import CheckedFields, Parameter, require_positive
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
@@ -40,7 +40,7 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-class Effect(abc.ABC):
+class Effect(CheckedFields, abc.ABC):
     """A physical effect at its place: regressor, parameters, force law, and what it looks like.
 
     Subclasses are frozen dataclasses whose fields are the place and the shape parameters.
@@ -267,6 +267,7 @@ class JointPairEffect(Effect):
     places: ClassVar[str] = "joint_pair"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.joints) != 2 or self.joints[0] == self.joints[1]:
             raise ArgumentError(f"{self.name} needs two different joints; it got {self.joints}.")
 

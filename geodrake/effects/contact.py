@@ -56,6 +56,7 @@ class Contact(BodyEffect):
     sees_time = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not -np.inf < self.start < self.end < np.inf:
             raise ArgumentError(
                 f"{self.name} needs a start before its end; it got {self.start} and {self.end} s."

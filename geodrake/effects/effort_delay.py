@@ -42,6 +42,7 @@ class EffortDelay(Effect):
     confused_with = ("nonlinear_viscous_friction", "joint_elasticity", "rotor_inertia")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not np.isfinite(self.delay):
             raise ArgumentError(f"{self.name} needs a finite delay; it got {self.delay}.")
 

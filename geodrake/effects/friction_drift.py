@@ -43,6 +43,7 @@ class FrictionDrift(JointEffect):
     sees_time = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "time_constant")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

@@ -49,6 +49,7 @@ class Hysteresis(JointEffect):
     state_count = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "breakaway_angle")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

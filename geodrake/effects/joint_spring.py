@@ -37,6 +37,7 @@ class JointSpring(JointEffect):
     confused_with = ("gravity_compensator", "gravity_tilt", "wrong_inertia", "joint_elasticity")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.exponent not in (1, 3) or not np.isfinite(self.center):
             raise ArgumentError(
                 f"{self.name} needs the exponent 1 or 3 and a finite center; it got "

@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from geodrake.arguments import file_path, instance, instances
 from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction
 from geodrake.effects.backlash import Backlash
@@ -87,7 +88,8 @@ def effect_class(name: str, extra: Sequence[type[Effect]] = ()) -> type[Effect]:
     Raises:
         ArgumentError: There is no such effect; the message has the nearest names.
     """
-    effects = {effect.name: effect for effect in (*catalogue(), *extra)}
+    instance(name, "the name of an effect", str)
+    effects = {effect.name: effect for effect in (*catalogue(), *instances(extra, "extra", type))}
     if name not in effects:
         near = difflib.get_close_matches(name, effects, cutoff=0.5)
         names = ", ".join(near or effects)
@@ -117,7 +119,8 @@ def make_effect(
         ArgumentError: There is no such effect, or place or shape parameters do not fit it.
     """
     cls = effect_class(name, extra)
-    shape = dict(shape or {})
+    shape = {} if shape is None else dict(instance(shape, "shape", Mapping))
+    where = where if isinstance(where, str) else instances(where, "where", str)
     place = _PLACE_FIELDS[cls.places]
     counts = {"joint_pair": (2,), "log": (0, 1), "robot": (0,)}.get(cls.places, (1,))
     if isinstance(where, str) or len(where) not in counts:
@@ -161,7 +164,7 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
     Raises:
         ModelError: There is no such file, it cannot be run, or it defines no usable effect.
     """
-    path = Path(path)
+    path = file_path(path)
     if not path.is_file():
         what = "is a folder, not a file" if path.is_dir() else "does not exist"
         raise ModelError(f"The file of effects {path} {what}.", advice="Check the path.")

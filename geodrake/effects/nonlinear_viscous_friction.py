@@ -32,6 +32,7 @@ class NonlinearViscousFriction(JointEffect):
     confused_with = ("viscous_friction", "coulomb_friction", "effort_delay", "aerodynamic_drag")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "exponent")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

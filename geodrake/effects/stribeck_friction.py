@@ -34,6 +34,7 @@ class StribeckFriction(JointEffect):
     confused_with = ("coulomb_friction", "nonlinear_viscous_friction", "hysteresis")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "stribeck_velocity", "exponent")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

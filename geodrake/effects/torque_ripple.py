@@ -33,6 +33,7 @@ class TorqueRipple(JointEffect):
     from_residual = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         require_positive(self, "order")
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

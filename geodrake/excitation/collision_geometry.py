@@ -15,6 +15,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
+from geodrake.arguments import instance
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model import RobotModel
@@ -40,6 +41,11 @@ class Solid:
     name: str
     shape: Shape
     X_BG: RigidTransform
+
+    def __post_init__(self) -> None:
+        instance(self.name, "name", str)
+        instance(self.shape, "shape", Shape)
+        instance(self.X_BG, "X_BG", RigidTransform)
 
 
 def add_collision_plant(

@@ -13,6 +13,7 @@ from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstr
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
+from geodrake.arguments import instance, instances, integer, number
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_geometry import Solid, add_collision_plant
 from geodrake.model import RobotModel
@@ -54,13 +55,15 @@ class CollisionWorld:
         use_file: bool = True,
         seed: int = 0,
     ) -> None:
-        if not 0 <= clearance < np.inf:
-            raise ArgumentError(
-                f"A clearance is a distance in m that is not negative: {clearance}."
-            )
+        instance(model, "model", RobotModel)
+        obstacles = instances(obstacles, "obstacles", Solid)
+        links = {} if links is None else instance(links, "links", Mapping)
+        links = {body: instances(each, f"links[{body!r}]", Solid) for body, each in links.items()}
+        number(clearance, "clearance", lower=0.0)
+        integer(seed, "seed", lower=0)
         builder = DiagramBuilder()
         self._plant, self._scene = add_collision_plant(
-            builder, model, obstacles, links or {}, use_file=use_file
+            builder, model, obstacles, links, use_file=use_file
         )
         if not self._scene.model_inspector().NumGeometriesWithRole(Role.kProximity):
             raise ArgumentError(

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import instance, integer, number, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -49,15 +50,14 @@ class Criterion:
     kept: int | None = None
 
     def __post_init__(self) -> None:
-        if self.name not in CRITERIA:
+        if instance(self.name, "criterion", str) not in CRITERIA:
             raise ArgumentError(
                 f"There is no criterion {self.name!r}.", advice=f"Use one of {', '.join(CRITERIA)}."
             )
-        if not self.sharpness > 0 or (self.kept is not None and self.kept < 1):
-            raise ArgumentError(
-                f"A criterion needs a positive sharpness and at least one eigenvalue; got "
-                f"{self.sharpness} and {self.kept}."
-            )
+        if not number(self.sharpness, "sharpness", finite=False) > 0:
+            raise ArgumentError(f"A criterion needs a positive sharpness; got {self.sharpness}.")
+        if self.kept is not None:
+            integer(self.kept, "kept", lower=1)
 
     def value(self, eigenvalues: ArrayLike) -> float:
         """The criterion itself, as in the table; infinite for a singular matrix.
@@ -68,7 +68,7 @@ class Criterion:
         Raises:
             ArgumentError: There are fewer eigenvalues than are to be kept.
         """
-        kept = self._largest(np.asarray(eigenvalues, float))
+        kept = self._largest(real_array(eigenvalues, "eigenvalues", ("n",)))
         if not kept.min() > 0:
             return np.inf
         match self.name:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.arguments import function, instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design_results import (
@@ -30,6 +31,7 @@ from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
 
+_MOST_SEEDS = 1_000_000
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
 
@@ -63,7 +65,7 @@ def design_excitation(
             posture can, or the noise is not positive; the message says which joint and where.
     """
     target = what if isinstance(what, Target) else make_target(what)
-    criterion = Criterion(criterion) if isinstance(criterion, str) else criterion
+    criterion = criterion if isinstance(criterion, Criterion) else Criterion(criterion)
     return design_objective(
         Objective(target, criterion, normalization),
         limits,
@@ -96,9 +98,16 @@ def design_objective(
     Raises:
         ArgumentError: As `design_excitation`.
     """
-    options = DesignOptions() if options is None else options
+    instance(objective, "objective", Objective)
+    if limits is not None:
+        instance(limits, "limits", MotionLimits)
+    if progress is not None:
+        function(progress, "progress")
+    given = DesignOptions() if options is None else options
+    options = instance(given, "options", DesignOptions)
     family = FourierMotion() if trajectory is None else trajectory
-    chosen = list(range(seeds)) if isinstance(seeds, int) else [*seeds]
+    instance(family, "trajectory", MotionFamily)
+    chosen = _chosen(seeds)
     check_solver(options.solver)
     if not chosen or options.samples < 1 or not options.sharpness:
         raise ArgumentError(
@@ -129,6 +138,13 @@ def design_objective(
         outcomes=tuple(outcome for _, outcome in ends),
         notes=() if options.collisions is None else options.collisions.notes,
     )
+
+
+def _chosen(seeds: int | Sequence[int]) -> list[int]:
+    """The seeds of random starts, from their number or as given."""
+    if isinstance(seeds, int):
+        return list(range(integer(seeds, "seeds", lower=0, upper=_MOST_SEEDS)))
+    return [integer(seed, "a seed", lower=0) for seed in instances(seeds, "seeds", int)]
 
 
 def make_problem(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import instance, instances, integer, number, positive, real_array
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits
@@ -45,6 +46,23 @@ class DesignOptions:
     seconds: float = 60.0
     sharpness: tuple[float, ...] = (8.0, 64.0)
     guess: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("samples", "iterations"):
+            integer(getattr(self, name), name, upper=_MOST)
+        positive(self.seconds, "seconds")
+        instance(self.solver, "solver", str)
+        for sharpness in instances(self.sharpness, "sharpness", object):
+            number(sharpness, "sharpness", lower=0.0, finite=False)
+        if self.start is not None:
+            real_array(self.start, "start", ("nv",))
+        if self.guess is not None:
+            real_array(self.guess, "guess")
+        if self.collisions is not None:
+            instance(self.collisions, "collisions", CollisionWorld)
+
+
+_MOST = 1_000_000
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
+from geodrake.arguments import integer, number, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
 
 _INDEPENDENT = 1e-9  # relative size of a condition that the others do not imply
+
+
+_MOST = 1_000_000  # modes, points or samples of one motion
 
 
 class MotionFamily(abc.ABC):
@@ -111,6 +115,10 @@ class FourierMotion(MotionFamily):
     name = "fourier"
 
     def __post_init__(self) -> None:
+        number(self.duration, "duration")
+        integer(self.modes, "modes", upper=_MOST)
+        if self.frequency is not None:
+            number(self.frequency, "frequency")
         if not (0 < self.duration < np.inf and self.modes >= 1 and self.omega > 0):
             raise ArgumentError(
                 f"A Fourier motion needs a positive duration and frequency and at least one mode; "
@@ -139,7 +147,7 @@ class FourierMotion(MotionFamily):
 
     def basis(self, times: ArrayLike) -> Array:
         """(3, N, count): 1, cos jωt, sin jωt and their derivatives."""
-        t = np.atleast_1d(np.asarray(times, float))
+        t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         rates = self.omega * np.arange(1, self.modes + 1)
         cosine, sine = np.cos(np.outer(t, rates)), np.sin(np.outer(t, rates))
         slopes, curvatures = (
@@ -172,6 +180,9 @@ class SplineMotion(MotionFamily):
     name = "spline"
 
     def __post_init__(self) -> None:
+        number(self.duration, "duration")
+        integer(self.points, "points", upper=_MOST)
+        integer(self.degree, "degree")
         if not (0 < self.duration < np.inf and 3 <= self.degree <= 5 and self.points > self.degree):
             raise ArgumentError(
                 f"A spline motion needs a positive duration, a degree of 3 to 5 and more control "
@@ -201,7 +212,7 @@ class SplineMotion(MotionFamily):
 
     def basis(self, times: ArrayLike) -> Array:
         """(3, N, count): basis functions and their derivatives."""
-        t = np.atleast_1d(np.asarray(times, float))
+        t = real_array(np.atleast_1d(real_array(times, "times")), "times", ("N",))
         spline = BSpline(self.knots, np.eye(self.points), self.degree)
         return np.stack([spline(t, nu=order) for order in range(3)])
 
@@ -222,8 +233,7 @@ class FreeSamples(MotionFamily):
     timed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if self.samples < 1:
-            raise ArgumentError(f"There must be at least one sample; got {self.samples}.")
+        integer(self.samples, "samples", lower=1, upper=_MOST)
 
     @property
     def count(self) -> int:

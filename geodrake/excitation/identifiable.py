@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import instance, instances, integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.normalization import normalizing_map
 from geodrake.excitation.target import Target
@@ -115,8 +116,12 @@ def measurement_factor(
     Raises:
         ArgumentError: Shapes do not fit together, or a value is not finite.
     """
-    every = [motions] if isinstance(motions, Motion) else [*motions]
-    outputs = [None] * len(every) if measured is None else [np.asarray(b, float) for b in measured]
+    instance(target, "target", Target)
+    given = (motions,) if isinstance(motions, Motion) else motions
+    every = instances(given, "motions", Motion)
+    outputs: list[Array | None] = [None] * len(every)
+    if measured is not None:
+        outputs = [real_array(b, "measured") for b in instances(measured, "measured", object)]
     if len(outputs) != len(every) or not every:
         raise ArgumentError(
             f"There are {len(every)} motions and measurements of {len(outputs)} of them.",
@@ -175,7 +180,7 @@ def reduced_identification(
     Raises:
         ArgumentError: The factor does not fit, nothing is kept, or more than the data see.
     """
-    both, size = np.asarray(factor, float), target.size
+    both, size = real_array(factor, "factor"), instance(target, "target", Target).size
     if both.shape != (size + 1, size + 1):
         raise ArgumentError(
             f"The factor has the shape {both.shape}; with measurements it is "
@@ -197,7 +202,7 @@ def reduced_identification(
 
 def _regressor_factor(target: Target, factor: ArrayLike) -> Array:
     """Rows of a factor without the column of measurements."""
-    array, size = np.asarray(factor, float), target.size
+    array, size = real_array(factor, "factor"), instance(target, "target", Target).size
     if array.shape not in ((size, size), (size + 1, size + 1)):
         raise ArgumentError(
             f"The factor has the shape {array.shape}; the target has {size} parameters.",
@@ -210,6 +215,9 @@ def _decompose(
     target: Target, A: Array, threshold: float, kept: int | None
 ) -> tuple[IdentifiableParameters, Array, Array]:
     """The identifiable parameters, and U and S of A K, most certain direction first."""
+    number(threshold, "threshold", lower=0.0, finite=False)
+    if kept is not None:
+        integer(kept, "kept")
     K = normalizing_map("geometric", target.base.matrix, target.prior, target.metric_root)
     U, singular, Wt = np.linalg.svd(A @ K, full_matrices=False)
     with np.errstate(divide="ignore", over="ignore"):

@@ -8,10 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.arguments import instance, one_of, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.motion_gradient import regressor_motion_gradient
-from geodrake.excitation.normalization import normalizing_map
+from geodrake.excitation.normalization import NORMALIZATIONS, normalizing_map
 from geodrake.excitation.reverse_recursion import MotionGradient
 from geodrake.excitation.target import Measurement, Target
 from geodrake.motion import Motion
@@ -35,6 +36,13 @@ class Objective:
     criterion: Criterion = field(default_factory=Criterion)
     normalization: str = "geometric"
     base: Array | None = None
+
+    def __post_init__(self) -> None:
+        instance(self.target, "target", Target)
+        instance(self.criterion, "criterion", Criterion)
+        one_of(self.normalization, "normalization", NORMALIZATIONS)
+        if self.base is not None:
+            real_array(self.base, "base", ("n_B", "p"))
 
     @cached_property
     def normalizing_map(self) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import instance, instances, number, positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
 from geodrake.model import RobotModel
@@ -41,8 +42,9 @@ class MotionLimits:
     effort: Array
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "joints", instances(self.joints, "joints", str))
         for field in fields(self)[1:]:
-            values = np.array(getattr(self, field.name), float)
+            values = real_array(getattr(self, field.name), field.name, finite=False).copy()
             if values.shape != (len(self.joints),):
                 raise ArgumentError(
                     f"The limits of {field.name} have the shape {values.shape}; there are "
@@ -100,8 +102,7 @@ class MotionLimits:
         Raises:
             ArgumentError: The share is not positive.
         """
-        if not share > 0:
-            raise ArgumentError(f"A share of limits is positive; got {share}.")
+        positive(share, "share")
         return replace(
             self,
             lower=self.middle - share * self.reach,
@@ -135,16 +136,19 @@ def motion_limits(
         ArgumentError: There is no such joint, a joint has no room to move, or it is not limited in
             position or speed, or has several degrees of freedom.
     """
+    instance(model, "model", RobotModel)
     order = joint_order(model)
     lower, upper = (np.empty(len(order)) for _ in range(2))
     lower[order], upper[order] = position_limits(model.plant)
     turning = np.array([name not in model.sliding_joints for name in model.joints])
     lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
     upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
-    for joint, pair in (position or {}).items():
-        if np.shape(pair) != (2,):
+    ranges = {} if position is None else instance(position, "position", Mapping)
+    for joint, pair in ranges.items():
+        at, limits = _index(model, joint), real_array(pair, f"position of {joint}", finite=False)
+        if limits.shape != (2,):
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
-        lower[_index(model, joint)], upper[_index(model, joint)] = pair
+        lower[at], upper[at] = limits
     acceleration_limits = np.minimum(
         model.plant.GetAccelerationUpperLimits(), -model.plant.GetAccelerationLowerLimits()
     )
@@ -165,15 +169,14 @@ def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> 
         return values
     if isinstance(given, Mapping):
         for joint, value in given.items():
-            values[_index(model, joint)] = value
+            values[_index(model, joint)] = number(value, f"{what} of {joint}", finite=False)
         return values
-    try:
-        return np.broadcast_to(np.asarray(given, float), values.shape).copy()
-    except ValueError as error:
+    limits = real_array(given, what, finite=False)
+    if limits.shape not in ((), (1,), values.shape):
         raise ArgumentError(
-            f"The limits of {what} have the shape {np.shape(given)}; there are {len(values)} "
-            "joints."
-        ) from error
+            f"The limits of {what} have the shape {limits.shape}; there are {len(values)} joints."
+        )
+    return np.broadcast_to(limits, values.shape).copy()
 
 
 def _index(model: RobotModel, joint: str) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.arguments import instance, number
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design import design_excitation
@@ -65,7 +66,10 @@ def design_reduced_excitation(
     Raises:
         ArgumentError: As `design_excitation`; or no single direction can be told that well.
     """
-    options = DesignOptions() if options is None else options
+    instance(target, "target", Target)
+    number(threshold, "threshold")
+    given = DesignOptions() if options is None else options
+    options = instance(given, "options", DesignOptions)
     tried: list[tuple[int, float]] = []
 
     def optimized(count: int, guess: Array | None) -> ExcitationResult:

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.errors import ArgumentError
+from geodrake.arguments import real_array
 from geodrake.excitation.reverse_recursion import MotionGradient, reverse_recursion
 from geodrake.floating_base import on_a_free_world, wrench_map
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -123,10 +123,4 @@ def regressor_jacobian(
 
 
 def _checked_weights(weights: ArrayLike, shape: tuple[int, ...]) -> Array:
-    array = np.asarray(weights, float)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ArgumentError(
-            f"The weights have the shape {array.shape} and {np.sum(~np.isfinite(array))} values "
-            f"that are not finite; the regressor has the shape {shape}."
-        )
-    return array
+    return real_array(weights, "weights", shape)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from geodrake.arguments import instance, instances
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.effect_sizes import sized_effects
@@ -61,6 +62,9 @@ def make_rival(
     Raises:
         ArgumentError: There is no such effect, place or shape, or it has no parameters.
     """
+    instance(model, "model", RobotModel)
+    instance(limits, "limits", MotionLimits)
+    where = instances(where, "where", str)
     cls = effect_class(name, extra)
     if not getattr(cls, "parameters", ()):
         raise ArgumentError(

@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from scipy.linalg import block_diag
 
+from geodrake.arguments import instance, instances, integer, real_array
 from geodrake.base_parameters import BaseParameters, base_parameters
 from geodrake.effects import Effect, RobotMotion
 from geodrake.errors import ArgumentError
@@ -212,13 +213,16 @@ def make_target(
     Raises:
         ArgumentError: The noise is not positive, or there is no such body, or nothing is unknown.
     """
-    if bodies is None:
-        bodies = model.bodies
+    instance(model, "model", RobotModel)
+    integer(seed, "seed", lower=0)
+    if X_WP is not None:
+        instance(X_WP, "X_WP", RigidTransform)
+    bodies = model.bodies if bodies is None else instances(bodies, "bodies", str)
     if effects is None:
         effects = [f for f in model.effects if not is_payload(f.effect) and X_WP is None]
     known = tuple(
         e if isinstance(e, FittedEffect) else FittedEffect(e, np.zeros(len(e.parameters)))
-        for e in effects
+        for e in instances(effects, "effects", (FittedEffect, Effect))
     )
     known = tuple(fitted for fitted in known if fitted.effect.parameters)
     ordered = tuple(sorted(known, key=lambda fitted: not is_payload(fitted.effect)))
@@ -260,7 +264,7 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
     Raises:
         ArgumentError: They are not positive, or not as many as measurements.
     """
-    given = np.asarray(noise, float)
+    given = real_array(noise, "noise", finite=False)
     if given.shape not in ((), (1,), (len(rows),)):
         raise ArgumentError(f"The noise is one number or {len(rows)}; got the shape {given.shape}.")
     values = np.broadcast_to(given, (len(rows),)).copy()

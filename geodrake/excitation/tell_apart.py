@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
+from geodrake.arguments import instance, positive
 from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
@@ -65,6 +66,10 @@ def make_separation(
         ArgumentError: Both are the same effect, or mean the same whatever the motion; or the noise
             is not positive.
     """
+    instance(model, "model", RobotModel)
+    for name, rival in (("first", first), ("second", second)):
+        instance(rival, name, Rival)
+    positive(spread, "spread")
     rivals = (*first.effects, *second.effects)
     if set(first.effects) & set(second.effects):
         raise ArgumentError(

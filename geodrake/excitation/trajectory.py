@@ -10,6 +10,7 @@ from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 from scipy.interpolate import make_interp_spline
 
+from geodrake.arguments import instance, positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
@@ -44,7 +45,7 @@ class ExcitationTrajectory:
 
     def motion(self, times: ArrayLike) -> Motion:
         """The motion at instants (N,), in Drake's order."""
-        return self.motion_of(self.states(times), np.atleast_1d(np.asarray(times, float)))
+        return self.motion_of(self.states(times), np.atleast_1d(real_array(times, "times")))
 
     def motion_of(self, states: Array, times: Array | None = None) -> Motion:
         """The motion in Drake's order of states (3, N, nv) by joint."""
@@ -96,6 +97,7 @@ class ExcitationTrajectory:
             ArgumentError: The samples do not follow each other in time, or the rate is not
                 positive.
         """
+        instance(model, "model", RobotModel)
         times = self.instants(rate)
         q, v, vd = self.states(times)
         effort = model.effort(self.motion(times))
@@ -109,8 +111,7 @@ class ExcitationTrajectory:
                 positive.
         """
         self._require_time("instants")
-        if not 0 < rate < np.inf:
-            raise ArgumentError(f"A rate is a positive number of samples a second; got {rate}.")
+        positive(rate, "rate")
         length = self.family.length
         times = np.arange(np.ceil(length * rate - 1e-9)) / rate
         return np.append(times, length)

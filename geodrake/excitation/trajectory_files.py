@@ -11,6 +11,7 @@ from pydrake.common.yaml import yaml_load
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
+from geodrake.arguments import file_path, instance
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.excitation.trajectory import ExcitationTrajectory
 from geodrake.log_files import write_log
@@ -39,7 +40,9 @@ def write_trajectory(
         OutputError: The suffix is another, or the file cannot be written.
         ArgumentError: The samples do not follow each other in time.
     """
-    path = Path(path)
+    instance(trajectory, "trajectory", ExcitationTrajectory)
+    instance(model, "model", RobotModel)
+    path = file_path(path)
     suffix = path.suffix.lower()
     if suffix in _LOGS:
         write_log(trajectory.log(model, rate=rate, name=path.stem), path)
@@ -66,7 +69,7 @@ def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.
     Raises:
         ArgumentError: The samples do not follow each other in time, or the rate is not positive.
     """
-    times = trajectory.instants(rate)
+    times = instance(trajectory, "trajectory", ExcitationTrajectory).instants(rate)
     lines = [
         "header:",
         "  stamp: {sec: 0, nanosec: 0}",
@@ -95,7 +98,7 @@ def drake_trajectory(trajectory: ExcitationTrajectory) -> str:
     Raises:
         ArgumentError: The samples do not follow each other in time.
     """
-    spline = trajectory.to_drake()
+    spline = instance(trajectory, "trajectory", ExcitationTrajectory).to_drake()
     basis = spline.basis()
     points = [f"- {json.dumps(point.tolist())}" for point in spline.control_points()]
     lines = ["basis:", f"  order: {basis.order()}", f"  knots: {json.dumps(basis.knots())}"]
@@ -114,6 +117,7 @@ def read_drake_trajectory(path: str | Path) -> BsplineTrajectory:
     Raises:
         ArgumentError: The file cannot be read, or holds no B-spline.
     """
+    path = file_path(path)
     try:
         found = yaml_load(filename=str(path))
         basis, points = found["basis"], np.array(found["control_points"], float)

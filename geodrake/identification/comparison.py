@@ -8,6 +8,7 @@ from typing import TypedDict, Unpack
 
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instances
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.identify import (
@@ -80,7 +81,10 @@ def compare_regularizers(
         ArgumentError: An argument is wrong, or two regularizers have the same name.
         IdentificationError: A solver failed, or a residual differs by more than 1e-5.
     """
-    kinds = [regularizer_of(regularizer) for regularizer in regularizers]
+    kinds = [
+        regularizer_of(regularizer)
+        for regularizer in instances(regularizers, "regularizers", object)
+    ]
     names = [kind.name for kind in kinds]
     if len(set(names)) < len(names):
         raise ArgumentError(f"Each regularizer can be compared once; got {', '.join(names)}.")

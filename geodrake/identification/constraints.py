@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import LinearConstraints, checked
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, pseudo_inertia, pseudo_inertia_basis
@@ -108,8 +109,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> LinearConstra
 def _total_mass_row(total_mass: float | None, prior: Array) -> LinearConstraints:
     if total_mass is None:
         return _none(prior)
-    if not (np.isfinite(total_mass) and total_mass > 0):
-        raise ArgumentError(f"total_mass must be positive, in kg; got {total_mass:g}.")
+    positive(total_mass, "total_mass")
     row = np.zeros((1, prior.size))
     row[0, ::PARAMETERS_PER_BODY] = 1.0
     total = np.array([float(total_mass)])
@@ -152,9 +152,7 @@ def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[LinearConstrai
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Bounds as an array of a shape whose last axis is (least, greatest); infinite for none."""
-    array = np.asarray(bounds, float)
-    if array.shape != shape:
-        raise ArgumentError(f"{name} must have shape {shape}; got {array.shape}.")
+    array = real_array(bounds, name, shape, finite=False)
     low, high = array[..., 0], array[..., 1]
     usable = (low <= high) & (low < np.inf) & (high > -np.inf)
     if not usable.all():

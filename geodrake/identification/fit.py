@@ -10,6 +10,7 @@ from pydrake.solvers import MathematicalProgramResult
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
+from geodrake.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.newton_program import NewtonProgram
@@ -90,6 +91,7 @@ def solve_fit(
         IdentificationError: The solver found no solution.
     """
     begin = time.perf_counter()
+    instance(problem, "problem", FitProblem)
     check_solver(solver)
     if shortcuts:
         coordinates = Coordinates.of(problem)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from geodrake.arguments import integer, one_of, positive
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.hyperplanes import Projections, covectors, project
@@ -80,14 +81,10 @@ def geodesic_least_squares(
         ArgumentError: A shape or value is wrong, or no row has a projection.
         ConvergenceError: The tolerance was not reached.
     """
-    if method not in METHODS:
-        raise ArgumentError(f"There is no method '{method}'; there are {', '.join(METHODS)}.")
-    if not (np.isfinite(gamma) and gamma > 0):
-        raise ArgumentError(f"gamma must be positive; got {gamma:g}.")
-    if not (tolerance > 0 and max_iterations > 0):
-        raise ArgumentError(
-            f"tolerance and max_iterations must be positive; got {tolerance:g}, {max_iterations}."
-        )
+    one_of(method, "method", METHODS)
+    gamma = positive(gamma, "gamma")
+    positive(tolerance, "tolerance")
+    integer(max_iterations, "max_iterations", lower=1)
     prior = physical_prior(prior)
     rows = whitened(A, b, sigma=sigma)
     if rows.shape[1] - 1 != prior.size:

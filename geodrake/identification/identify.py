@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instance, one_of, positive
 from geodrake.errors import ArgumentError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
@@ -123,8 +124,9 @@ def identify(  # noqa: PLR0913 - the stable interface
             f"Exactly one of gamma and residual_bound is needed; got gamma={gamma}, "
             f"residual_bound={residual_bound}."
         )
-    if gamma is not None and not (np.isfinite(gamma) and gamma > 0):
-        raise ArgumentError(f"gamma must be positive; got {gamma:g}.")
+    gamma = None if gamma is None else positive(gamma, "gamma")
+    if residual_bound is not None:
+        positive(residual_bound, "residual_bound")
     prior = physical_prior(prior)
     bodies = _merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass)
     factor = whitened_factor(A, b, sigma=sigma)
@@ -147,10 +149,7 @@ def regularizer_of(regularizer: str | Regularizer) -> Regularizer:
     """The regularizer of a name, with its default settings; a regularizer stays what it is."""
     if isinstance(regularizer, Regularizer):
         return regularizer
-    if regularizer not in REGULARIZERS:
-        known = ", ".join(f'"{known}"' for known in REGULARIZERS)
-        raise ArgumentError(f'There is no regularizer "{regularizer}"; there are {known}.')
-    return REGULARIZERS[regularizer]()
+    return REGULARIZERS[one_of(regularizer, "regularizer", REGULARIZERS)]()
 
 
 def physical_prior(prior: ArrayLike) -> Array:
@@ -192,7 +191,8 @@ def nearest_prior(prior: Array) -> Array:
 
 def _merged(constraints: BodyConstraints | None, **given: Any) -> BodyConstraints:
     """The constraints together with those given one by one."""
-    constraints = constraints or BodyConstraints()
+    given_constraints = BodyConstraints() if constraints is None else constraints
+    constraints = instance(given_constraints, "constraints", BodyConstraints)
     for field in fields(constraints):
         if given.get(field.name) is not None and getattr(constraints, field.name) is not None:
             raise ArgumentError(f"{field.name} is given twice: by itself and in constraints.")

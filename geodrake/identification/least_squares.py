@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import qr, solve_triangular
 
+from geodrake.arguments import integer
 from geodrake.errors import IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.fit import FitResult, solve_fit
@@ -59,6 +60,7 @@ def least_squares(
         IdentificationError: The data do not tell x; `directions` of its evidence holds what they
             leave open, a row each.
     """
+    integer(bodies, "bodies", lower=0)
     factor = whitened_factor(A, b, sigma=sigma)
     directions = open_directions(factor)
     if len(directions) and not minimum_norm:

@@ -7,6 +7,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instance, positive
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
 from geodrake.identification.newton_path import Minimum
@@ -43,7 +44,9 @@ def solve_newton(
         IdentificationError: The constraints contradict each other.
     """
     begin = time.perf_counter()
-    check_residual_bound(problem)
+    check_residual_bound(instance(problem, "problem", FitProblem))
+    if weight is not None:
+        positive(weight, "weight")
     program = NewtonProgram.of(problem)
     if start is not None:
         start = checked("start", start, (problem.size,))
@@ -69,6 +72,7 @@ def newton_sweep(problem: FitProblem, weights: ArrayLike) -> tuple[FitResult, ..
             prior.
         IdentificationError: The constraints contradict each other.
     """
+    instance(problem, "problem", FitProblem)
     weights = checked("weights", weights, (None,))
     if np.any(weights <= 0):
         raise ArgumentError(f"weights must be positive; the smallest is {weights.min():g}.")

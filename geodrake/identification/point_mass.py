@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
+from geodrake.arguments import instances, integer, real_array
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import checked
 from geodrake.inertia import (
@@ -22,6 +23,8 @@ from geodrake.inertia import (
     is_physical,
     pseudo_inertia,
 )
+
+_MOST = 1_000_000  # points of a body
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +40,17 @@ class PointMasses:
     masses: tuple[Array, ...]
 
     def __post_init__(self) -> None:
-        positions = [checked(f"positions[{i}]", p, (None, 3)) for i, p in enumerate(self.positions)]
-        if len(self.masses) != len(positions):
+        places = instances(self.positions, "positions", object)
+        given = instances(self.masses, "masses", object)
+        positions = [checked(f"positions[{i}]", p, (None, 3)) for i, p in enumerate(places)]
+        if len(given) != len(positions):
             raise ArgumentError(
                 f"Masses are needed for each of the {len(positions)} bodies; got those of "
-                f"{len(self.masses)}."
+                f"{len(given)}."
             )
         masses = [
             checked(f"masses[{i}]", mass, (len(place),))
-            for i, (mass, place) in enumerate(zip(self.masses, positions, strict=True))
+            for i, (mass, place) in enumerate(zip(given, positions, strict=True))
         ]
         wrong = [i for i, mass in enumerate(masses) if not (len(mass) and (mass > 0).all())]
         if wrong:
@@ -73,11 +78,11 @@ class PointMasses:
                 f"Bodies {wrong} are not physical, so no point masses amount to them.",
                 bodies=wrong,
             )
-        if np.shape(counts) not in ((), (len(phi),)):
+        if isinstance(counts, int):
+            counts = (counts,) * len(phi)
+        elif real_array(counts, "counts").shape != (len(phi),):
             raise ArgumentError(f"counts must have shape ({len(phi)},); got {np.shape(counts)}.")
-        numbers = np.broadcast_to(counts, len(phi)).tolist()
-        if min(numbers, default=PARAMETERS_PER_BODY) < PARAMETERS_PER_BODY:
-            raise ArgumentError(f"counts must be at least 10; got {min(numbers)}.")
+        numbers = [integer(n, "counts", lower=PARAMETERS_PER_BODY, upper=_MOST) for n in counts]
         positions = []
         for P, number in zip(pseudo_inertia(phi), numbers, strict=True):
             com = P[:3, 3] / P[3, 3]

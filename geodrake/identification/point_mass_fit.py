@@ -11,6 +11,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 from scipy.special import rel_entr
 
+from geodrake.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.fit import FitResult, check_residual_bound, fit_result
@@ -48,6 +49,9 @@ class PointMassRegularizer(Regularizer):
     """
 
     points: PointMasses
+
+    def __post_init__(self) -> None:
+        instance(self.points, "points", PointMasses)
 
     @abstractmethod
     def distance(self, masses: Array) -> float:

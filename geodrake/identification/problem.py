@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instance, instances, integer, number, positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.reduction import triangular_factor
@@ -37,10 +38,10 @@ def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> A
     b = checked("b", b, (len(A),))
     data = np.column_stack([A, b])
     if sigma is not None:
-        deviations = np.asarray(sigma, float)
+        deviations = real_array(sigma, "sigma")
         if deviations.ndim:
             deviations = checked("sigma", deviations, (len(A),))
-        if not np.all(np.isfinite(deviations) & (deviations > 0)):
+        if not np.all(deviations > 0):
             raise ArgumentError(
                 f"sigma has values that are not positive (smallest: {np.min(deviations):g}).",
                 advice="Give standard deviations in the units of b, all above zero.",
@@ -124,10 +125,9 @@ class FitProblem:
         put(self, "reference", _references(self))
         if self.constraints is not None:
             _check_constraints(self.constraints, p)
-        if self.residual_bound is not None and not 0 < self.residual_bound < np.inf:
-            raise ArgumentError(f"residual_bound must be positive; got {self.residual_bound:g}.")
-        if not 0 < self.margin < 1:
-            raise ArgumentError(f"margin must lie between 0 and 1; got {self.margin:g}.")
+        if self.residual_bound is not None:
+            positive(self.residual_bound, "residual_bound")
+        number(self.margin, "margin", lower=0.0, upper=1.0, strict=True)
 
     @property
     def size(self) -> int:
@@ -136,30 +136,15 @@ class FitProblem:
 
     def residual(self, x: ArrayLike) -> float:
         """Squared residual ‖R x − r‖² at parameters x (p,)."""
-        errors = self.factor @ np.append(np.asarray(x, float), -1.0)
+        errors = self.factor @ np.append(real_array(x, "x", (self.size,)), -1.0)
         return float(errors @ errors)
 
 
 def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """The values as finite floats of a shape, where None stands for any length."""
-    try:
-        array = np.asarray(values, float)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} is not an array of real numbers: {error}.") from error
-    fits = len(array.shape) == len(shape) and all(
-        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        expected = ", ".join("any" if n is None else str(n) for n in shape)
-        comma = "," if len(shape) == 1 else ""
-        raise ArgumentError(f"{name} must have shape ({expected}{comma}); got {array.shape}.")
-    wrong = np.count_nonzero(~np.isfinite(array))
-    if wrong:
-        raise ArgumentError(
-            f"{name} has {wrong} values that are not finite.",
-            advice="Remove the samples with NaN or infinity before fitting.",
-        )
-    return array
+    symbols = iter("mnk")
+    wanted = tuple(next(symbols) if size is None else size for size in shape)
+    return real_array(values, name, wanted)
 
 
 def _information(values: ArrayLike, p: int) -> Array:
@@ -173,7 +158,7 @@ def _information(values: ArrayLike, p: int) -> Array:
 
 
 def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
-    starts = tuple(int(start) for start in starts)
+    starts = tuple(integer(s, "an inertia block") for s in instances(starts, "inertia_blocks", int))
     ordered = sorted(starts)
     gaps = np.diff([*ordered, p]) if ordered else np.empty(0)
     if (ordered and ordered[0] < 0) or np.any(gaps < PARAMETERS_PER_BODY):
@@ -184,7 +169,8 @@ def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
 
 
 def _bounds(problem: FitProblem, p: int) -> tuple[Array, Array]:
-    lower, upper = (np.asarray(bound, float) for bound in (problem.lower, problem.upper))
+    lower = real_array(problem.lower, "lower", finite=False)
+    upper = real_array(problem.upper, "upper", finite=False)
     for name, bound in (("lower", lower), ("upper", upper)):
         if bound.shape not in ((), (p,)):
             raise ArgumentError(f"{name} must have shape ({p},); got {bound.shape}.")
@@ -202,11 +188,10 @@ def _bounds(problem: FitProblem, p: int) -> tuple[Array, Array]:
 
 
 def _check_constraints(constraints: LinearConstraints, p: int) -> None:
+    instance(constraints, "constraints", LinearConstraints)
     k = len(checked("constraints.matrix", constraints.matrix, (None, p)))
-    lower, upper = np.asarray(constraints.lower, float), np.asarray(constraints.upper, float)
-    for name, limit in (("lower", lower), ("upper", upper)):
-        if limit.shape != (k,):
-            raise ArgumentError(f"constraints.{name} must have shape ({k},); got {limit.shape}.")
+    lower = real_array(constraints.lower, "constraints.lower", (k,), finite=False)
+    upper = real_array(constraints.upper, "constraints.upper", (k,), finite=False)
     empty = np.flatnonzero(~(lower <= upper))
     if len(empty):
         limits = ", ".join(f"{lower[i]:g} and {upper[i]:g}" for i in empty)
@@ -218,6 +203,8 @@ def _check_constraints(constraints: LinearConstraints, p: int) -> None:
 
 
 def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:
+    instance(problem.entropic, "entropic", Mapping)
+    instance(problem.reference, "reference", Mapping)
     unknown = sorted(set(problem.entropic) - set(problem.inertia_blocks))
     if unknown:
         raise ArgumentError(
@@ -225,10 +212,11 @@ def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:
             f"blocks start at {list(problem.inertia_blocks)}."
         )
     priors = {}
-    for start, (phi, gamma) in problem.entropic.items():
-        if not (np.isfinite(gamma) and gamma > 0):
-            raise ArgumentError(f"gamma must be positive; got {gamma:g} at column {start}.")
-        priors[start] = (checked(f"entropic[{start}]", phi, (10,)), float(gamma))
+    for start, pair in problem.entropic.items():
+        if len(instances(pair, f"entropic[{start}]", object)) != 2:
+            raise ArgumentError(f"entropic[{start}] must be a pair of φ⁰ and γ; got {pair!r}.")
+        gamma = positive(pair[1], f"gamma at column {start}")
+        priors[start] = (checked(f"entropic[{start}]", pair[0], (10,)), gamma)
     return priors
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 from scipy.sparse import csc_matrix
 
+from geodrake.arguments import instance, real_array
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
@@ -51,6 +52,9 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
     Returns:
         The program and its variables.
     """
+    instance(problem, "problem", FitProblem)
+    if centre is not None:
+        centre = real_array(centre, "centre", (problem.size,))
     coordinates = Coordinates.of(problem, centre=centre)
     program = MathematicalProgram()
     z = program.NewContinuousVariables(problem.size, "z")

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from geodrake.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.fit import FitResult
@@ -53,14 +54,15 @@ class Riemannian(Regularizer):
     name: ClassVar[str] = "riemannian"
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "starts", instances(self.starts, "starts", str))
+        integer(self.random_starts, "random_starts", lower=0)
+        integer(self.seed, "seed", lower=0)
         unknown = [start for start in self.starts if start not in STARTS]
         if unknown or self.starts[:1] != ("entropic",):
             raise ArgumentError(
                 f"starts must begin with 'entropic' and come from {', '.join(STARTS)}; "
                 f"got {self.starts}."
             )
-        if self.random_starts < 0:
-            raise ArgumentError(f"random_starts cannot be negative; got {self.random_starts}.")
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """d(Φ, Φ⁰)² of all bodies together."""

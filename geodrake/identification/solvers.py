@@ -84,7 +84,7 @@ def check_solver(solver: str) -> None:
     Raises:
         ArgumentError: There is no such solver here.
     """
-    if solver in SOLVERS and _is_usable(solver):
+    if isinstance(solver, str) and solver in SOLVERS and _is_usable(solver):
         return
     advice = "MOSEK needs a licence: set MOSEKLM_LICENSE_FILE." if solver == "mosek" else ""
     usable = ", ".join(filter(_is_usable, SOLVERS))

@@ -11,11 +11,10 @@ inertia P(φ) = ∫ [x;1][x;1]ᵀ dm, and a body can exist just when P(φ) ≻ 0
 All functions broadcast over leading axes.
 """
 
+from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
     PARAMETER_NAMES,
     PARAMETER_UNITS,
-    PARAMETERS_PER_BODY,
-    Array,
     change_frame,
     change_units,
     dual,

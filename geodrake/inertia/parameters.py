@@ -5,30 +5,27 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import Sizes, number, positive, real_array
 from geodrake.errors import ArgumentError
+from geodrake.inertia.kernels import (
+    BASIS,
+    PARAMETERS_PER_BODY,
+    Array,
+    calc_dual,
+    calc_from_pseudo_inertia,
+    calc_pseudo_inertia,
+    calc_rotational_inertia,
+)
 
-Array = NDArray[np.float64]
-
-PARAMETERS_PER_BODY = 10
 PARAMETER_NAMES = ("m", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
 PARAMETER_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
 
 _IDENTITY = np.eye(3)
 
 
-def checked(values: ArrayLike, end: tuple[int, ...]) -> Array:
-    """An array of shape (..., *end).
-
-    Raises:
-        ArgumentError: The shape ends otherwise.
-    """
-    array = np.asarray(values, float)
-    if array.shape[-len(end) :] != end:
-        expected = ", ".join(map(str, end))
-        raise ArgumentError(
-            f"Expected an array of shape (..., {expected}); got the shape {array.shape}."
-        )
-    return array
+def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -> Array:
+    """Inertial parameters (..., 10); ArgumentError if they are something else, or not finite."""
+    return real_array(phi, name, ("...", PARAMETERS_PER_BODY), sizes)
 
 
 def rotational_inertia(phi: ArrayLike) -> Array:
@@ -39,11 +36,11 @@ def rotational_inertia(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 3, 3) symmetric matrices, kg·m² ([Lee2019] Eq. (B.1.1)).
+
+    Raises:
+        ArgumentError: phi is something else, or not finite.
     """
-    phi = checked(phi, (PARAMETERS_PER_BODY,))
-    xx, yy, zz, xy, yz, zx = np.moveaxis(phi[..., 4:], -1, 0)
-    rows = [np.stack(row, -1) for row in ((xx, xy, zx), (xy, yy, yz), (zx, yz, zz))]
-    return np.stack(rows, -2)
+    return calc_rotational_inertia(checked_phi(phi))
 
 
 def pseudo_inertia(phi: ArrayLike) -> Array:
@@ -54,15 +51,11 @@ def pseudo_inertia(phi: ArrayLike) -> Array:
 
     Returns:
         (..., 4, 4) symmetric matrices [[Σ, h], [hᵀ, m]] ([Lee2019] Eq. (B.1.4)).
+
+    Raises:
+        ArgumentError: phi is something else, or not finite.
     """
-    phi = np.asarray(phi, float)
-    inertia = rotational_inertia(phi)
-    half_trace = 0.5 * np.trace(inertia, axis1=-2, axis2=-1)
-    matrix = np.empty((*phi.shape[:-1], 4, 4))
-    matrix[..., :3, :3] = half_trace[..., None, None] * _IDENTITY - inertia
-    matrix[..., :3, 3] = matrix[..., 3, :3] = phi[..., 1:4]
-    matrix[..., 3, 3] = phi[..., 0]
-    return matrix
+    return calc_pseudo_inertia(checked_phi(phi))
 
 
 def from_pseudo_inertia(matrix: ArrayLike) -> Array:
@@ -73,26 +66,16 @@ def from_pseudo_inertia(matrix: ArrayLike) -> Array:
 
     Returns:
         (..., 10) inertial parameters ([Lee2019] Eq. (B.1.6)).
+
+    Raises:
+        ArgumentError: matrix is something else, or not finite.
     """
-    matrix = checked(matrix, (4, 4))
-    second_moment = matrix[..., :3, :3]
-    trace = np.trace(second_moment, axis1=-2, axis2=-1)[..., None]
-    diagonal = trace - np.diagonal(second_moment, axis1=-2, axis2=-1)
-    products = [-second_moment[..., i, j] for i, j in ((0, 1), (1, 2), (2, 0))]
-    return np.concatenate(
-        [matrix[..., 3:, 3], matrix[..., :3, 3], diagonal, np.stack(products, -1)], -1
-    )
-
-
-_BASIS = pseudo_inertia(np.eye(PARAMETERS_PER_BODY))
-_DUAL_BASIS = np.einsum(
-    "ij,jab->iab", np.linalg.inv(np.einsum("iab,jab->ij", _BASIS, _BASIS)), _BASIS
-)
+    return calc_from_pseudo_inertia(real_array(matrix, "matrix", ("...", 4, 4)))
 
 
 def pseudo_inertia_basis() -> Array:
     """The ten matrices P(e_i), so that P(φ) = Σ φ_i P(e_i); shape (10, 4, 4)."""
-    return _BASIS.copy()
+    return BASIS.copy()
 
 
 def dual(covector: ArrayLike) -> Array:
@@ -103,10 +86,11 @@ def dual(covector: ArrayLike) -> Array:
 
     Returns:
         (..., 4, 4) symmetric matrices ([Lee2019] Eqs. (B.1.8), (B.1.9)).
+
+    Raises:
+        ArgumentError: covector is something else, or not finite.
     """
-    return np.asarray(
-        np.einsum("...i,iab->...ab", checked(covector, (PARAMETERS_PER_BODY,)), _DUAL_BASIS)
-    )
+    return calc_dual(checked_phi(covector, "covector"))
 
 
 def from_dual(matrix: ArrayLike) -> Array:
@@ -117,24 +101,32 @@ def from_dual(matrix: ArrayLike) -> Array:
 
     Returns:
         (..., 10) coefficients tr(P(eᵢ) X).
+
+    Raises:
+        ArgumentError: matrix is something else, or not finite.
     """
-    return np.asarray(np.einsum("...ab,iab->...i", checked(matrix, (4, 4)), _BASIS))
+    matrix = real_array(matrix, "matrix", ("...", 4, 4))
+    return np.asarray(np.einsum("...ab,iab->...i", matrix, BASIS))
 
 
 def is_physical(phi: ArrayLike, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
     """Whether P(φ) ≻ 0, so that a body of positive density can have these parameters.
 
     Args:
-        phi: (..., 10) inertial parameters.
+        phi: (..., 10) inertial parameters; with NaN or infinity they are not physical.
         tolerance: Least ratio of P's smallest to its largest eigenvalue that counts, in units
             where the largest diagonal second moment is the mass (so it does not depend on units).
 
     Returns:
         (...) booleans ([Lee2019] Eq. (3.2.7)).
+
+    Raises:
+        ArgumentError: phi or tolerance is something else.
     """
-    matrix = pseudo_inertia(phi)
-    finite = np.asarray(np.isfinite(matrix).all((-2, -1)))
-    matrix = np.where(finite[..., None, None], matrix, 0.0)
+    phi = real_array(phi, "phi", ("...", PARAMETERS_PER_BODY), finite=False)
+    tolerance = number(tolerance, "tolerance")
+    finite = np.asarray(np.isfinite(phi).all(-1))
+    matrix = calc_pseudo_inertia(np.where(finite[..., None], phi, 0.0))
     moments = np.diagonal(matrix, axis1=-2, axis2=-1)[..., :3].max(-1, initial=0.0)
     mass = matrix[..., 3, 3]
     usable = finite & (mass > 0) & (moments > 0)
@@ -156,12 +148,20 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
 
     Returns:
         (..., 10) inertial parameters about Bo.
+
+    Raises:
+        ArgumentError: A value is something else, or not finite, or the shapes do not fit together.
     """
-    mass, com = np.asarray(mass, float), checked(com, (3,))
+    sizes: Sizes = {}
+    mass = real_array(mass, "mass", ("...",), sizes)
+    com = real_array(com, "com", ("...", 3), sizes)
+    inertia_com = real_array(inertia_com, "inertia_com", ("...", 3, 3), sizes)
+    mass, leading = np.broadcast_to(mass, sizes["..."]), sizes["..."]
+    com = np.broadcast_to(com, (*leading, 3))
     squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
         ..., None, :
     ]
-    inertia = checked(inertia_com, (3, 3)) + mass[..., None, None] * squared
+    inertia = inertia_com + mass[..., None, None] * squared
     moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
     return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
 
@@ -174,13 +174,19 @@ def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
 
     Returns:
         mass (...), com (..., 3) and inertia_com (..., 3, 3).
+
+    Raises:
+        ArgumentError: phi is something else, or not finite, or a mass is zero.
     """
-    phi = checked(phi, (PARAMETERS_PER_BODY,))
-    mass, com = phi[..., 0], phi[..., 1:4] / phi[..., :1]
+    phi = checked_phi(phi)
+    mass = phi[..., 0]
+    if not mass.all():
+        raise ArgumentError(f"A body without mass has no centre of mass; got {mass.tolist()}.")
+    com = phi[..., 1:4] / phi[..., :1]
     squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
         ..., None, :
     ]
-    return mass, com, rotational_inertia(phi) - mass[..., None, None] * squared
+    return mass, com, calc_rotational_inertia(phi) - mass[..., None, None] * squared
 
 
 def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
@@ -193,11 +199,17 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
 
     Returns:
         (..., 10) inertial parameters in A ([Lee2019] Eq. (3.3.24)).
+
+    Raises:
+        ArgumentError: A value is something else, or not finite, or the shapes do not fit together.
     """
-    R_AB, p_AoBo_A = checked(R_AB, (3, 3)), checked(p_AoBo_A, (3,))
+    sizes: Sizes = {}
+    phi = checked_phi(phi, "phi", sizes)
+    R_AB = real_array(R_AB, "R_AB", ("...", 3, 3), sizes)
+    p_AoBo_A = real_array(p_AoBo_A, "p_AoBo_A", ("...", 3), sizes)
     H_AB = np.zeros((*np.broadcast_shapes(R_AB.shape[:-2], p_AoBo_A.shape[:-1]), 4, 4))
     H_AB[..., :3, :3], H_AB[..., :3, 3], H_AB[..., 3, 3] = R_AB, p_AoBo_A, 1.0
-    return from_pseudo_inertia(H_AB @ pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))
+    return from_pseudo_inertia(H_AB @ calc_pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))
 
 
 def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
@@ -212,16 +224,10 @@ def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:
         (..., 10) the numbers of the same bodies in the new units ([Lee2019] Eq. (3.3.24)).
 
     Raises:
-        ArgumentError: A unit is not above zero.
+        ArgumentError: phi is something else, or not finite, or a unit is not above zero.
     """
-    if not (metre > 0 and kilogram > 0):
-        raise ArgumentError(
-            f"Units are above zero; got metre={metre:g} and kilogram={kilogram:g}.",
-            advice="Give one metre and one kilogram in the new units.",
-        )
-    return (
-        checked(phi, (PARAMETERS_PER_BODY,)) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
-    )
+    metre, kilogram = positive(metre, "metre"), positive(kilogram, "kilogram")
+    return checked_phi(phi) * kilogram * metre ** np.repeat([0, 1, 2], [1, 3, 6])
 
 
 def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
@@ -233,12 +239,13 @@ def from_point_masses(masses: ArrayLike, positions: ArrayLike) -> Array:
 
     Returns:
         (..., 10) parameters of Σ mₖ [xₖ;1][xₖ;1]ᵀ ([Lee2019] Eq. (3.2.5)).
+
+    Raises:
+        ArgumentError: A value is something else, or not finite, or the shapes do not fit together.
     """
-    x, masses = checked(positions, (3,)), np.asarray(masses, float)
-    if not masses.ndim or masses.shape[-1:] != x.shape[-2:-1]:
-        raise ArgumentError(
-            f"Expected a mass for each position; got masses {masses.shape} and positions {x.shape}."
-        )
+    sizes: Sizes = {}
+    masses = real_array(masses, "masses", ("...", "k"), sizes)
+    x = real_array(positions, "positions", ("...", "k", 3), sizes)
     points = np.concatenate([x, np.ones((*x.shape[:-1], 1))], -1)
     matrix = np.einsum("...k,...ki,...kj->...ij", masses, points, points)
     return from_pseudo_inertia(matrix)
@@ -254,12 +261,15 @@ def pullback_metric(phi: ArrayLike) -> Array:
         (..., 10, 10) matrices ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) ([Lee2019] Eq. (B.1.7)).
 
     Raises:
-        ArgumentError: A body's P(φ) is singular, so that there is no metric.
+        ArgumentError: phi is something else, or a body is not physical, so that there is no metric.
     """
+    phi = checked_phi(phi)
+    bad = np.flatnonzero(~is_physical(phi)).tolist()
     try:
-        solved = np.linalg.solve(pseudo_inertia(phi)[..., None, :, :], _BASIS)
+        if bad:
+            raise np.linalg.LinAlgError
+        solved = np.linalg.solve(calc_pseudo_inertia(phi)[..., None, :, :], BASIS)
     except np.linalg.LinAlgError:
-        bad = np.flatnonzero(~np.atleast_1d(is_physical(phi)).ravel()).tolist()
         raise ArgumentError(
             f"There is no metric at bodies {bad}: they are not physical.",
             advice="The metric exists at parameters that a solid body can have.",

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.errors import ArgumentError
-from geodrake.inertia.parameters import Array, pseudo_inertia
+from geodrake.inertia.kernels import Array
+from geodrake.inertia.parameters import checked_phi, pseudo_inertia
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +45,9 @@ def central_second_moment(phi: ArrayLike) -> Array:
     """
     matrix = pseudo_inertia(phi)
     h, mass = matrix[..., :3, 3], matrix[..., 3, 3]
-    usable = np.isfinite(matrix).all((-2, -1)) & (mass != 0)
-    if not usable.all():
-        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(usable.ravel()))]
-        raise ArgumentError(
-            f"A body without mass has no centre of mass, nor one that is not finite; got "
-            f"{bad.tolist()}."
-        )
+    if not mass.all():
+        bad = np.asarray(phi, float).reshape(-1, 10)[int(np.argmin(np.abs(mass).ravel()))]
+        raise ArgumentError(f"A body without mass has no centre of mass; got {bad.tolist()}.")
     squared = h[..., :, None] * h[..., None, :] / mass[..., None, None]
     return np.asarray(matrix[..., :3, :3] - squared)
 
@@ -64,7 +61,7 @@ def principal_axes(phi: ArrayLike) -> PrincipalAxes:
     Raises:
         ArgumentError: A body has no mass, or a value is not finite.
     """
-    phi = np.asarray(phi, float)
+    phi = checked_phi(phi)
     values, axes = np.linalg.eigh(central_second_moment(phi))
     handedness = np.where(np.linalg.det(axes) < 0, -1.0, 1.0)
     rotation = np.concatenate([axes[..., :2], handedness[..., None, None] * axes[..., 2:]], -1)

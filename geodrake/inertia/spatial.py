@@ -8,13 +8,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context
 
-from geodrake.bodies import Member, lumped_bodies
-from geodrake.errors import ArgumentError
+from geodrake.arguments import instance, real_array
+from geodrake.bodies import Member, check_context, check_plant, lumped_bodies
+from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
-    PARAMETERS_PER_BODY,
-    Array,
     change_frame,
-    checked,
+    checked_phi,
     rotational_inertia,
 )
 
@@ -28,8 +27,11 @@ def spatial_inertia_matrix(phi: ArrayLike) -> Array:
     Returns:
         (..., 6, 6) symmetric matrices with T = ½ Vᵀ G V for V = (ω, v) ([Lee2019] Eq. (3.2.3)):
         rotation first, as in Drake.
+
+    Raises:
+        ArgumentError: phi is something else, or not finite.
     """
-    phi = checked(phi, (PARAMETERS_PER_BODY,))
+    phi = checked_phi(phi)
     matrix = np.zeros((*phi.shape[:-1], 6, 6))
     matrix[..., :3, :3] = rotational_inertia(phi)
     for (i, j), k, sign in (((0, 1), 3, -1), ((0, 2), 2, 1), ((1, 2), 1, -1)):
@@ -47,14 +49,22 @@ def from_spatial_inertia_matrix(matrix: ArrayLike) -> Array:
 
     Returns:
         (..., 10) inertial parameters.
+
+    Raises:
+        ArgumentError: matrix is something else, or not finite.
     """
-    matrix = checked(matrix, (6, 6))
+    matrix = real_array(matrix, "matrix", ("...", 6, 6))
     places = ((5, 5), (2, 4), (0, 5), (1, 3), (0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
     return np.stack([matrix[..., i, j] for i, j in places], -1)
 
 
 def from_spatial_inertia(spatial: SpatialInertia) -> Array:
-    """Inertial parameters of Drake's M_BBo_B; shape (10,)."""
+    """Inertial parameters of Drake's M_BBo_B; shape (10,).
+
+    Raises:
+        ArgumentError: spatial is something else.
+    """
+    instance(spatial, "spatial", SpatialInertia)
     inertia = spatial.get_mass() * spatial.get_unit_inertia().CopyToFullMatrix3()
     moments = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
     return np.array([spatial.get_mass(), *spatial.CalcComMoment(), *moments])
@@ -64,11 +74,9 @@ def to_spatial_inertia(phi: ArrayLike) -> SpatialInertia:
     """Drake's M_BBo_B of one body's inertial parameters (10,); a zero mass gives zero inertia.
 
     Raises:
-        ArgumentError: The shape is another.
+        ArgumentError: phi is something else, or not finite.
     """
-    phi = np.asarray(phi, float)
-    if phi.shape != (PARAMETERS_PER_BODY,):
-        raise ArgumentError(f"Expected one body's parameters (10,); got the shape {phi.shape}.")
+    phi = real_array(phi, "phi", (PARAMETERS_PER_BODY,))
     mass = phi[0]
     if mass == 0.0:
         return SpatialInertia.Zero()
@@ -86,9 +94,16 @@ def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -
     Returns:
         (nb, 10) parameters of `geodrake.bodies.lumped_bodies(plant)`, each in the frame of its
         representative.
+
+    Raises:
+        ArgumentError: It is no plant, or the context belongs to another system.
+        ModelError: The plant is not finalized.
     """
+    check_plant(plant)
     if context is None:
         context = plant.CreateDefaultContext()
+    else:
+        check_context(plant, context)
 
     def parameters(member: Member) -> Array:
         spatial = plant.get_body(member.index).CalcSpatialInertiaInBodyFrame(context)

@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from geodrake.arguments import file_path, instances
 from geodrake.errors import LogError
 from geodrake.log_files.columns import HEADER_ADVICE
 from geodrake.log_files.csv_file import read_csv
@@ -38,7 +39,8 @@ def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointL
         LogError: If the file cannot be read, lacks a needed column or joint, has one twice, has
             cells that are not numbers, has fewer than ten rows, or if its time does not increase.
     """
-    path = Path(path)
+    path = file_path(path)
+    joints = None if joints is None else instances(joints, "joints", str)
     readers = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}
     if not path.exists():
         raise LogError(f"There is no log file {str(path)!r}.", advice="Check the path.")

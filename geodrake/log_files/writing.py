@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from geodrake.arguments import file_path, instance
 from geodrake.errors import OutputError
 from geodrake.log_files.columns import QUANTITIES
 from geodrake.motion import JointLog
@@ -27,7 +28,8 @@ def write_log(log: JointLog, path: str | Path) -> None:
     Raises:
         OutputError: If the suffix is another, or the file cannot be written.
     """
-    path = Path(path)
+    path = file_path(path)
+    instance(log, "log", JointLog)
     if path.suffix.lower() not in (".csv", ".txt", ".npz"):
         raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
     columns: dict[str, Any] = {"time": log.time}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import Shape, Sizes, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.mirror import MirrorLine
 
@@ -22,56 +23,58 @@ _SHARE_OF_EDGE = 0.9
 
 
 class Manifold(abc.ABC):
-    """An open convex set in ℝⁿ with a barrier h, [Lee2019] Definition 5.3.3."""
+    """An open convex set in ℝⁿ with a barrier h, [Lee2019] Definition 5.3.3.
+
+    Every function is a door that refuses points outside of the set, covectors that are not finite,
+    and what is no array of real numbers (ArgumentError). Behind it is a kernel of the same name
+    with `calc_`, which trusts its arrays: for every sample of a controller, and for solvers that
+    meet points outside on their way. A manifold of your own defines the kernels.
+    """
 
     @property
     @abc.abstractmethod
     def dimension(self) -> int:
         """Number n of coordinates."""
 
-    @abc.abstractmethod
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each point x (..., n) is inside the set."""
+        """Whether each point x (..., n) is inside the set; one that is not finite is not."""
+        return self.calc_contains(real_array(x, "x", ("...", self.dimension), finite=False))
 
-    @abc.abstractmethod
     def barrier(self, x: ArrayLike) -> Array:
         """h(x) (...) at points x (..., n) inside the set."""
+        return self.calc_barrier(self._points(x))
 
-    @abc.abstractmethod
     def gradient(self, x: ArrayLike) -> Array:
         """∇h(x), (..., n)."""
+        return self.calc_gradient(self._points(x))
 
-    @abc.abstractmethod
     def metric(self, x: ArrayLike) -> Array:
         """The metric g(x) = ∇²h(x), (..., n, n) ([Lee2019] Eq. (5.3.17))."""
+        return self.calc_metric(self._points(x))
 
-    @abc.abstractmethod
     def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
         """g(x)⁻¹ b, (..., n), without building g: the natural gradient of a covector b (..., n)."""
+        return self.calc_inverse_metric_times(*self._point_and(x, b, "b"))
 
-    @abc.abstractmethod
     def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set."""
+        sizes: Sizes = {}
+        return self.calc_divergence(self._points(x, "x", sizes), self._points(y, "y", sizes))
 
-    @abc.abstractmethod
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The time (...) at which the straight line x + t v leaves the set, inf for never."""
+        return self.calc_longest_step(*self._point_and(x, v, "v"))
 
     def frame(self, x: ArrayLike) -> Array:
         """Tangent vectors (n, n), one a column, that the metric at x (n,) makes orthonormal."""
-        metric = self.metric(x)
-        # On a unit diagonal, so that units cost no precision.
-        scale = 1.0 / np.sqrt(np.diagonal(metric))
-        L = np.linalg.cholesky(metric * scale[:, None] * scale)
-        return np.asarray(scale[:, None] * np.linalg.inv(L).T)
+        return self.calc_frame(self._points(x, shape=(self.dimension,)))
 
     def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
         """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero."""
-        return _newton_line(self, np.asarray(x, float), np.asarray(b, float))
-
-    def lift(self) -> Lift | None:
-        """A manifold with easier mirror lines that this one is a flat part of; None if none."""
-        return None
+        x, b = self._points(x, shape=(self.dimension,)), real_array(b, "b", (self.dimension,))
+        if not b.any():
+            raise ArgumentError("A mirror line leads nowhere where b is zero.")
+        return self.calc_mirror_line(x, b)
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The point (..., n) that a step v (..., n) from x leads to, inside however long v is.
@@ -83,7 +86,79 @@ class Manifold(abc.ABC):
         that rounding puts it outside, or beyond 1e60, the step is shortened: repeated long steps do
         not overflow.
         """
-        x, v = np.broadcast_arrays(np.asarray(x, float), np.asarray(v, float))
+        return self.calc_retract(*self._point_and(x, v, "v"))
+
+    def _points(
+        self,
+        x: ArrayLike,
+        name: str = "x",
+        sizes: Sizes | None = None,
+        *,
+        shape: Shape | None = None,
+    ) -> Array:
+        """Points (..., n) inside the set."""
+        points = real_array(x, name, shape or ("...", self.dimension), sizes)
+        if not (inside := self.calc_contains(points)).all():
+            outside = points[~inside][0] if inside.ndim else points
+            raise ArgumentError(
+                f"{name} must be inside of {type(self).__name__}; it holds {outside.tolist()}.",
+                name=name,
+            )
+        return points
+
+    def _point_and(self, x: ArrayLike, b: ArrayLike, name: str) -> tuple[Array, Array]:
+        """Points with covectors or steps."""
+        sizes: Sizes = {}
+        points = self._points(x, "x", sizes)
+        return points, real_array(b, name, ("...", self.dimension), sizes)
+
+    @abc.abstractmethod
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
+        """Kernel of `contains`."""
+
+    @abc.abstractmethod
+    def calc_barrier(self, x: Array) -> Array:
+        """Kernel of `barrier`."""
+
+    @abc.abstractmethod
+    def calc_gradient(self, x: Array) -> Array:
+        """Kernel of `gradient`."""
+
+    @abc.abstractmethod
+    def calc_metric(self, x: Array) -> Array:
+        """Kernel of `metric`."""
+
+    @abc.abstractmethod
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
+        """Kernel of `inverse_metric_times`."""
+
+    @abc.abstractmethod
+    def calc_divergence(self, x: Array, y: Array) -> Array:
+        """Kernel of `divergence`."""
+
+    @abc.abstractmethod
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
+        """Kernel of `longest_step`."""
+
+    def calc_frame(self, x: Array) -> Array:
+        """Kernel of `frame`."""
+        metric = self.calc_metric(x)
+        # On a unit diagonal, so that units cost no precision.
+        scale = 1.0 / np.sqrt(np.diagonal(metric))
+        L = np.linalg.cholesky(metric * scale[:, None] * scale)
+        return np.asarray(scale[:, None] * np.linalg.inv(L).T)
+
+    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
+        """Kernel of `mirror_line`."""
+        return _newton_line(self, x, b)
+
+    def lift(self) -> Lift | None:
+        """A manifold with easier mirror lines that this one is a flat part of; None if none."""
+        return None
+
+    def calc_retract(self, x: Array, v: Array) -> Array:
+        """Kernel of `retract`."""
+        x, v = np.broadcast_arrays(x, v)
         point, share = self._retract(x, v), np.ones(x.shape[:-1])
         for _ in range(_MOST_HALVINGS):
             outside = ~self._well_inside(point)
@@ -95,14 +170,14 @@ class Manifold(abc.ABC):
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         """Whether points are inside by more than rounding."""
-        return self.contains(x)
+        return self.calc_contains(x)
 
     def _retract(self, x: Array, v: Array) -> Array:
         """The retraction in exact arithmetic; along the straight line unless overridden.
 
         On the way to an edge at time T, time s of the step is slowed down to T (1 − exp(−s/T)).
         """
-        slowed = slowed_time(self.longest_step(x, v))
+        slowed = slowed_time(self.calc_longest_step(x, v))
         return np.asarray(x + slowed[..., None] * v)
 
 
@@ -149,7 +224,7 @@ class Lift:
 
 def _newton_line(manifold: Manifold, x: Array, b: Array) -> MirrorLine:
     """The mirror line of any barrier: each point by Newton's method; NaN where there is none."""
-    start = manifold.gradient(x)
+    start = manifold.calc_gradient(x)
 
     def point(t: float) -> Array:
         try:
@@ -157,18 +232,18 @@ def _newton_line(manifold: Manifold, x: Array, b: Array) -> MirrorLine:
         except (ArgumentError, np.linalg.LinAlgError):  # at the edge, on the way to infinity
             return np.full(len(x), np.nan)
 
-    length = float(np.sqrt(b @ manifold.inverse_metric_times(x, b)))
+    length = float(np.sqrt(b @ manifold.calc_inverse_metric_times(x, b)))
     return MirrorLine(point, lambda t: float(b @ point(t)), np.inf, 1.0 / length)
 
 
 def _with_gradient(manifold: Manifold, wanted: Array, y: Array) -> Array:
     """The point (n,) with a wanted gradient, from a first guess y; NaN if it is not found."""
     for _ in range(_MOST_STEPS):
-        off = wanted - manifold.gradient(y)
-        step = manifold.inverse_metric_times(y, off)
+        off = wanted - manifold.calc_gradient(y)
+        step = manifold.calc_inverse_metric_times(y, off)
         length = float(np.sqrt(max(float(off @ step), 0.0)))
         share = 1.0 if length < _SHORT else 1.0 / (1.0 + length)
-        y = y + min(share, _SHARE_OF_EDGE * float(manifold.longest_step(y, step))) * step
+        y = y + min(share, _SHARE_OF_EDGE * float(manifold.calc_longest_step(y, step))) * step
         if length < _EXACT:
             return y
     return np.full(len(y), np.nan)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.errors import ArgumentError
+from geodrake.arguments import Sizes, positive, real_array
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds.base import Array, Lift, Manifold, excess
 from geodrake.manifolds.inertia import PhysicalInertia
@@ -35,20 +35,10 @@ class ConstrainedInertia(Manifold):
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        normals, offsets = np.asarray(self.normals, float), np.asarray(self.offsets, float)
-        if (
-            normals.shape != (len(normals), PARAMETERS_PER_BODY)
-            or offsets.shape != normals.shape[:1]
-        ):
-            raise ArgumentError(
-                f"Constraints on a body have normals (m, 10) and offsets (m,); got "
-                f"{normals.shape} and {offsets.shape}."
-            )
-        if not (np.isfinite(normals).all() and np.isfinite(offsets).all() and self.weight > 0):
-            raise ArgumentError(
-                f"Constraints are finite and their weight is above zero; got weight {self.weight}, "
-                f"normals {normals.tolist()} and offsets {offsets.tolist()}."
-            )
+        sizes: Sizes = {}
+        normals = real_array(self.normals, "normals", ("m", PARAMETERS_PER_BODY), sizes)
+        offsets = real_array(self.offsets, "offsets", ("m",), sizes)
+        positive(self.weight, "weight")
         object.__setattr__(self, "normals", normals)
         object.__setattr__(self, "offsets", offsets)
 
@@ -59,28 +49,36 @@ class ConstrainedInertia(Manifold):
 
     def slacks(self, x: ArrayLike) -> Array:
         """How far each constraint is from being broken, aₖᵀ x − bₖ, (..., m)."""
-        return np.asarray(np.asarray(x, float) @ self.normals.T - self.offsets)
+        return self.calc_slacks(real_array(x, "x", ("...", PARAMETERS_PER_BODY)))
 
-    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def calc_slacks(self, x: Array) -> Array:
+        """Kernel of `slacks`."""
+        return np.asarray(x @ self.normals.T - self.offsets)
+
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether P(x) ≻ 0 and all constraints hold (...), [Lee2019] Eq. (5.3.26)."""
-        return _INERTIA.contains(x) & (self.slacks(x) > 0).all(-1)
+        finite = np.asarray(np.isfinite(x).all(-1))
+        slacks = self.calc_slacks(np.where(finite[..., None], x, 0.0))
+        return np.asarray(_INERTIA.calc_contains(x) & (slacks > 0).all(-1))
 
-    def barrier(self, x: ArrayLike) -> Array:
+    def calc_barrier(self, x: Array) -> Array:
         """h(x), [Lee2019] Eq. (5.3.27)."""
-        return np.asarray(_INERTIA.barrier(x) - self.weight * np.log(self.slacks(x)).sum(-1))
+        return np.asarray(
+            _INERTIA.calc_barrier(x) - self.weight * np.log(self.calc_slacks(x)).sum(-1)
+        )
 
-    def gradient(self, x: ArrayLike) -> Array:
+    def calc_gradient(self, x: Array) -> Array:
         """∇h(x), (..., 10)."""
-        return np.asarray(_INERTIA.gradient(x) - self.weight * self._scaled(x).sum(-2))
+        return np.asarray(_INERTIA.calc_gradient(x) - self.weight * self._scaled(x).sum(-2))
 
-    def metric(self, x: ArrayLike) -> Array:
+    def calc_metric(self, x: Array) -> Array:
         """g(x), (..., 10, 10), [Lee2019] Eq. (5.3.28)."""
         rows = self._scaled(x)
-        return np.asarray(_INERTIA.metric(x) + self.weight * np.swapaxes(rows, -1, -2) @ rows)
+        return np.asarray(_INERTIA.calc_metric(x) + self.weight * np.swapaxes(rows, -1, -2) @ rows)
 
-    def frame(self, x: ArrayLike) -> Array:
+    def calc_frame(self, x: Array) -> Array:
         """That of the body, corrected for the constraints."""
-        T = _INERTIA.frame(x)
+        T = _INERTIA.calc_frame(x)
         rows = self._scaled(x) @ T
         L = np.linalg.cholesky(np.eye(len(T)) + self.weight * rows.T @ rows)
         return np.asarray(T @ np.linalg.inv(L).T)
@@ -97,35 +95,34 @@ class ConstrainedInertia(Manifold):
             self.offsets,
         )
 
-    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """g(x)⁻¹ b by Woodbury's identity, [Lee2019] Eq. (B.4.21) without its factors 2.
 
         Only an m×m matrix is solved with.
         """
-        x, b = np.asarray(x, float), np.asarray(b, float)
         rows = self._scaled(x)
-        free = _INERTIA.inverse_metric_times(x, b)
-        rows_free = _INERTIA.inverse_metric_times(x[..., None, :], rows)
+        free = _INERTIA.calc_inverse_metric_times(x, b)
+        rows_free = _INERTIA.calc_inverse_metric_times(x[..., None, :], rows)
         small = np.eye(len(self.offsets)) / self.weight + rows @ np.swapaxes(rows_free, -1, -2)
         pull = np.linalg.solve(small, (rows @ free[..., None]))
         return np.asarray(free - (np.swapaxes(rows_free, -1, -2) @ pull)[..., 0])
 
-    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def calc_divergence(self, x: Array, y: Array) -> Array:
         """D(x‖y), [Lee2019] Eq. (5.3.29)."""
-        difference = np.asarray(x, float) - np.asarray(y, float)
-        terms = excess(difference @ self.normals.T / self.slacks(y))
-        return np.asarray(_INERTIA.divergence(x, y) + self.weight * terms.sum(-1))
+        difference = x - y
+        terms = excess(difference @ self.normals.T / self.calc_slacks(y))
+        return np.asarray(_INERTIA.calc_divergence(x, y) + self.weight * terms.sum(-1))
 
-    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
         """The time (...) at which P(x + t v) becomes singular or a constraint binds."""
-        rates = np.asarray(v, float) @ self.normals.T
+        rates = v @ self.normals.T
         falling = rates < 0
-        times = np.where(falling, self.slacks(x) / np.where(falling, -rates, 1.0), np.inf)
-        return np.minimum(_INERTIA.longest_step(x, v), times.min(-1, initial=np.inf))
+        times = np.where(falling, self.calc_slacks(x) / np.where(falling, -rates, 1.0), np.inf)
+        return np.minimum(_INERTIA.calc_longest_step(x, v), times.min(-1, initial=np.inf))
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
-        return _INERTIA._well_inside(x) & (self.slacks(x) > 0).all(-1)
+        return _INERTIA._well_inside(x) & (self.calc_slacks(x) > 0).all(-1)
 
-    def _scaled(self, x: ArrayLike) -> Array:
+    def _scaled(self, x: Array) -> Array:
         """Rows aₖᵀ / (aₖᵀ x − bₖ), (..., m, 10)."""
-        return np.asarray(self.normals / self.slacks(x)[..., None])
+        return np.asarray(self.normals / self.calc_slacks(x)[..., None])

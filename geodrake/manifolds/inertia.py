@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
-    dual,
-    from_pseudo_inertia,
     is_physical,
-    pseudo_inertia,
     pseudo_inertia_basis,
     pullback_metric,
+)
+from geodrake.inertia.kernels import (
+    calc_dual,
+    calc_from_pseudo_inertia,
+    calc_pseudo_inertia,
 )
 from geodrake.manifolds.base import Array, Manifold
 from geodrake.manifolds.mirror import MirrorLine
@@ -27,7 +29,7 @@ _UNIT_TANGENTS = np.array(
 )
 """Orthonormal basis (10, 4, 4) of the symmetric matrices."""
 _TO_MATRIX = _BASIS.reshape(PARAMETERS_PER_BODY, 16)
-_FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
+_FROM_MATRIX = calc_from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
 _GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
@@ -46,49 +48,49 @@ class PhysicalInertia(Manifold):
         """Ten."""
         return PARAMETERS_PER_BODY
 
-    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether P(x) ≻ 0 (...)."""
         return is_physical(x)
 
-    def barrier(self, x: ArrayLike) -> Array:
+    def calc_barrier(self, x: Array) -> Array:
         """−log det P(x), [Lee2019] Eq. (5.3.23)."""
-        return -np.linalg.slogdet(pseudo_inertia(x))[1]
+        return -np.linalg.slogdet(calc_pseudo_inertia(x))[1]
 
-    def gradient(self, x: ArrayLike) -> Array:
+    def calc_gradient(self, x: Array) -> Array:
         """−tr(P(x)⁻¹ P(eᵢ)), (..., 10)."""
-        return -np.einsum("...ab,iab->...i", np.linalg.inv(pseudo_inertia(x)), _BASIS)
+        return -np.einsum("...ab,iab->...i", np.linalg.inv(calc_pseudo_inertia(x)), _BASIS)
 
-    def metric(self, x: ArrayLike) -> Array:
+    def calc_metric(self, x: Array) -> Array:
         """tr(P⁻¹ P(eᵢ) P⁻¹ P(eⱼ)), (..., 10, 10), [Lee2019] Eq. (5.3.24)."""
         return 2.0 * pullback_metric(x)
 
-    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """P⁻¹(P(x) X(b) P(x)), [Lee2019] Eq. (B.4.20) without its factor 2.
 
         X(b) is the symmetric matrix with tr(P(φ) X(b)) = φᵀ b, [Lee2019] Eq. (B.1.8).
         """
-        matrix = pseudo_inertia(x)
-        return from_pseudo_inertia(matrix @ dual(b) @ matrix)
+        matrix = calc_pseudo_inertia(x)
+        return calc_from_pseudo_inertia(matrix @ calc_dual(b) @ matrix)
 
-    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def calc_divergence(self, x: Array, y: Array) -> Array:
         """D(x‖y) = −log det(P(y)⁻¹P(x)) + tr(P(y)⁻¹P(x)) − 4, [Lee2019] Eq. (5.3.25)."""
-        return log_det_divergence(pseudo_inertia(x), pseudo_inertia(y))
+        return log_det_divergence(calc_pseudo_inertia(x), calc_pseudo_inertia(y))
 
-    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
         """The time (...) at which P(x + t v) becomes singular."""
         rates = self._rates(x, v)[..., 0]
         falling = rates < 0
         return np.where(falling, -1.0 / np.where(falling, rates, -1.0), np.inf)
 
-    def frame(self, x: ArrayLike) -> Array:
+    def calc_frame(self, x: Array) -> Array:
         """P⁻¹(L E Lᵀ) (10, 10) for orthonormal symmetric E, which no scale costs precision."""
         L = _root(x)
         return np.asarray(((L @ _UNIT_TANGENTS @ L.T).reshape(-1, 16) @ _FROM_MATRIX).T)
 
-    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """P(y(t)) = L (𝟙 − t Lᵀ X(b) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − t X(b)."""
         L = _root(x)
-        spectrum, axes = np.linalg.eigh(L.T @ dual(b) @ L)
+        spectrum, axes = np.linalg.eigh(L.T @ calc_dual(b) @ L)
         rates = spectrum.tolist()
 
         def point(t: float) -> Array:
@@ -103,12 +105,12 @@ class PhysicalInertia(Manifold):
 
     def _retract(self, x: Array, v: Array) -> Array:
         """The geodesic, [Lee2019] Eq. (2.2.9)."""
-        L, root = whitening(pseudo_inertia(x))
-        rates, axes = np.linalg.eigh(root @ pseudo_inertia(v) @ np.swapaxes(root, -1, -2))
+        L, root = whitening(calc_pseudo_inertia(x))
+        rates, axes = np.linalg.eigh(root @ calc_pseudo_inertia(v) @ np.swapaxes(root, -1, -2))
         longest = np.abs(rates).max(-1, keepdims=True)
         half = 0.5 * rates * (_LONGEST_GROWTH / np.maximum(longest, _LONGEST_GROWTH))
         side = (L @ axes) * np.exp(half)[..., None, :]
-        return from_pseudo_inertia(side @ np.swapaxes(side, -1, -2))
+        return calc_from_pseudo_inertia(side @ np.swapaxes(side, -1, -2))
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         size = np.abs(x).max(-1)
@@ -117,15 +119,15 @@ class PhysicalInertia(Manifold):
         )
 
     @staticmethod
-    def _rates(x: ArrayLike, v: ArrayLike) -> Array:
+    def _rates(x: Array, v: Array) -> Array:
         """Eigenvalues (..., 4) of P(x)⁻¹ P(v) in ascending order."""
-        _, root = whitening(pseudo_inertia(x))
-        whitened = root @ pseudo_inertia(v) @ np.swapaxes(root, -1, -2)
+        _, root = whitening(calc_pseudo_inertia(x))
+        whitened = root @ calc_pseudo_inertia(v) @ np.swapaxes(root, -1, -2)
         return np.asarray(np.linalg.eigvalsh(whitened), float)
 
 
-def _root(x: ArrayLike) -> Array:
+def _root(x: Array) -> Array:
     """Lower triangular L (4, 4) with P(x) = L Lᵀ of one body; units cost no precision."""
-    P = (np.asarray(x, float) @ _TO_MATRIX).reshape(4, 4)
+    P = (x @ _TO_MATRIX).reshape(4, 4)
     scale = np.sqrt(np.diagonal(P))
     return np.asarray(scale[:, None] * np.linalg.cholesky(P / np.outer(scale, scale)))

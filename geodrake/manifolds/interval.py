@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
+from geodrake.arguments import Sizes, integer, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
 from geodrake.manifolds.mirror import MirrorLine
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 _GREATEST = 1e60
+_MOST = 10**6  # parameters
 _LEAST_SLACK = 1e-150  # whose inverse square is still a number
 
 
@@ -33,7 +35,12 @@ class Interval(Manifold):
     upper: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if len(self.lower) != len(self.upper) or not np.all(np.less(self.lower, self.upper)):
+        sizes: Sizes = {}
+        lower = real_array(self.lower, "lower", ("n",), sizes, finite=False)
+        upper = real_array(self.upper, "upper", ("n",), sizes, finite=False)
+        object.__setattr__(self, "lower", tuple(lower.tolist()))
+        object.__setattr__(self, "upper", tuple(upper.tolist()))
+        if not ((lower < upper) & (lower < np.inf) & (upper > -np.inf)).all():
             raise ArgumentError(
                 f"Every lower bound needs an upper bound above it; got {self.lower} and "
                 f"{self.upper}."
@@ -53,66 +60,60 @@ class Interval(Manifold):
         """Distances to the lower and the upper bounds."""
         return x - np.array(self.lower), np.array(self.upper) - x
 
-    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether l < x < u in every parameter (...)."""
-        x = np.asarray(x, float)
-        below, above = self._slacks(x)
-        return (np.isfinite(x) & (below > 0) & (above > 0)).all(-1)
+        below, above = self._slacks(np.where(np.isfinite(x), x, 0.0))
+        return np.asarray((np.isfinite(x) & (below > 0) & (above > 0)).all(-1))
 
-    def barrier(self, x: ArrayLike) -> Array:
+    def calc_barrier(self, x: Array) -> Array:
         """h(x), [Lee2019] Eq. (5.3.35)."""
-        x = np.asarray(x, float)
         logs = sum(np.log(np.where(np.isinf(slack), 1.0, slack)) for slack in self._slacks(x))
         return (np.where(self._flat, 0.5 * x * x, 0.0) - logs).sum(-1)
 
-    def gradient(self, x: ArrayLike) -> Array:
+    def calc_gradient(self, x: Array) -> Array:
         """∇h(x), (..., n)."""
-        x = np.asarray(x, float)
         below, above = self._slacks(x)
         return np.where(self._flat, x, 1.0 / above - 1.0 / below)
 
-    def _curvature(self, x: ArrayLike) -> Array:
-        below, above = self._slacks(np.asarray(x, float))
+    def _curvature(self, x: Array) -> Array:
+        below, above = self._slacks(x)
         return np.where(self._flat, 1.0, below**-2.0 + above**-2.0)
 
-    def metric(self, x: ArrayLike) -> Array:
+    def calc_metric(self, x: Array) -> Array:
         """The diagonal metric of [Lee2019] Eq. (5.3.36)."""
         return self._curvature(x)[..., None] * np.eye(self.dimension)
 
-    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
-        return np.asarray(b, float) / self._curvature(x)
+        return b / self._curvature(x)
 
-    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def calc_divergence(self, x: Array, y: Array) -> Array:
         """D(x‖y), [Lee2019] Eq. (5.3.37)."""
-        x, y = np.asarray(x, float), np.asarray(y, float)
         step = x - y
         below, above = self._slacks(y)
         terms = excess(step / below) + excess(-step / above)
         return np.where(self._flat, 0.5 * step * step, terms).sum(-1)
 
-    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
         """The time (...) at which x + t v reaches a bound."""
-        v = np.asarray(v, float)
-        below, above = self._slacks(np.asarray(x, float))
+        below, above = self._slacks(x)
         toward = np.where(v > 0, above, below)
         moving = v != 0
         times = toward / np.where(moving, np.abs(v), 1.0)
         return np.where(moving, times, np.inf).min(-1, initial=np.inf)
 
-    def frame(self, x: ArrayLike) -> Array:
+    def calc_frame(self, x: Array) -> Array:
         """Diagonal (n, n)."""
         return np.diag(1.0 / np.sqrt(self._curvature(x)))
 
-    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """In closed form for each parameter: 1/slack is linear in t, or a quadratic equation."""
-        x, b = np.asarray(x, float), np.asarray(b, float)
         low, high = np.array(self.lower), np.array(self.upper)
         curved, simple = np.isfinite(low) & np.isfinite(high), np.isfinite(low) ^ np.isfinite(high)
         sign = np.where(np.isfinite(low), 1.0, -1.0)[simple]  # away from the bound
         bound = np.where(np.isfinite(low), low, high)[simple]
         slack = sign * (x[simple] - bound)
-        rates, force = sign * b[simple] * slack, self.gradient(x)
+        rates, force = sign * b[simple] * slack, self.calc_gradient(x)
 
         def point(t: float) -> Array:
             y = np.where(self._flat, x + t * b, x)
@@ -128,7 +129,7 @@ class Interval(Manifold):
         return MirrorLine(point, value, 1.0 / most if most > 0 else np.inf, 1.0 / speed)
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
-        return self.contains(x) & (np.abs(x) < _GREATEST).all(-1)
+        return self.calc_contains(x) & (np.abs(x) < _GREATEST).all(-1)
 
     def _retract(self, x: Array, v: Array) -> Array:
         """Each parameter by itself: geodesic with one bound, the slowed line with two."""
@@ -162,6 +163,7 @@ class Positive(Interval):
     """n positive parameters with h = −Σ log xᵢ ([Lee2019] Eq. (5.3.31))."""
 
     def __init__(self, dimension: int = 1) -> None:
+        integer(dimension, "dimension", lower=0, upper=_MOST)
         super().__init__((0.0,) * dimension, (np.inf,) * dimension)
 
 
@@ -169,4 +171,5 @@ class Free(Interval):
     """n parameters without bounds: ℝⁿ with h = ½ ‖x‖², in the units that they are given in."""
 
     def __init__(self, dimension: int = 1) -> None:
+        integer(dimension, "dimension", lower=0, upper=_MOST)
         super().__init__((-np.inf,) * dimension, (np.inf,) * dimension)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from geodrake.arguments import instances, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Lift, Manifold
 from geodrake.manifolds.mirror import MirrorLine, joined
@@ -28,13 +29,16 @@ class Product(Manifold):
     weights: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.weights:
-            object.__setattr__(self, "weights", (1.0,) * len(self.manifolds))
-        if len(self.weights) != len(self.manifolds) or not all(w > 0 for w in self.weights):
+        manifolds = instances(self.manifolds, "manifolds", Manifold)
+        given = (1.0,) * len(manifolds) if np.size(self.weights) == 0 else self.weights
+        weights = real_array(given, "weights", (len(manifolds),))
+        if not (weights > 0).all():
             raise ArgumentError(
-                f"Each of the {len(self.manifolds)} manifolds needs a positive weight; got "
-                f"{self.weights}."
+                f"Each of the {len(manifolds)} manifolds needs a positive weight; got "
+                f"{weights.tolist()}."
             )
+        object.__setattr__(self, "manifolds", manifolds)
+        object.__setattr__(self, "weights", tuple(weights.tolist()))
 
     @property
     def dimension(self) -> int:
@@ -48,66 +52,62 @@ class Product(Manifold):
         slices = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
         return tuple(zip(self.manifolds, self.weights, slices, strict=True))
 
-    def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
+    def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether x is inside every factor (...)."""
-        x = np.asarray(x, float)
-        inside = [factor.contains(x[..., part]) for factor, _, part in self._factors]
+        inside = [factor.calc_contains(x[..., part]) for factor, _, part in self._factors]
         return np.logical_and.reduce(inside)
 
-    def barrier(self, x: ArrayLike) -> Array:
+    def calc_barrier(self, x: Array) -> Array:
         """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
-        x = np.asarray(x, float)
-        return _sum(w * factor.barrier(x[..., part]) for factor, w, part in self._factors)
+        return _sum(w * factor.calc_barrier(x[..., part]) for factor, w, part in self._factors)
 
-    def gradient(self, x: ArrayLike) -> Array:
+    def calc_gradient(self, x: Array) -> Array:
         """The factors' gradients times their weights, (..., n)."""
-        x = np.asarray(x, float)
-        parts = [w * factor.gradient(x[..., part]) for factor, w, part in self._factors]
+        parts = [w * factor.calc_gradient(x[..., part]) for factor, w, part in self._factors]
         return np.concatenate(parts, -1)
 
-    def metric(self, x: ArrayLike) -> Array:
+    def calc_metric(self, x: Array) -> Array:
         """diag(wᵢ gᵢ(xᵢ)), [Lee2019] Eq. (5.3.43)."""
-        x = np.asarray(x, float)
         metric = np.zeros((*x.shape, self.dimension))
         for factor, w, part in self._factors:
-            metric[..., part, part] = w * factor.metric(x[..., part])
+            metric[..., part, part] = w * factor.calc_metric(x[..., part])
         return metric
 
-    def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
+    def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
-        x, b = np.asarray(x, float), np.asarray(b, float)
         parts = [
-            factor.inverse_metric_times(x[..., part], b[..., part]) / w
+            factor.calc_inverse_metric_times(x[..., part], b[..., part]) / w
             for factor, w, part in self._factors
         ]
         return np.concatenate(parts, -1)
 
-    def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
+    def calc_divergence(self, x: Array, y: Array) -> Array:
         """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
-        x, y = np.asarray(x, float), np.asarray(y, float)
-        return _sum(w * f.divergence(x[..., part], y[..., part]) for f, w, part in self._factors)
+        return _sum(
+            w * f.calc_divergence(x[..., part], y[..., part]) for f, w, part in self._factors
+        )
 
-    def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_longest_step(self, x: Array, v: Array) -> Array:
         """The least of the factors' times (...)."""
-        x, v = np.asarray(x, float), np.asarray(v, float)
         times = [
-            factor.longest_step(x[..., part], v[..., part]) for factor, _, part in self._factors
+            factor.calc_longest_step(x[..., part], v[..., part])
+            for factor, _, part in self._factors
         ]
         return np.minimum.reduce(times)
 
-    def frame(self, x: ArrayLike) -> Array:
+    def calc_frame(self, x: Array) -> Array:
         """Those of the factors as blocks (n, n)."""
-        x = np.asarray(x, float)
         frame = np.zeros((self.dimension, self.dimension))
         for factor, w, part in self._factors:
-            frame[part, part] = factor.frame(x[part]) / np.sqrt(w)
+            frame[part, part] = factor.calc_frame(x[part]) / np.sqrt(w)
         return frame
 
-    def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
+    def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """Factor by factor; those that b has nothing of stay."""
-        x, b = np.asarray(x, float), np.asarray(b, float)
         used = [(f, w, part) for f, w, part in self._factors if b[part].any()]
-        return joined([(part, w, f.mirror_line(x[part], b[part] / w)) for f, w, part in used], x)
+        return joined(
+            [(part, w, f.calc_mirror_line(x[part], b[part] / w)) for f, w, part in used], x
+        )
 
     def lift(self) -> Lift | None:
         """The lifts of the factors side by side, if there are any."""
@@ -125,10 +125,12 @@ class Product(Manifold):
             np.concatenate([a.values for a in lifts]),
         )
 
-    def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
+    def calc_retract(self, x: Array, v: Array) -> Array:
         """Each factor by itself."""
-        x, v = np.broadcast_arrays(np.asarray(x, float), np.asarray(v, float))
-        parts = [factor.retract(x[..., part], v[..., part]) for factor, _, part in self._factors]
+        x, v = np.broadcast_arrays(x, v)
+        parts = [
+            factor.calc_retract(x[..., part], v[..., part]) for factor, _, part in self._factors
+        ]
         return np.concatenate(parts, -1)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from geodrake.inertia import Array, from_mass_com_inertia
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, from_mass_com_inertia
 
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
@@ -57,7 +57,12 @@ def rotation(values: Array) -> Array:
 
 
 def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
-    """Parameters (10,) of a central inertia that is expressed in a frame turned by R."""
+    """Parameters (10,) of a central inertia that is expressed in a frame turned by R.
+
+    They are NaN where a value is no number.
+    """
+    if not all(np.isfinite(values).all() for values in (mass, com, R, inertia)):
+        return np.full(PARAMETERS_PER_BODY, np.nan)
     return from_mass_com_inertia(mass, com, R @ inertia @ R.T)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geodrake.arguments import function, instance, instances
 from geodrake.diagnosis.case import Case, error_table, open_case, reopen
 from geodrake.diagnosis.compare import comparison
 from geodrake.diagnosis.hypothesis import first_hypothesis, settle
@@ -69,7 +70,10 @@ def identify_model(
         LogError: A log cannot be used.
         IdentificationError: No physical parameters reach the residual bound.
     """
-    settings = settings or IdentificationSettings()
+    given = IdentificationSettings() if settings is None else settings
+    settings = instance(given, "settings", IdentificationSettings)
+    function(tell, "tell")
+    instance(model, "model", RobotModel)
     _check_prior(model)
     prior = with_effects(model, effects)
     case = open_case(
@@ -119,7 +123,8 @@ def with_effects(model: RobotModel, effects: Sequence[Effect]) -> RobotModel:
     Raises:
         ArgumentError: The model has one of them already.
     """
-    for effect in effects:
+    instance(model, "model", RobotModel)
+    for effect in (effects := instances(effects, "effects", Effect)):
         if any(
             (f.effect.name, f.effect.where) == (effect.name, effect.where) for f in model.effects
         ):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geodrake.arguments import instance, integer, real_array
 from geodrake.diagnosis.results import Comparison, ErrorTable
 from geodrake.errors import ArgumentError
 from geodrake.identification import REGULARIZERS, IdentificationResult
@@ -123,7 +124,14 @@ class IdentificationSettings:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done before the long work."""
-        if self.regularizer not in REGULARIZERS:
+        for name in ("gamma", "residual_ratio", "total_mass"):
+            if (given := getattr(self, name)) is not None:
+                real_array(given, name, (), finite=False)
+        if self.bandwidth is not None:
+            real_array(self.bandwidth, "bandwidth", ())
+        if self.blocks is not None:
+            integer(self.blocks, "blocks")
+        if instance(self.regularizer, "regularizer", str) not in REGULARIZERS:
             raise ArgumentError(
                 f"There is no regularizer {self.regularizer!r}.",
                 advice=f"There are: {', '.join(REGULARIZERS)}.",

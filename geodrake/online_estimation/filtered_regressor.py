@@ -8,9 +8,12 @@ from math import isfinite
 
 import numpy as np
 
+from geodrake.arguments import instance, integer, positive
 from geodrake.control_regressor import ControlModel, ControlSample
-from geodrake.errors import ArgumentError, GeodrakeError
+from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
+
+_MOST_FILTERS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,12 +47,10 @@ class FilteredRegressor:
     held_effort: bool = False
 
     def __post_init__(self) -> None:
-        positive = 0 < self.period < np.inf and 0 < self.bandwidth < np.inf
-        if not (positive and self.order >= 1 and self.order == int(self.order)):
-            raise ArgumentError(
-                "A filtered regressor needs a positive period and bandwidth and at least one "
-                f"filter; got {self.period} s, {self.bandwidth} 1/s and {self.order}."
-            )
+        instance(self.control, "control", ControlModel)
+        positive(self.period, "period")
+        positive(self.bandwidth, "bandwidth")
+        integer(self.order, "order", lower=1, upper=_MOST_FILTERS)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from geodrake.adaptation import (
     ProjectedLaw,
     natural_adaptation,
 )
+from geodrake.arguments import instance, number, positive, real_array
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.online_estimation.mirror_map import MirrorMap, Point
@@ -52,23 +53,21 @@ class SampleUpdate:
     prior: Array | None = None
 
     def __post_init__(self) -> None:
-        epsilon = np.asarray(self.tolerance, float)
-        usable = np.isfinite(epsilon).all() and (epsilon > 0).all()
-        if not (usable and 0 < self.relaxation <= 1 and 0 <= self.forgetting < np.inf):
+        instance(self.manifold, "manifold", BatchedProduct)
+        epsilon = real_array(self.tolerance, "tolerance")
+        if epsilon.ndim > 1 or not (epsilon > 0).all():
             raise ArgumentError(
-                "An estimator needs positive tolerances, a relaxation in (0, 1] and a forgetting "
-                f"of zero or more; got {epsilon.tolist()}, {self.relaxation} "
-                f"and {self.forgetting}."
+                f"tolerance must be positive numbers, one or (nv,); it is {epsilon.tolist()}."
             )
+        number(self.relaxation, "relaxation", upper=1.0)
+        positive(self.relaxation, "relaxation")
+        number(self.forgetting, "forgetting", lower=0.0)
         if self.forgetting > 0 and self.prior is None:
             raise ArgumentError("Forgetting needs a prior to go back to.")
         if self.prior is not None:
-            prior, n = np.asarray(self.prior, float), self.manifold.dimension
-            if prior.shape != (n,) or not self.manifold.contains(prior):
-                raise ArgumentError(
-                    f"A prior has the manifold's {n} parameters and is inside of it; got "
-                    f"{prior.tolist()}."
-                )
+            prior = real_array(self.prior, "prior", (self.manifold.dimension,))
+            if not self.manifold.contains(prior):
+                raise ArgumentError(f"A prior is inside of the manifold; got {prior.tolist()}.")
         # What does not fit is told now, not while a robot moves.
         _ = self._map, self._limited
 
@@ -126,7 +125,7 @@ class SampleUpdate:
                 moved = self._limited.project(moved)
             except (GeodrakeError, np.linalg.LinAlgError):
                 return p
-        good = self._map.clearly_inside(moved) or bool(self.manifold.contains(moved))
+        good = self._map.clearly_inside(moved) or bool(self.manifold.calc_contains(moved))
         return moved if good else p
 
     def _forgotten(self, p: Array, dt: float) -> Array:

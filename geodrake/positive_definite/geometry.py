@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments import Sizes, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -88,11 +89,12 @@ def geodesic(P1: ArrayLike, P2: ArrayLike, t: ArrayLike) -> Array:
         (..., n, n) matrices P1^½ (P1^-½ P2 P1^-½)ᵗ P1^½ ([Lee2019] Eq. (2.2.7)).
 
     Raises:
-        ArgumentError: A matrix is not symmetric positive definite.
+        ArgumentError: A matrix is not symmetric positive definite, or a time is not finite.
     """
     L, _ = whitening(P1)
     logs, axes = relative_spectrum(P1, P2)
-    return from_root(L @ axes, 0.5 * np.asarray(t, float)[..., None] * logs)
+    t = real_array(t, "t", ("...",), {"...": logs.shape[:-1]})
+    return from_root(L @ axes, 0.5 * t[..., None] * logs)
 
 
 def distance(P1: ArrayLike, P2: ArrayLike) -> Array:
@@ -164,11 +166,9 @@ def whitening(P: ArrayLike) -> tuple[Array, Array]:
     Raises:
         ArgumentError: A matrix is not symmetric positive definite.
     """
-    P = np.asarray(P, float)
-    if P.ndim < 2 or P.shape[-1] != P.shape[-2]:
-        raise ArgumentError(f"Expected square matrices (..., n, n); got shape {P.shape}.")
+    P = real_array(P, "P", ("...", "n", "n"), finite=False)
     diagonal = np.diagonal(P, axis1=-2, axis2=-1)
-    usable = np.isfinite(P).all((-2, -1)) & (diagonal > 0).all(-1)
+    usable = np.asarray(np.isfinite(P).all((-2, -1)) & (diagonal > 0).all(-1))
     if not usable.all():
         raise _not_positive(P, usable)
     scale = np.sqrt(diagonal)
@@ -204,13 +204,8 @@ def _first(P: Array, good: NDArray[np.bool_]) -> list[list[float]]:
 
 def _tangent(V: ArrayLike, L: Array) -> Array:
     """Tangent matrices of the size of L."""
-    V = np.asarray(V, float)
-    if V.shape[-2:] != L.shape[-2:] or not np.isfinite(V).all():
-        raise ArgumentError(
-            f"A tangent matrix is finite and of shape (..., {L.shape[-1]}, {L.shape[-1]}); got the "
-            f"shape {V.shape}{'' if np.isfinite(V).all() else ' with values that are not finite'}."
-        )
-    return V
+    n = L.shape[-1]
+    return real_array(V, "a tangent matrix", ("...", n, n), {"...": L.shape[:-2]})
 
 
 def congruent(G: Array, V: Array) -> Array:
@@ -233,11 +228,9 @@ def relative_spectrum(P1: ArrayLike, P2: ArrayLike) -> tuple[Array, Array]:
     """
     _, inverse = whitening(P1)
     L2, _ = whitening(P2)
-    if inverse.shape[-1] != L2.shape[-1]:
-        raise ArgumentError(
-            f"Matrices of different sizes have no distance; got shapes {np.shape(P1)} and "
-            f"{np.shape(P2)}."
-        )
+    sizes: Sizes = {}
+    for name, P in (("P1", inverse), ("P2", L2)):
+        real_array(P, name, ("...", "n", "n"), sizes)
     difference = np.asarray(P2, float) - np.asarray(P1, float)
     steps, close_axes = np.linalg.eigh(congruent(inverse, difference))
     axes, roots, _ = np.linalg.svd(inverse @ L2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import Sizes, integer, positive, real_array
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.positive_definite.geometry import (
     Array,
@@ -46,13 +47,11 @@ def karcher_mean(
             tolerance or the number of steps is not above zero.
         ConvergenceError: The tolerance was not reached.
     """
-    if max_iterations < 1 or not tolerance > 0:
-        raise ArgumentError(
-            f"A mean takes at least one iteration and a tolerance above zero; got "
-            f"max_iterations={max_iterations}, tolerance={tolerance:g}."
-        )
-    P = np.asarray(matrices, float)
-    w = _normalized(weights, P.shape)
+    integer(max_iterations, "max_iterations", lower=1)
+    positive(tolerance, "tolerance")
+    sizes: Sizes = {}
+    P = real_array(matrices, "matrices", ("...", "k", "n", "n"), sizes)
+    w = _normalized(weights, sizes)
     mean = _first_guess(P, w)
     for _ in range(max_iterations):
         L, _ = whitening(mean)
@@ -72,16 +71,14 @@ def karcher_mean(
     )
 
 
-def _normalized(weights: ArrayLike | None, shape: tuple[int, ...]) -> Array:
+def _normalized(weights: ArrayLike | None, sizes: Sizes) -> Array:
     """Weights (..., k) that sum to one."""
-    w = np.ones(shape[-3:-2]) if weights is None else np.asarray(weights, float)
-    if w.shape[-1:] != shape[-3:-2] or not len(shape) > 2 or not shape[-3]:
-        raise ArgumentError(
-            f"Expected at least one matrix and a weight for each; got matrices {shape} and weights "
-            f"{w.shape}."
-        )
+    if sizes["k"] == (0,):
+        raise ArgumentError("There is no mean of no matrices.")
+    given = np.ones(sizes["k"]) if weights is None else weights
+    w = real_array(given, "weights", ("...", "k"), sizes)
     total = w.sum(-1, keepdims=True)
-    if not (np.isfinite(w).all() and (w >= 0).all() and (total > 0).all()):
+    if not ((w >= 0).all() and ((total > 0) & np.isfinite(total)).all()):
         raise ArgumentError(f"Expected weights of zero or more, not all zero; got {w.tolist()}.")
     return np.asarray(w / total)
 

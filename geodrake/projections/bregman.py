@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import instance, integer, positive, real_array
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.manifolds import Manifold
 from geodrake.manifolds.base import Array, Lift
@@ -44,8 +45,9 @@ def bregman_projection(
         ConvergenceError: No projection was found, most likely because the polyhedron does not meet
             the manifold's set.
     """
-    x = np.asarray(x, float)
-    _check(manifold, x, constraints)
+    x = _checked_point(manifold, x, constraints)
+    positive(tolerance, "tolerance")
+    integer(max_iterations, "max_iterations", lower=1)
     if not constraints.violation(x).any():
         return x
     constraints = _without_zeros(constraints)
@@ -102,11 +104,11 @@ def _certificate(
         push: A and λ.
     """
     (x, y), (A, held) = points, push
-    if not (np.isfinite(y).all() and bool(manifold.contains(y))):
+    if not (np.isfinite(y).all() and bool(manifold.calc_contains(y))):
         return np.inf
-    rest = manifold.gradient(y) - manifold.gradient(x) - A.T @ held
+    rest = manifold.calc_gradient(y) - manifold.calc_gradient(x) - A.T @ held
     try:
-        frames = np.stack([manifold.frame(x), manifold.frame(y)])
+        frames = np.stack([manifold.calc_frame(x), manifold.calc_frame(y)])
         inverses = np.linalg.inv(frames)
         # The metric at y seen from x has the squares of `stretch`.
         _, stretch, axes = np.linalg.svd(inverses[1] @ frames[0])
@@ -136,7 +138,7 @@ def _check_equations(manifold: Manifold, x: Array, constraints: Polyhedron) -> N
     equal = constraints.lower == constraints.upper
     if equal.sum() < 2:
         return
-    rows = constraints.matrix[equal] @ manifold.frame(x)
+    rows = constraints.matrix[equal] @ manifold.calc_frame(x)
     lengths = np.linalg.norm(rows, axis=1)
     values = (constraints.lower[equal] - constraints.matrix[equal] @ x) / lengths
     U, strengths, _ = np.linalg.svd(rows / lengths[:, None], full_matrices=False)
@@ -149,14 +151,15 @@ def _check_equations(manifold: Manifold, x: Array, constraints: Polyhedron) -> N
         )
 
 
-def _check(manifold: Manifold, x: Array, constraints: Polyhedron) -> None:
-    n = manifold.dimension
-    if x.shape != (n,) or constraints.matrix.shape[1] != n:
+def _checked_point(manifold: Manifold, x: ArrayLike, constraints: Polyhedron) -> Array:
+    n = instance(manifold, "manifold", Manifold).dimension
+    x, rows = real_array(x, "x", (n,)), instance(constraints, "constraints", Polyhedron).matrix
+    if rows.shape[1] != n:
         raise ArgumentError(
-            f"The manifold has {n} coordinates; got a point of shape {x.shape} and rows of "
-            f"{constraints.matrix.shape[1]}."
+            f"The manifold has {n} coordinates; got rows of {rows.shape[1]} coefficients."
         )
-    if not manifold.contains(x):
+    if not manifold.calc_contains(x):
         raise ArgumentError(
             f"The point to be projected is not inside of the manifold's set: {x.tolist()}."
         )
+    return x

@@ -45,24 +45,24 @@ class State:
     def pushed(self, d: Array) -> State | None:
         """The state of λ + d, at once; None where there is no such point."""
         b = self.limits.matrix.T @ d
-        line = self.manifold.mirror_line(self.y, b) if b.any() else None
+        line = self.manifold.calc_mirror_line(self.y, b) if b.any() else None
         if line is None or line.longest <= 1.0:
             return None
         return State(self.manifold, self.limits, line.point(1.0), self.multipliers + d)
 
     def weighted(self, w: float) -> State:
         """The state with the gradient and the multipliers times w."""
-        force = self.manifold.gradient(self.y)
+        force = self.manifold.calc_gradient(self.y)
         if w < 1.0:
-            y = self.manifold.mirror_line(self.y, -force).point(1.0 - w)
+            y = self.manifold.calc_mirror_line(self.y, -force).point(1.0 - w)
         else:
-            y = self.manifold.mirror_line(self.y, force).point(w - 1.0)
+            y = self.manifold.calc_mirror_line(self.y, force).point(w - 1.0)
         return State(self.manifold, self.limits, y, w * self.multipliers)
 
     @cached_property
     def frame(self) -> Array:
         """Orthonormal tangent vectors (n, n) at y."""
-        return self.manifold.frame(self.y)
+        return self.manifold.calc_frame(self.y)
 
     @cached_property
     def rows(self) -> Array:
@@ -159,7 +159,7 @@ class State:
             return None
         turn = back & ~equal
         kinks = np.where(turn, -held / np.where(turn, d, 1.0), np.inf)
-        line = self.manifold.mirror_line(self.y, b)
+        line = self.manifold.calc_mirror_line(self.y, b)
         if near and kinks.min() >= 1.0 and line.longest > 1.0:
             t = 1.0
         else:

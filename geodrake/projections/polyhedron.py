@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.arguments import Sizes, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array
 
@@ -26,38 +27,36 @@ class Polyhedron:
     upper: Array
 
     def __post_init__(self) -> None:
-        matrix = np.asarray(self.matrix, float)
-        lower, upper = np.asarray(self.lower, float), np.asarray(self.upper, float)
-        if matrix.ndim != 2 or not lower.shape == upper.shape == matrix.shape[:1]:
+        sizes: Sizes = {}
+        matrix = real_array(self.matrix, "matrix", ("k", "n"), sizes)
+        lower = real_array(self.lower, "lower", ("k",), sizes, finite=False)
+        upper = real_array(self.upper, "upper", ("k",), sizes, finite=False)
+        if not ((lower <= upper) & (lower < np.inf) & (upper > -np.inf)).all():
             raise ArgumentError(
-                f"Expected a matrix (k, n) with lower and upper values (k,); got {matrix.shape}, "
-                f"{lower.shape} and {upper.shape}."
-            )
-        if not (np.isfinite(matrix).all() and (lower <= upper).all()):
-            raise ArgumentError(
-                "Expected finite coefficients, and lower values that do not exceed the upper ones; "
-                f"got matrix {matrix.tolist()}, lower {lower.tolist()}, upper {upper.tolist()}."
+                "Expected lower values that do not exceed the upper ones, with something between; "
+                f"got lower {lower.tolist()}, upper {upper.tolist()}."
             )
         for name, value in (("matrix", matrix), ("lower", lower), ("upper", upper)):
             object.__setattr__(self, name, value)
 
     def violation(self, y: ArrayLike) -> Array:
         """(k,) how far each row is outside of its limits at y (n,)."""
-        value = self.matrix @ np.asarray(y, float)
+        value = self.matrix @ real_array(y, "y", (self.matrix.shape[1],))
         return np.maximum(0.0, np.maximum(self.lower - value, value - self.upper))
 
 
 def halfspace(a: ArrayLike, b: float) -> Polyhedron:
     """The points y with aᵀ y ≥ b, for a (n,)."""
-    return Polyhedron(np.atleast_2d(np.asarray(a, float)), np.array([b]), np.array([np.inf]))
+    return slab(a, number(b, "b"), np.inf)
 
 
 def affine_set(A: ArrayLike, b: ArrayLike) -> Polyhedron:
     """The points y with A y = b, for A (k, n) and b (k,)."""
-    A, b = np.atleast_2d(np.asarray(A, float)), np.atleast_1d(np.asarray(b, float))
+    A, b = np.atleast_2d(real_array(A, "A")), np.atleast_1d(real_array(b, "b"))
     return Polyhedron(A, b, b)
 
 
 def slab(a: ArrayLike, lower: float, upper: float) -> Polyhedron:
     """The points y with lower ≤ aᵀ y ≤ upper, for a (n,)."""
-    return Polyhedron(np.atleast_2d(np.asarray(a, float)), np.array([lower]), np.array([upper]))
+    limits = (number(lower, "lower", finite=False), number(upper, "upper", finite=False))
+    return Polyhedron(real_array(a, "a", ("n",))[None], *(np.array([limit]) for limit in limits))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geodrake.arguments import function, integer, real_array
 from geodrake.diagnosis.case import open_case
 from geodrake.errors import ArgumentError
 from geodrake.held_payloads import holding
@@ -60,11 +61,15 @@ def roll_out(
         ArgumentError: A setting is not positive.
         LogError: A log cannot be used, or none moves for as long as a window.
     """
+    real_array(horizon, "horizon", (), finite=False)
+    integer(most, "most")
     if not (0.0 < horizon < np.inf and most >= 1):
         raise ArgumentError(
             f"A rollout needs a horizon above 0 s and a window at least; it got {horizon} s and "
             f"{most}."
         )
+    if progress is not None:
+        function(progress, "progress")
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = moving_passages(case, horizon)
     chosen = np.unique(np.linspace(0, len(passages) - 1, most).round().astype(int))

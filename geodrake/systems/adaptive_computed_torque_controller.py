@@ -6,21 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 
-from geodrake.adaptation import (
-    AdaptationLaw,
-    ProjectedLaw,
-    UpdateLaw,
-    computed_torque_covector,
-    error_weight,
-    prediction_covector,
-)
+from geodrake.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw, error_weight
+from geodrake.adaptation.covectors import calc_computed_torque_covector, calc_prediction_covector
+from geodrake.arguments import instance
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.online_estimation import FilteredRegressor
 from geodrake.systems.adaptive_controller import AdaptiveController
 from geodrake.systems.control_result import ControlResult
-from geodrake.systems.requirements import checked_gains
+from geodrake.systems.requirements import checked_gains, checked_time_step
 from geodrake.systems.safeguards import Safeguards, Seen
 
 
@@ -90,13 +85,13 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
                 not fit.
         """
-        nv = len(control.joints)
+        nv = len(instance(control, "control", ControlModel).joints)
         poles = checked_gains(rate, nv, "rates")
         self._K_p, self._K_v = poles**2, 2.0 * poles
         self._P = error_weight(self._K_p, self._K_v, np.eye(2 * nv))
         self._filter: FilteredRegressor | None = None
         if bandwidth is not None:
-            if time_step == 0:
+            if checked_time_step(time_step) == 0:
                 raise ArgumentError(
                     "The filtered regressor needs a time step.",
                     advice="Use the acceleration port in continuous time.",
@@ -110,7 +105,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             time_step=time_step,
             parameters=parameters,
             truth=truth,
-            safeguards=safeguards or Safeguards(),
+            safeguards=Safeguards() if safeguards is None else safeguards,
         )
         if self._filter is None:
             self._measured_port = self.DeclareVectorInputPort("acceleration", BasicVector(nv))
@@ -132,7 +127,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         if not np.isfinite(acceleration).all():
             return None
         sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
-        return computed_torque_covector(sample.regressor, sample.mass_matrix(p), self._P, e)
+        return calc_computed_torque_covector(sample.regressor, sample.mass_matrix(p), self._P, e)
 
     def _following(
         self,
@@ -163,7 +158,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
 
     def _prediction_error(self, p: Array, Y: Array, effort: Array) -> Array:
         """Y_fᵀ W (Y_f p̂ − u_f), W such that one step cannot overshoot."""
-        b = prediction_covector(Y, p, effort)
+        b = calc_prediction_covector(Y, p, effort)
         law = self.law.law if isinstance(self.law, ProjectedLaw) else self.law
         if not isinstance(law, AdaptationLaw):
             return b

@@ -18,6 +18,7 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.adaptation import UpdateLaw
+from geodrake.arguments import instance
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
@@ -84,11 +85,12 @@ class AdaptiveController(LeafSystem):
                 not fit.
         """
         LeafSystem.__init__(self)
+        require_single_joints(control)
+        instance(safeguards, "safeguards", Safeguards)
         self.control, self.law = control, law
         self._nv = nv = len(control.joints)
         self._size = len(control.prior)
         self._time_step = checked_time_step(time_step)
-        require_single_joints(control)
         self._manifold = manifold_of(law)
         start = checked_estimate(control, self._manifold, parameters)
         self._truth = None if truth is None else checked_estimate(control, self._manifold, truth)

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, State
 
+from geodrake.arguments import instance, integer, number, positive
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -18,7 +19,7 @@ from geodrake.systems.requirements import (
     require_same_robot,
     require_single_joints,
 )
-from geodrake.systems.safeguards import Watch, usable
+from geodrake.systems.safeguards import Safeguards, Watch, usable
 
 _SLOTS = 24  # samples in memory
 
@@ -111,28 +112,23 @@ class BregmanProjectionEstimator(LeafSystem):
         """
         LeafSystem.__init__(self)
         require_single_joints(control)
-        if not 0 < time_step < np.inf:
-            raise ArgumentError(f"An estimator needs a time step above zero; got {time_step} s.")
-        if update_every < 1 or update_every != int(update_every):
-            raise ArgumentError(
-                f"An estimator projects every sample or fewer; got every {update_every}."
-            )
-        if not 0 <= memory < np.inf:
-            raise ArgumentError(f"An estimator remembers for zero or more seconds; got {memory}.")
-        if not stale_time > 0:
-            raise ArgumentError(f"A stale time is positive; got {stale_time} s.")
+        instance(update, "update", SampleUpdate)
+        positive(time_step, "time_step")
+        integer(update_every, "update_every", lower=1)
+        number(memory, "memory", lower=0.0)
+        Safeguards(stale_time=stale_time)
         nv = len(control.joints)
         if np.shape(update.tolerance) not in ((), (nv,)):
             raise ArgumentError(
                 f"The robot has {nv} joints; the update has a tolerance of shape "
                 f"{np.shape(update.tolerance)}."
             )
-        filtered = filtered or FilteredRegressor(control, time_step)
+        filtered = FilteredRegressor(control, time_step) if filtered is None else filtered
+        require_same_robot(control, filtered)
         if filtered.period != time_step:
             raise ArgumentError(
                 f"The filter is one for {filtered.period} s; the time step is {time_step} s."
             )
-        require_same_robot(control, filtered)
         start = checked_estimate(control, update.manifold, parameters)
         self.control, self._sample_update, self._filter = control, update, filtered
         self._nv, self._time_step = nv, time_step

@@ -15,6 +15,7 @@ from pydrake.systems.framework import (
     LeafSystem,
 )
 
+from geodrake.arguments import instance, real_array
 from geodrake.effects import Effect
 from geodrake.effects.contact import log_number
 from geodrake.errors import ArgumentError
@@ -89,10 +90,13 @@ class EffectForce(LeafSystem):
             log: Name of the log that is simulated; None for none.
 
         Raises:
-            ArgumentError: An effect does not fit the plant, or parameters do not fit their effect.
+            ArgumentError: An effect does not fit the plant, or parameters are not on the manifold
+                of their effect, as negative friction is not.
         """
         LeafSystem.__init__(self)
-        self._law = ForceLaw(plant, sign_width, 0 if log is None else log_number(log))
+        self._law = ForceLaw(
+            plant, sign_width, 0 if log is None else log_number(instance(log, "log", str))
+        )
         if phi is not None:
             self._law.set_inertial_parameters(phi)
         self._effects = self._law.sort(effects)
@@ -129,6 +133,7 @@ class EffectForce(LeafSystem):
         Returns:
             The system.
         """
+        instance(builder, "builder", DiagramBuilder)
         system = builder.AddSystem(EffectForce(plant, effects, sign_width=sign_width, log=log))
         builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
         builder.Connect(
@@ -151,12 +156,11 @@ class EffectForce(LeafSystem):
         for effect, values in states.items():
             place = self._effects.states.get(effect)
             count = 0 if place is None else effect.state_count
-            if place is None or np.shape(values) != (count,):
-                raise ArgumentError(
-                    f"{effect.name} of {effect.place} has {count} hidden states here; it got "
-                    f"{np.asarray(values).tolist()}."
-                )
-            hidden[place] = values
+            name = f"the state of {effect.name} of {effect.place}"
+            state = real_array(values, name, (count,))
+            if place is None:
+                raise ArgumentError(f"{effect.name} of {effect.place} has no hidden state here.")
+            hidden[place] = state
         context.SetContinuousState(hidden)
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:

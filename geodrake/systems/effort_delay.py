@@ -6,7 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
+from geodrake.arguments import positive, real_array
 from geodrake.errors import ArgumentError
+
+_MOST_SAMPLES = 1_000_000
 
 
 class DelayedEffort(LeafSystem):
@@ -38,13 +41,20 @@ class DelayedEffort(LeafSystem):
             ArgumentError: A delay is negative, or not zero but below the period.
         """
         LeafSystem.__init__(self)
-        delays = np.atleast_1d(np.array(delays, float))
-        usable = np.isfinite(delays) & ((delays == 0) | (delays >= period * (1 - 1e-9)))
-        if not period > 0 or not usable.all():
+        delays = np.atleast_1d(real_array(delays, "delays")).copy()
+        positive(period, "period")
+        usable = (delays == 0) | (delays >= period * (1 - 1e-9))
+        if delays.ndim > 1 or not len(delays) or not usable.all():
             raise ArgumentError(
                 f"Delays must be zero or at least the period; they are {delays} s with a period of "
                 f"{period} s.",
                 advice="Choose a shorter period.",
+            )
+        if delays.max() / period > _MOST_SAMPLES:
+            raise ArgumentError(
+                f"Delays are at most {_MOST_SAMPLES} periods; got {delays.max():g} s and a period "
+                f"of {period:g} s.",
+                advice="Choose a longer period.",
             )
         self._delays, self._period = delays, period
         self._samples = 2 + int(np.ceil(delays.max() / period - 1e-9))

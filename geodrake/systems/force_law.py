@@ -11,9 +11,11 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, MultibodyForces
 
-from geodrake.bodies import Member, lumped_bodies
+from geodrake.arguments import instances, one_or_each, real_array
+from geodrake.bodies import Member, check_plant, lumped_bodies
 from geodrake.effects import Effect, EffortDelay, EffortScale, RobotMotion
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.parameter import checked_parameters
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.kinematics import KinematicTree
@@ -68,12 +70,13 @@ class ForceLaw:
     """What effects need of a plant: its motion in their terms, and its acceleration."""
 
     def __init__(self, plant: MultibodyPlant, sign_width: ArrayLike, log: int = 0) -> None:
+        check_plant(plant)
         self._plant = plant
         self._log = log  # as in RobotMotion
         self._context = plant.CreateDefaultContext()  # scratch, overwritten by every evaluation
         self._phi = inertial_parameters(plant)
         self._joints = joint_names(plant)
-        self._sign_width = np.broadcast_to(np.asarray(sign_width, float), len(self._joints))
+        self._sign_width = one_or_each(sign_width, "sign_width", len(self._joints))
         self._positions = np.full(len(self._joints), -1)
         for index in plant.GetJointIndices():
             joint = plant.get_joint(JointIndex(index))
@@ -88,7 +91,7 @@ class ForceLaw:
     def set_inertial_parameters(self, phi: ArrayLike) -> None:
         """Inertial parameters (nb, 10) instead of the default ones."""
         set_inertial_parameters(self._plant, self._context, phi)
-        self._phi = np.asarray(phi, float)
+        self._phi = real_array(phi, "phi")
 
     @cached_property
     def _tree(self) -> KinematicTree:
@@ -103,8 +106,7 @@ class ForceLaw:
         single = self._positions[self._positions >= 0]
         q[:, single] = rng.normal(size=(8, len(single)))
         v, vd, load = 10.0 * rng.normal(size=(3, 8, nv))
-        for effect, values in effects:
-            mu = np.array(values, float)
+        for effect, values in _pairs(effects):
             if isinstance(effect, EffortDelay):
                 raise ArgumentError(
                     "A delay is not a force.", advice="Use geodrake.systems.DelayedEffort."
@@ -114,9 +116,7 @@ class ForceLaw:
                     f"{effect.name} is no force on a robot whose state is that of its links.",
                     advice="Leave it out, or put a motor's body and a spring into the plant.",
                 )
-            if mu.shape != (len(effect.parameters),) or not np.isfinite(mu).all():
-                names = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-                raise ArgumentError(f"{effect.name} needs finite {names}; it got {mu}.")
+            mu = checked_parameters(effect, values)
             if isinstance(effect, EffortScale):
                 gain[self._motion(q, v, vd, load).index(effect.joint)] *= 1.0 + mu[0]
                 continue
@@ -245,6 +245,14 @@ class ForceLaw:
             bodies,
             log=self._log,
         )
+
+
+def _pairs(effects: Sequence[tuple[Effect, ArrayLike]]) -> tuple[tuple[Effect, ArrayLike], ...]:
+    """Effects with what belongs to them, as pairs."""
+    for pair in (given := instances(effects, "effects", tuple)):
+        if len(pair) != 2 or not isinstance(pair[0], Effect):
+            raise ArgumentError(f"effects must be pairs of an Effect and its μ; got {pair!r}.")
+    return given
 
 
 def _sum(terms: _Terms, motion: RobotMotion) -> Array:

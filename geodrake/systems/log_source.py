@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
+from geodrake.arguments import instance, instances, number
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.motion import JointLog
@@ -52,18 +53,18 @@ class LogSource(LeafSystem):
             ArgumentError: The log has less than two samples, or the gap is not positive.
         """
         LeafSystem.__init__(self)
-        stamped = np.isfinite(log.time)
+        stamped = np.isfinite(instance(log, "log", JointLog).time)
         if stamped.sum() < 2:
             raise ArgumentError(
                 f"Log {log.name!r} has {stamped.sum()} samples; playing it needs two."
             )
-        self.log = log = log if joints is None else log.select(joints)
+        self.log = log = log if joints is None else log.select(instances(joints, "joints", str))
         time, position, effort = log.time[stamped], log.position[stamped], log.effort[stamped]
         self._time = time - time[0]
         self._stamps = self._time.tolist()
         usual = _USUAL_GAPS * float(np.median(np.diff(self._time)))
         self._largest_gap = usual if largest_gap is None else largest_gap
-        if not self._largest_gap > 0:
+        if not number(self._largest_gap, "largest_gap", finite=False) > 0:
             raise ArgumentError(f"The largest gap is positive; got {largest_gap} s.")
         if log.velocity is None:
             velocity = np.gradient(position, self._time, axis=0)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.adaptation import UpdateLaw, tracking_energy
+from geodrake.adaptation import UpdateLaw
+from geodrake.adaptation.covectors import calc_tracking_energy
+from geodrake.arguments import instance, positive, real_array
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -32,6 +34,12 @@ class FixedGains:
     damping: ArrayLike
     rate: ArrayLike
 
+    def __post_init__(self) -> None:
+        for name in ("damping", "rate"):
+            values = real_array(getattr(self, name), name)
+            if values.ndim > 1 or not (values > 0).all():
+                raise ArgumentError(f"{name} must be positive; got {values.tolist()}.")
+
 
 @dataclass(frozen=True)
 class VaryingGains:
@@ -42,6 +50,9 @@ class VaryingGains:
     """
 
     rate: float = 10.0
+
+    def __post_init__(self) -> None:
+        positive(self.rate, "rate")
 
 
 class PassivityBasedAdaptiveController(AdaptiveController):
@@ -99,15 +110,10 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
                 not fit.
         """
-        nv = len(control.joints)
+        nv = len(instance(control, "control", ControlModel).joints)
         if not isinstance(gains, VaryingGains | FixedGains):
             raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
         self._varying = isinstance(gains, VaryingGains)
-        if self._varying and np.ndim(gains.rate) > 0:
-            raise ArgumentError(
-                f"Varying gains have one rate for all joints; got {gains.rate}.",
-                advice="Use FixedGains for rates that differ.",
-            )
         self._rate = checked_gains(gains.rate, nv, "rates")
         damping = 1.0 if isinstance(gains, VaryingGains) else gains.damping
         self._damping = checked_gains(damping, nv, "damping gains")
@@ -117,7 +123,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             time_step=time_step,
             parameters=parameters,
             truth=truth,
-            safeguards=safeguards or Safeguards(),
+            safeguards=Safeguards() if safeguards is None else safeguards,
         )
 
     def _error(self, seen: Seen) -> tuple[Array, Array, Array]:
@@ -138,7 +144,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
     def _tracking_energy(self, truth: Array, seen: Seen) -> float:
         r = self._error(seen)[2]
         sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
-        return tracking_energy(sample.mass_matrix(truth), r)
+        return calc_tracking_energy(sample.mass_matrix(truth), r)
 
     def _resting(self, seen: Seen) -> bool:
         return bool((np.abs(self._error(seen)[2]) < self._dead_zone).all())

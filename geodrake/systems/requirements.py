@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw
+from geodrake.arguments import instance, number, one_or_each, real_array
 from geodrake.control_regressor import ControlModel
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -19,9 +19,7 @@ def checked_time_step(time_step: float) -> float:
     Raises:
         ArgumentError: It is not.
     """
-    if not 0 <= time_step < np.inf:
-        raise ArgumentError(f"A time step is zero or more seconds; got {time_step}.")
-    return time_step
+    return number(time_step, "time_step", lower=0.0)
 
 
 def checked_gains(values: ArrayLike, nv: int, name: str) -> Array:
@@ -35,10 +33,7 @@ def checked_gains(values: ArrayLike, nv: int, name: str) -> Array:
     Raises:
         ArgumentError: They are not positive and finite, or neither one nor nv.
     """
-    found = np.asarray(values, float)
-    if found.shape not in ((), (nv,)) or not ((found > 0) & np.isfinite(found)).all():
-        raise ArgumentError(f"Expected positive {name}, one or {nv}; got {found.tolist()}.")
-    return np.broadcast_to(found, (nv,))
+    return one_or_each(values, name, nv, strict=True)
 
 
 def require_single_joints(control: ControlModel) -> None:
@@ -47,7 +42,7 @@ def require_single_joints(control: ControlModel) -> None:
     Raises:
         ArgumentError: They are not.
     """
-    if not control.single_joints:
+    if not instance(control, "control", ControlModel).single_joints:
         raise ArgumentError(
             "Controllers and estimators need joints of one degree of freedom each; this robot has "
             "others.",
@@ -61,7 +56,7 @@ def require_same_robot(control: ControlModel, filtered: FilteredRegressor) -> No
     Raises:
         ArgumentError: It was made with another `ControlModel`.
     """
-    if filtered.control is not control:
+    if instance(filtered, "filtered", FilteredRegressor).control is not control:
         raise ArgumentError(
             "The filter was made with another ControlModel.",
             advice="Make FilteredRegressor and system with the same one.",
@@ -69,7 +64,13 @@ def require_same_robot(control: ControlModel, filtered: FilteredRegressor) -> No
 
 
 def manifold_of(law: UpdateLaw | None) -> Manifold | None:
-    """The manifold on which a law moves an estimate; None if the law does not tell."""
+    """The manifold on which a law moves an estimate; None if the law does not tell.
+
+    Raises:
+        ArgumentError: It is no law.
+    """
+    if law is not None:
+        instance(law, "law", UpdateLaw)
     law = law.law if isinstance(law, ProjectedLaw) else law
     return law.manifold if isinstance(law, AdaptationLaw) else None
 
@@ -87,12 +88,8 @@ def checked_estimate(
     Raises:
         ArgumentError: They are not as many as the robot's, not finite or not in the manifold.
     """
-    p = np.array(control.prior if parameters is None else parameters, float)
-    if p.shape != control.prior.shape or not np.isfinite(p).all():
-        raise ArgumentError(
-            f"The robot has {len(control.prior)} parameters; got an array of shape "
-            f"{p.shape}{' that is not finite' if not np.isfinite(p).all() else ''}."
-        )
+    given = control.prior if parameters is None else parameters
+    p = real_array(given, "parameters", control.prior.shape).copy()
     if manifold is None:
         return p
     if manifold.dimension != len(p):

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
 
+from geodrake.arguments import number, real_array
+from geodrake.bodies import check_plant
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 
@@ -37,12 +39,20 @@ class Safeguards:
     dead_zone: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
-        if not self.stale_time > 0:
+        if not number(self.stale_time, "stale_time", finite=False) > 0:
             raise ArgumentError(f"A stale time is positive; got {self.stale_time} s.")
+        zone = real_array(self.dead_zone, "dead_zone")
+        if zone.ndim > 1 or not (zone >= 0).all():
+            raise ArgumentError(f"A dead zone is zero or more; got {zone.tolist()}.")
+        if self.effort_limits is not None:
+            limits = real_array(self.effort_limits, "effort_limits", finite=False)
+            if limits.ndim > 1 or not (limits > 0).all():
+                raise ArgumentError(f"Effort limits must be positive; got {limits.tolist()}.")
 
     @classmethod
     def of_plant(cls, plant: MultibodyPlant, *, stale_time: float = 0.05) -> Safeguards:
         """The effort limits of a plant's actuators, which must be at single-degree joints."""
+        check_plant(plant)
         limits = np.full(plant.num_velocities(), np.inf)
         for index in range(plant.num_actuators()):
             actuator = plant.get_joint_actuator(JointActuatorIndex(index))
@@ -54,17 +64,15 @@ class Safeguards:
         if self.effort_limits is None:
             return None
         limits = np.asarray(self.effort_limits, float)
-        if limits.shape not in ((), (nv,)) or not (limits > 0).all():
-            raise ArgumentError(
-                f"Effort limits must be positive, one or {nv}; got {limits.tolist()}."
-            )
+        if limits.shape not in ((), (nv,)):
+            raise ArgumentError(f"Effort limits are one or {nv}; got {limits.tolist()}.")
         return np.broadcast_to(limits, (nv,))
 
     def dead_zones(self, nv: int) -> Array:
         """The dead zone (nv,), checked."""
         zone = np.asarray(self.dead_zone, float)
-        if zone.shape not in ((), (nv,)) or not (zone >= 0).all():
-            raise ArgumentError(f"A dead zone is zero or more, one or {nv}; got {zone.tolist()}.")
+        if zone.shape not in ((), (nv,)):
+            raise ArgumentError(f"A dead zone is one or {nv}; got {zone.tolist()}.")
         return np.broadcast_to(zone, (nv,))
 
 

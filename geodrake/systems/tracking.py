@@ -10,6 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import Trajectory
 
+from geodrake.arguments import instance
 from geodrake.errors import ArgumentError
 
 
@@ -39,6 +40,10 @@ def add_tracking_drives(
         ArgumentError: A joint has no actuator, an actuator no gains, or they are in another order;
             or the plant is continuous, or the motion one of another robot.
     """
+    instance(builder, "builder", DiagramBuilder)
+    for name, each in (("plant", plant), ("controller_plant", controller_plant)):
+        instance(each, name, MultibodyPlant)  # None in its place would end the process
+    instance(motion, "motion", Trajectory)
     count = plant.num_actuators()
     actuators = [plant.get_joint_actuator(JointActuatorIndex(i)) for i in range(count)]
     without = [actuator.name() for actuator in actuators if not actuator.has_controller()]

@@ -1,0 +1,85 @@
+"""Single numbers."""
+
+from __future__ import annotations
+
+import operator
+import sys
+from typing import Any
+
+import numpy as np
+
+from geodrake.arguments.arrays import LARGEST, real_array
+from geodrake.arguments.words import shown
+from geodrake.errors import ArgumentError
+
+
+def number(
+    value: Any,
+    name: str,
+    *,
+    lower: float = -np.inf,
+    upper: float = np.inf,
+    strict: bool = False,
+    finite: bool = True,
+) -> float:
+    """A real number between two others.
+
+    Args:
+        value: What the caller passed.
+        name: What messages call it.
+        lower: Least value.
+        upper: Greatest value.
+        strict: Whether the bounds themselves are refused.
+        finite: Whether infinity and what is beyond `LARGEST` is refused; NaN always is.
+
+    Raises:
+        ArgumentError: It is something else.
+    """
+    found = float(real_array(value, name, (), finite=False))
+    inside = lower < found < upper if strict else lower <= found <= upper
+    if not inside or (finite and abs(found) > LARGEST):
+        wanted = _range("a finite number", lower, upper, strict=strict)
+        raise ArgumentError(f"{name} must be {wanted}; it is {found:g}.", name=name)
+    return found
+
+
+def positive(value: Any, name: str) -> float:
+    """A finite number above zero.
+
+    Raises:
+        ArgumentError: It is something else.
+    """
+    return number(value, name, lower=0.0, strict=True)
+
+
+def integer(value: Any, name: str, *, lower: int = -sys.maxsize, upper: int = sys.maxsize) -> int:
+    """A whole number from `lower` to `upper`.
+
+    Raises:
+        ArgumentError: It is something else; a float is, whatever its value.
+    """
+    try:
+        found = operator.index(value)
+    except TypeError:
+        found = None
+    if found is None or isinstance(value, bool | np.bool_) or not lower <= found <= upper:
+        limits = [
+            -np.inf if lower == -sys.maxsize else lower,
+            upper if upper < sys.maxsize else np.inf,
+        ]
+        wanted = _range("a whole number", *limits, strict=False)
+        raise ArgumentError(f"{name} must be {wanted}; it is {shown(value)}.", name=name)
+    return found
+
+
+def _range(what: str, lower: float, upper: float, *, strict: bool) -> str:
+    """Such as "a finite number above 0"."""
+    if np.isinf(lower) and np.isinf(upper):
+        return what
+    if np.isinf(upper):
+        return f"{what} {'above' if strict else 'of at least'} {lower:g}"
+    if np.isinf(lower):
+        return f"{what} {'below' if strict else 'of at most'} {upper:g}"
+    if strict:
+        return f"{what} between {lower:g} and {upper:g}, without both"
+    return f"{what} from {lower:g} to {upper:g}"

@@ -1,0 +1,32 @@
+"""An effect with values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geodrake.arguments import instance, real_array
+from geodrake.effects.base import Array, Effect
+
+
+@dataclass(frozen=True, eq=False)
+class FittedEffect:
+    """An effect with the values of its linear parameters.
+
+    Attributes:
+        effect: The effect at its place.
+        parameters: (k,) values, in the order and units of `effect.parameters`.
+        deviations: (k,) their standard deviations; None for values that were not fitted.
+    """
+
+    effect: Effect
+    parameters: Array
+    deviations: Array | None = None
+
+    def __post_init__(self) -> None:
+        shape = (len(instance(self.effect, "effect", Effect).parameters),)
+        name = f"{self.effect.name} of {self.effect.place}"
+        values = real_array(self.parameters, f"parameters of {name}", shape)
+        object.__setattr__(self, "parameters", values)
+        if self.deviations is not None:
+            values = real_array(self.deviations, f"deviations of {name}", shape, finite=False)
+            object.__setattr__(self, "deviations", values)
