@@ -23,12 +23,11 @@ from typing import Any
 import numpy as np
 from fit_cases.cases import Case, arm_case, human_case
 from fit_cases.in_cvxpy import cost, cvxpy_solution, has_cvxpy
+from public_data import add_folder_option
 from rich.progress import track
 
 from geodrake.identification import solve_fit
 from geodrake.identification.newton import newton_sweep, solve_newton
-
-SHARED = Path(__file__).parents[2] / "shared"
 
 
 def whole_times(case: Case, repeats: int) -> dict[str, float]:
@@ -176,7 +175,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, help="of every time")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
-    parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the measurements")
+    add_folder_option(parser)
     parser.add_argument("--peak", help=argparse.SUPPRESS)
     options = parser.parse_args()
     samples = 300 if options.quick else 4100

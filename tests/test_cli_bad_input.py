@@ -301,7 +301,7 @@ def test_interrupted_work_leaves_no_file_and_no_traceback(tmp_path):
     assert run.stderr.readline() == "working\n"
     time.sleep(0.1)
     run.send_signal(signal.SIGINT)
-    stdout, stderr = run.communicate(timeout=20)
+    stdout, stderr = run.communicate(timeout=120)
     assert run.returncode == 130
     assert stdout == ""
     assert stderr == "Interrupted.\n"

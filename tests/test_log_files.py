@@ -179,6 +179,12 @@ def test_large_files_are_fast(tmp_path):
     names = tuple(f"joint_{k}" for k in range(6))
     log = JointLog("log", names, 2e-4 * np.arange(45_000), table[:, :6], table[:, 6:])
     write_log(log, tmp_path / "log.csv")
-    begin = clock.process_time()
-    read_log(tmp_path / "log.csv")
-    assert clock.process_time() - begin < 1.5
+    ours, plain = [], []
+    for _ in range(2):
+        begin = clock.process_time()
+        read_log(tmp_path / "log.csv")
+        ours.append(clock.process_time() - begin)
+        begin = clock.process_time()
+        np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
+        plain.append(clock.process_time() - begin)
+    assert min(ours) < 3.0 * min(plain)
