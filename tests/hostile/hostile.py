@@ -150,10 +150,10 @@ def changed(before, after):
 def check_words(out, err):
     """No traceback, no excuse, no control character, no number that is none."""
     both = out + err
-    assert "Traceback" not in both, both
-    assert "Internal error" not in both, both
-    assert not _CONTROL.search(both), ascii(both)
-    assert not _NO_NUMBER.search(out), out
+    assert "Traceback" not in both, f"traceback: {both}"
+    assert "Internal error" not in both, f"internal error: {both}"
+    assert not _CONTROL.search(both), f"control character: {both!a}"
+    assert not _NO_NUMBER.search(out), f"no number: {out}"
 
 
 def read_json(path):
