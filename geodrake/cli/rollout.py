@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from geodrake.cli.options import RolloutOptions
@@ -90,4 +91,4 @@ def _show(console: Console, found: Pair, wording: Wording) -> None:
 
 
 def _share(value: float) -> str:
-    return percent(value) if value < 10 else f"{value:.3g} times the whole"
+    return percent(value) if not 10 <= value < np.inf else f"{value:.3g} times the whole"
