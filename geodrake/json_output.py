@@ -12,7 +12,7 @@ from dataclasses import asdict
 from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
-from geodrake.drafting import Correlate, Draft, effect_name
+from geodrake.drafting import Correlate, Draft
 from geodrake.rollout import Rollout
 
 
@@ -87,7 +87,7 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
     return {
         "effects": [
             {
-                "name": effect_name(effect.formula.joint),
+                "name": draft.names[effect.formula.joint],
                 "joint": effect.formula.joint,
                 "formula": effect.formula.words(),
                 "coefficients": {

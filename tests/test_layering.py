@@ -12,6 +12,8 @@ PACKAGE = ROOT / "geodrake"
 LAYERS = (
     # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
+    "escaping",
+    "whole_files",
     "positive_definite",
     "bodies",
     "inertia",

@@ -24,11 +24,12 @@ from geodrake.json_output import to_json
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 from geodrake.saved_model import load_model
+from geodrake.whole_files import Content
 
 R = TypeVar("R")
 
 _WITH_UNITS = ("add", "explain")  # whose pages take units from the model in the result
-Maker = Callable[[], str | bytes]
+Maker = Callable[[], Content]
 
 
 @dataclass(frozen=True)
