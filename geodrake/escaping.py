@@ -34,6 +34,11 @@ def quoted(text: str) -> str:
     return f'"{_inside_quotes(text)}"'
 
 
+def json_text(text: str) -> str:
+    """JSON in which letters that would act on a terminal are escaped, as JSON does it."""
+    return re.sub(r"[^\n -~]", lambda c: c[0] if c[0].isprintable() else _json_escape(c[0]), text)
+
+
 def docstring_text(text: str) -> str:
     """Words that may stand between the triple quotes of a docstring, and read there as they are."""
     return _inside_quotes(printable(text))
@@ -82,6 +87,11 @@ def path_part(name: str) -> str:
 
 def _escape(letter: str) -> str:
     return letter.encode("unicode_escape").decode("ascii")
+
+
+def _json_escape(letter: str) -> str:
+    units = letter.encode("utf-16-be", "surrogatepass").hex()
+    return "".join(f"\\u{units[k : k + 4]}" for k in range(0, len(units), 4))
 
 
 def _inside_quotes(text: str) -> str:

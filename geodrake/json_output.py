@@ -13,6 +13,7 @@ from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
 from geodrake.drafting import Correlate, Draft
+from geodrake.escaping import json_text
 from geodrake.rollout import Rollout
 
 
@@ -148,7 +149,8 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
 
 def to_json(result: Mapping[str, Any]) -> str:
     """Text of a result, numbers that are not finite as null."""
-    return json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False)
+    return json_text(text) + "\n"
 
 
 def _step(step: Step) -> dict[str, Any]:

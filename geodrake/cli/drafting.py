@@ -13,6 +13,7 @@ from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.cli.tables import (
     REST,
     head,
+    lines_of,
     number_columns,
     say,
     show_explanation,
@@ -93,7 +94,7 @@ def _show(console: Console, found: _Drafted, wording: Wording) -> None:
         numbers = (effect.rms_before, effect.rms_after, effect.floor)
         table.add_row(
             draft.names[effect.formula.joint],
-            "\n".join([effect.formula.words(), *_coefficients(effect)]),
+            lines_of(console, [effect.formula.words(), *_coefficients(effect)]),
             *(f"{value:.3g}" for value in numbers),
         )
     console.print(table)

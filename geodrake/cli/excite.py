@@ -14,6 +14,7 @@ from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.progress import Tell, progress
 from geodrake.cli.session import Maker, own_effects
+from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.tell_apart import check_alone, separation_of
@@ -94,11 +95,12 @@ def run_excite(options: ExciteOptions) -> None:
             "meshcat": lambda: _replay(result),
         }
         written = targets.write(model, makers)
-    if options.json == STDOUT:
-        print(numbers, end="")
-    console = make_console(stderr=options.json == STDOUT)
-    show_excitation(console, result, options.model.name)
-    show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
+    with printing():
+        if options.json == STDOUT:
+            print_whole(numbers)
+        console = make_console(stderr=options.json == STDOUT)
+        show_excitation(console, result, options.model.name)
+        show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:

@@ -21,6 +21,7 @@ _MOST_WORDS = 62
 _MOST_UPRIGHT = 110  # letters under an axis
 
 
+@style.own_look()
 def joint_error_figure(
     start: ErrorTable,
     stages: Sequence[tuple[str, Sequence[float]]] = (),
@@ -82,6 +83,7 @@ def step_stages(explanation: Explanation) -> list[tuple[str, list[float]]]:
     ]
 
 
+@style.own_look()
 def step_figure(explanation: Explanation) -> Figure:
     """How the held-out nrms falls with each step, with the noise floor.
 
@@ -125,6 +127,7 @@ def step_figure(explanation: Explanation) -> Figure:
     return figure
 
 
+@style.own_look()
 def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> Figure:
     """Held-out nrms that each candidate would leave, the chosen one first.
 

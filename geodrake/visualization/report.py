@@ -267,7 +267,7 @@ def _footer(comparison: Comparison) -> str:
         version = "(not installed)"
     digest = hashlib.sha256()
     for series in comparison.series:
-        digest.update(f"{series.joint}\n{series.block}\n".encode())
+        digest.update(f"{series.joint}\n{series.block}\n".encode(errors="surrogateescape"))
         for values in (series.time, series.position, series.measured):
             digest.update(values.round(9).tobytes())
     samples = sum(len(series.time) for series in comparison.series)

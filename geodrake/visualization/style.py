@@ -1,12 +1,14 @@
-"""How figures look: palette, axes, and the way to PNG. No global state of matplotlib is touched."""
+"""How figures look: palette, axes, and the way to PNG. Nothing of matplotlib's state is changed."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -32,6 +34,20 @@ DPI = 130
 SMALL, NORMAL = 8.0, 9.0
 MOST_JOINTS = 8
 _NAME_LENGTH = 30
+_SETTINGS = {
+    **{name: value for name, value in rcParamsDefault.items() if not name.startswith("backend")},
+    "text.parse_math": False,
+}
+
+
+@contextmanager
+def own_look() -> Iterator[None]:
+    """A figure is made or drawn: with matplotlib's own settings, not those of the user.
+
+    Dollars in names of joints are letters, not the signs of mathematics.
+    """
+    with rc_context(_SETTINGS):
+        yield
 
 
 def new_figure(height: float) -> Figure:
@@ -112,6 +128,7 @@ def of_worst(shown: int, joints: int) -> str:
     return f"The {shown} joints of largest nrms, of {joints}."
 
 
+@own_look()
 def png(figure: Figure) -> bytes:
     """A figure as PNG of 256 colours, a third of the size; the same figure gives the same bytes."""
     canvas = FigureCanvasAgg(figure)
