@@ -149,7 +149,7 @@ def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
 
 def _shown(value: Any) -> Any:
     """Printable text whose numbers stay on one line with their per cent signs and deviations."""
-    if not isinstance(value, str):
+    if not isinstance(value, str) or isinstance(value, Markup):  # of a macro: done already
         return value
     return (
         printable(value)
