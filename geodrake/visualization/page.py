@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from geodrake.escaping import printable
@@ -149,7 +148,7 @@ def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
 
 def _shown(value: Any) -> Any:
     """Printable text whose numbers stay on one line with their per cent signs and deviations."""
-    if not isinstance(value, str) or isinstance(value, Markup):  # of a macro: done already
+    if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
         return value
     return (
         printable(value)
