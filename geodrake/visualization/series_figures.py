@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.results import Comparison, JointError, Series
 from geodrake.visualization import style
-from geodrake.visualization.numbers import number, shortened
+from geodrake.visualization.numbers import number
 from geodrake.visualization.units import Units
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ class _Timeline:
             if fits >= 4:
                 at = low + self.shifts[log]
                 ax.annotate(
-                    shortened(log, fits), (at, 1.0), (2, -1), xycoords=("data", "axes fraction"),
+                    style.label(log, fits), (at, 1.0), (2, -1), xycoords=("data", "axes fraction"),
                     textcoords="offset points", va="top", **style.plain(7, style.QUIET),
                 )  # fmt: skip
 

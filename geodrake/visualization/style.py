@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, get_font
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 
@@ -34,9 +35,12 @@ DPI = 130
 SMALL, NORMAL = 8.0, 9.0
 MOST_JOINTS = 8
 _NAME_LENGTH = 30
+_MOST_LETTERS = 160
+_FONT = "DejaVu Sans"  # which comes with matplotlib
 _SETTINGS = {
     **{name: value for name, value in rcParamsDefault.items() if not name.startswith("backend")},
     "text.parse_math": False,
+    "font.family": _FONT,
 }
 
 
@@ -74,14 +78,20 @@ def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]
 
 def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
     """Puts a joint's name above its axes, and a detail at the right."""
-    ax.set_title(shortened(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
+    ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
     if detail:
-        ax.set_title(detail, loc="right", pad=4, **plain(SMALL, QUIET))
+        ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
 
 
 def joint_label(joint: str) -> str:
     """A joint's name, short enough for an axis."""
-    return shortened(joint, _NAME_LENGTH)
+    return label(joint, _NAME_LENGTH)
+
+
+def label(text: str, most: int = _MOST_LETTERS) -> str:
+    """Words for a figure: not too many letters, and those that the font does not have as �."""
+    font = get_font(findfont(_FONT))
+    return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
 
 
 def log_scale(ax: Axes, axis: str) -> None:
