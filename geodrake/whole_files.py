@@ -156,9 +156,10 @@ def _rename(parts: list[_Part]) -> None:
             with _refusing(part.path):
                 part.rename()
             done.append(part)
-    except OutputError:
+    except BaseException:
         for part in reversed(done):
-            part.bring_back()
+            with suppress(OSError):
+                part.bring_back()
         raise
 
 

@@ -50,10 +50,11 @@ def log_content(log: JointLog, path: str | Path) -> Content:
 
 def _write_csv(file: BinaryIO, columns: dict[str, Any]) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", errors="backslashreplace", newline="")
-    bare = any("\r" in name for name in columns)  # which readers take for a line end
-    quoting = csv.QUOTE_ALL if bare else csv.QUOTE_MINIMAL
-    csv.writer(text, lineterminator="\n", quoting=quoting).writerow(columns)
     writer = csv.writer(text, lineterminator="\n")
+    if any("\r" in name for name in columns):  # readers take it for a line end if it is bare
+        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
+    else:
+        writer.writerow(columns)
     count = len(columns["time"])
     for first in range(0, count, _ROWS):
         rows = [numbers[first : first + _ROWS] for numbers in columns.values()]
