@@ -13,9 +13,7 @@ import itertools
 import os
 import re
 import shutil
-import signal
 import stat
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -23,12 +21,12 @@ from types import TracebackType
 from typing import BinaryIO
 
 from geodrake.errors import OutputError
+from geodrake.interrupts import held_interrupts
 
 Content = str | bytes | Callable[[BinaryIO], object]
 """What goes into a file: text, bytes, or a function that writes them."""
 
 _MOST_BYTES = 230  # of a name that a temporary one may repeat; file systems take 255
-_SIGNALS = (signal.SIGTERM, signal.SIGINT)
 
 
 def write_whole(path: str | Path, content: Content) -> None:
@@ -52,7 +50,7 @@ def write_together(contents: Mapping[Path, Content]) -> None:
     Raises:
         OutputError: One cannot be written; what was there is as it was.
     """
-    with _held_interrupts() as interrupted, ExitStack() as stack:
+    with held_interrupts() as interrupted, ExitStack() as stack:
         parts = []
         for path, content in contents.items():
             with _refusing(path):
@@ -69,7 +67,7 @@ def check_writable(path: str | Path) -> None:
         OutputError: It cannot be written.
     """
     path = Path(path)
-    with _held_interrupts(), _refusing(path), _Part(path):
+    with held_interrupts(), _refusing(path), _Part(path):
         pass
 
 
@@ -231,27 +229,3 @@ def _clear_left_overs(target: Path) -> None:
             with suppress(OSError), path.open("rb+") as file:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 path.unlink()
-
-
-@contextmanager
-def _held_interrupts() -> Iterator[Callable[[], bool]]:
-    """Let interrupts wait; they are delivered at the end.
-
-    Yields:
-        Whether one has come.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False  # interrupts go to the main thread alone
-        return
-    arrived: list[int] = []
-    before = {}
-    try:
-        for number in _SIGNALS:
-            if signal.getsignal(number) not in (signal.SIG_IGN, None):
-                before[number] = signal.signal(number, lambda given, _: arrived.append(given))
-        yield lambda: bool(arrived)
-    finally:
-        for held, handler in before.items():
-            signal.signal(held, handler)
-        for waiting in dict.fromkeys(arrived):
-            signal.raise_signal(waiting)

@@ -13,6 +13,7 @@ LAYERS = (
     # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
     "escaping",
+    "interrupts",
     "whole_files",
     "positive_definite",
     "bodies",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import traceback
@@ -15,6 +16,7 @@ from geodrake.cli.interruption import was_interrupted
 from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings
 from geodrake.errors import GeodrakeError
 from geodrake.escaping import printable
+from geodrake.interrupts import held_interrupts
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 1
@@ -31,6 +33,7 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
     """
     try:
         check_surroundings()
+        _load_drake()
         yield
     except typer.Exit:
         raise
@@ -54,6 +57,12 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
             "what --debug shows.",
             INTERNAL_ERROR,
         )
+
+
+def _load_drake() -> None:
+    """Import what every command needs, and what prints errors of its own if it is interrupted."""
+    with held_interrupts():
+        importlib.import_module("pydrake")
 
 
 def _stop(message: str, code: int) -> None:

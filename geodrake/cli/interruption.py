@@ -41,7 +41,8 @@ class _Handler:
         if not issubclass(lost.exc_type, Interruption) or self.arrived is None:
             sys.__unraisablehook__(lost)
             return
-        again = threading.Timer(_AGAIN, signal.raise_signal, [self.arrived])
+        main = threading.main_thread().ident
+        again = threading.Timer(_AGAIN, signal.pthread_kill, [main, self.arrived])
         again.daemon = True
         again.start()
 
