@@ -12,7 +12,8 @@ from dataclasses import asdict
 from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
-from geodrake.drafting import Correlate, Draft, effect_name
+from geodrake.drafting import Correlate, Draft
+from geodrake.escaping import json_text
 from geodrake.rollout import Rollout
 
 _WHY_NAN = "was not determined"
@@ -90,7 +91,7 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
     return {
         "effects": [
             {
-                "name": effect_name(effect.formula.joint),
+                "name": draft.names[effect.formula.joint],
                 "joint": effect.formula.joint,
                 "formula": effect.formula.words(),
                 "coefficients": {
@@ -159,7 +160,7 @@ def to_json(result: Mapping[str, Any]) -> str:
     plain = _plain(result, "", nulls)
     if nulls:
         plain["nulls"] = nulls
-    return json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return json_text(json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def _step(step: Step) -> dict[str, Any]:

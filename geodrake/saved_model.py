@@ -5,7 +5,6 @@ import dataclasses as dc
 import hashlib
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.errors import GeodrakeError, ModelError, OutputError
 from geodrake.model import FittedEffect, RobotModel, load_description
+from geodrake.whole_files import write_whole
 
 FORMAT = "geodrake model 1"
 
@@ -96,10 +96,22 @@ def save_model(model: RobotModel, path: str | Path) -> None:
     Raises:
         OutputError: The target cannot be written.
     """
-    path = Path(path)
-    base = model.path.resolve()
+    write_whole(path, saved_text(model, path))
+
+
+def saved_text(model: RobotModel, path: str | Path) -> str:
+    """What `save_model` writes.
+
+    Args:
+        model: The model.
+        path: Where it is to be written; the model file is named from there.
+
+    Raises:
+        OutputError: The model file is gone, or its path is none that YAML can hold.
+    """
+    base = _base_of(model)
     saved = SavedModel(
-        base_model=os.path.relpath(base, path.resolve().parent),
+        base_model=os.path.relpath(base, Path(path).resolve().parent),
         base_sha256=hashlib.sha256(base.read_bytes()).hexdigest(),
         floating=model.floating,
         inertial_parameters={
@@ -111,7 +123,25 @@ def save_model(model: RobotModel, path: str | Path) -> None:
         fitted_to=list(model.fitted_to),
         information=[] if model.information is None else model.information.tolist(),
     )
-    write_whole(path, yaml_dump_typed(saved, schema=SavedModel))
+    return str(yaml_dump_typed(saved, schema=SavedModel))
+
+
+def _base_of(model: RobotModel) -> Path:
+    """Path of the model file, which the saved model needs to be read again."""
+    base = model.path.resolve()
+    if not base.is_file():
+        raise OutputError(
+            f"Cannot save the model: its file {base} is gone.", advice="Put it back.", path=base
+        )
+    try:
+        str(base).encode()
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"Cannot save the model: the path of its file {base} is not UTF-8.",
+            advice="Rename the file or its folder.",
+            path=base,
+        ) from error
+    return base
 
 
 def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
@@ -126,25 +156,6 @@ def _checked_speed(speed: NDArray[np.float64] | None) -> NDArray[np.float64] | N
     if speed is not None and not np.all(np.isfinite(speed) & (speed >= 0.0)):
         raise ModelError(f"dry friction cannot fade below {speed} rad/s or m/s.")
     return speed
-
-
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file under a temporary name, then rename it; text is written in UTF-8.
-
-    Raises:
-        OutputError: The target cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-        temporary.replace(path)
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write {path}: {error.strerror}.", advice="Choose another place.", path=path
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _saved_effect(fitted: FittedEffect) -> SavedEffect:

@@ -12,6 +12,9 @@ PACKAGE = ROOT / "geodrake"
 LAYERS = (
     # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
+    "escaping",
+    "interrupts",
+    "whole_files",
     "positive_definite",
     "bodies",
     "inertia",

@@ -30,7 +30,8 @@ from geodrake.errors import ModelError, OutputError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.model import FittedEffect
 from geodrake.motion import Motion
-from geodrake.saved_model import is_saved_model, save_model, write_whole
+from geodrake.saved_model import is_saved_model, save_model
+from geodrake.whole_files import write_whole
 
 MODELS = Path(__file__).parents[1] / "models"
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,7 +13,8 @@ from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.progress import Tell, progress
-from geodrake.cli.session import own_effects
+from geodrake.cli.session import Maker, own_effects
+from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.tell_apart import check_alone, separation_of
@@ -39,7 +38,7 @@ from geodrake.excitation import (
     Target,
     design_objective,
     make_target,
-    write_trajectory,
+    trajectory_content,
 )
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
 from geodrake.excitation_json import excitation_dict
@@ -84,18 +83,24 @@ def run_excite(options: ExciteOptions) -> None:
             name = options.model.name
             return str(pages.render_excitation(result, title=f"{name}: excite", model_name=name))  # type: ignore[union-attr]
 
-        makers: dict[str, Callable[[], str | bytes]] = {
+        makers: dict[str, Maker] = {
             "json": lambda: numbers,
             "report": page,
-            "save": lambda: _motion_file(result, options.save or Path("motion.csv"), options.rate),
+            "save": lambda: trajectory_content(
+                result.trajectory,
+                options.save or "motion.csv",
+                result.objective.target.model,
+                rate=options.rate,
+            ),
             "meshcat": lambda: _replay(result),
         }
         written = targets.write(model, makers)
-    if options.json == STDOUT:
-        print(numbers, end="")
-    console = make_console(stderr=options.json == STDOUT)
-    show_excitation(console, result, options.model.name)
-    show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
+    with printing():
+        if options.json == STDOUT:
+            print_whole(numbers)
+        console = make_console(stderr=options.json == STDOUT)
+        show_excitation(console, result, options.model.name)
+        show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
@@ -270,13 +275,6 @@ def _telling(tell: Tell) -> Callable[[DesignProgress], None]:
             )
 
     return told
-
-
-def _motion_file(result: ExcitationResult, path: Path, rate: float) -> bytes:
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / path.name
-        write_trajectory(result.trajectory, file, result.objective.target.model, rate=rate)
-        return file.read_bytes()
 
 
 def _replay(result: ExcitationResult) -> str:

@@ -13,6 +13,7 @@ from rich.console import Console
 from geodrake.cli.known_payloads import with_known_payloads
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Tell, progress
+from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
@@ -24,11 +25,12 @@ from geodrake.json_output import to_json
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 from geodrake.saved_model import load_model
+from geodrake.whole_files import Content
 
 R = TypeVar("R")
 
 _WITH_UNITS = ("add", "explain")  # whose pages take units from the model in the result
-Maker = Callable[[], str | bytes]
+Maker = Callable[[], Content]
 
 
 @dataclass(frozen=True)
@@ -118,12 +120,13 @@ def run(command: Command[R], options: LogOptions) -> None:
 
         makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
         written = targets.write(fitted, {**makers, **command.makers(result)})
-    if options.json == STDOUT:
-        print(numbers, end="")
-    console = make_console(stderr=options.json == STDOUT)
-    console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
-    command.show(console, result, Wording(fitted, extra))
-    show_saved(console, written)
+    with printing():
+        if options.json == STDOUT:
+            print_whole(numbers)
+        console = make_console(stderr=options.json == STDOUT)
+        console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
+        command.show(console, result, Wording(fitted, extra))
+        show_saved(console, written)
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

@@ -16,10 +16,10 @@ from geodrake.errors import LogError
 from geodrake.log_files.columns import HEADER_ADVICE
 from geodrake.log_files.csv_file import read_csv
 from geodrake.log_files.npz_file import read_npz
-from geodrake.log_files.writing import write_log
+from geodrake.log_files.writing import log_content, write_log
 from geodrake.motion import JointLog
 
-__all__ = ["read_log", "write_log"]
+__all__ = ["log_content", "read_log", "write_log"]
 
 
 def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointLog:
