@@ -57,6 +57,11 @@ class IdentificationResult:
         return self.fit.solver
 
     @property
+    def note(self) -> str:
+        """Why another solver than usual gave the answer; empty if it was the usual one."""
+        return self.fit.note
+
+    @property
     def minima(self) -> LocalMinima | None:
         """For a regularizer that is not convex: what the starts led to. None for a convex one."""
         return self.fit.minima if isinstance(self.fit, RiemannianFit) else None
@@ -104,9 +109,9 @@ def identify(  # noqa: PLR0913 - the stable interface
         extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
         constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
             too instead.
-        solver: By default Newton's method for "entropic" and "riemannian", and Clarabel for the
-            rest, whose last digits Newton's method adds. Or one alone: "newton", but for point
-            masses, or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+        solver: By default Newton's method, with Clarabel where that gives up (`note` of the
+            result), and Clarabel for point masses. Or one alone: "newton", but for point masses,
+            or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
 
     Returns:
         The parameters and how they were found.
