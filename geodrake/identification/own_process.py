@@ -10,6 +10,7 @@ import faulthandler
 import os
 import resource
 import signal
+import warnings
 from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, NoReturn, TypeVar
@@ -36,7 +37,10 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     """
     reader, writer = Pipe(duplex=False)
     try:
-        child = os.fork()
+        with warnings.catch_warnings():
+            # Other threads do not matter: the copy runs none, and waits for no lock of theirs.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            child = os.fork()
     except OSError as error:
         raise LostProcessError(f"could not be started: {error.strerror}") from error
     if not child:

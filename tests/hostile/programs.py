@@ -37,7 +37,7 @@ from geodrake.inertia import (
 
 SECONDS = 60.0  # that a program may take, its check by another solver apart
 SOLVERS = (None, "newton", "clarabel", "scs", "csdp")
-SHARES = (0.4, 0.15, 0.3, 0.1, 0.05)
+SHARES = (0.4, 0.18, 0.3, 0.1, 0.02)
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian", "masses_l2", "masses_kl")
 DATA = ("plain", "rank-deficient", "columns 1e±12", "zero columns", "near-copies", "few rows")
 REGIONS = ("none", "around", "touching", "tiny", "huge", "flat", "far")
