@@ -18,7 +18,7 @@ from geodrake.errors import ArgumentError
 Array = NDArray[np.float64]
 
 _LEAST, _GREATEST = 1e-100, 1e100
-"""Values of a column below and above which are none, so that no square of them is lost."""
+"""Sizes below and above which a user's column has no values, so that no square of them is lost."""
 
 _OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
 
@@ -101,13 +101,14 @@ def _checked(told: str, line: str, values: ArrayLike, shape: tuple[int, ...]) ->
             f"{error}.",
             advice=advice,
         ) from error
-    bad = np.flatnonzero(~(np.abs(array) <= _GREATEST))
+    least, greatest = (_LEAST, _GREATEST) if line else (0.0, np.finfo(float).max)
+    bad = np.flatnonzero(~(np.abs(array) <= greatest))
     if len(bad):
         raise ArgumentError(
             f"{told} gives {array.flat[bad[0]]:g} in {len(bad)} of {array.size} samples{line}.",
             advice="Let columns() return finite numbers of reasonable size for every motion.",
         )
-    return np.where(np.abs(array) < _LEAST, 0.0, array)
+    return np.where(np.abs(array) < least, 0.0, array)
 
 
 @contextmanager
