@@ -15,6 +15,7 @@ LAYERS = (
     "escaping",
     "interrupts",
     "whole_files",
+    "input_files",
     "positive_definite",
     "bodies",
     "inertia",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ class Parameter:
 
     Attributes:
         spread: How large it may be, as far as anybody knows; a fit holds what the data do not tell.
+
+    Raises:
+        ArgumentError: Name or unit are no printable words, or no value lies between the bounds.
     """
 
     name: str
@@ -25,6 +29,23 @@ class Parameter:
     lower: float = -np.inf
     upper: float = np.inf
     spread: float = np.inf
+
+    def __post_init__(self) -> None:
+        named: Any = (("name", self.name), ("unit", self.unit))
+        for what, words in named:
+            if not (isinstance(words, str) and words.isprintable() and words.strip()):
+                raise ArgumentError(f"A parameter's {what} is printable words; got {words!r}.")
+        sizes: Any = (self.lower, self.upper, self.spread)
+        for what, size in zip(("lower", "upper", "spread"), sizes, strict=True):
+            if not isinstance(size, Real):
+                raise ArgumentError(f"{self.name} has {what} = {size!r}; it needs a number.")
+        if not (self.lower < self.upper and self.lower < np.inf and self.upper > -np.inf):
+            raise ArgumentError(
+                f"{self.name} has lower = {self.lower:g} and upper = {self.upper:g}, with nothing "
+                "between them."
+            )
+        if not self.spread > 0.0:
+            raise ArgumentError(f"{self.name} has spread = {self.spread:g}; it must be above 0.")
 
 
 def require_positive(effect: Any, *names: str) -> None:

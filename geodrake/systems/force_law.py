@@ -14,6 +14,7 @@ from pydrake.multibody.tree import JointIndex, MultibodyForces
 from geodrake.bodies import Member, lumped_bodies
 from geodrake.effects import Effect, EffortDelay, EffortScale, RobotMotion
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.columns import rows_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.kinematics import KinematicTree
@@ -251,6 +252,6 @@ def _sum(terms: _Terms, motion: RobotMotion) -> Array:
     """Summed effort (N, nv) of effects with parameters."""
     total = np.zeros_like(motion.v)
     for effect, mu in terms:
-        for joint, columns in effect.rows(motion).items():
+        for joint, columns in rows_of(effect, motion).items():
             total[:, motion.index(joint)] += columns @ mu
     return total
