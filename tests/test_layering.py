@@ -28,6 +28,7 @@ LAYERS = (
     "motion",
     "unit_hints",
     "smoothing",
+    "sensor_faults",
     "uniform_log",
     "preparation",
     "folds",

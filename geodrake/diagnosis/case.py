@@ -28,6 +28,7 @@ from geodrake.model import RobotModel
 from geodrake.motion import JointLog, Trajectory, match_joints
 from geodrake.plant import effort_limits
 from geodrake.preparation import prepare_logs
+from geodrake.uniform_log import make_uniform
 from geodrake.unit_hints import effort_unit_hint, position_unit_hint
 
 Array = NDArray[np.float64]
@@ -124,15 +125,16 @@ def open_case(
     matched = _with_names_of_their_own(read)
     for log in matched:
         _check_efforts(log)
+    uniform = [make_uniform(log) for log in matched]
     limits = effort_limits(model.plant)
-    hints = [hint for log in matched for hint in _hints(log, limits)]
+    hints = [hint for each in uniform for hint in _hints(each.log, limits)]
     hints += payload_notes(model, matched)
     if bandwidth is None:
-        trajectories, changed = prepare_for_model(model, matched)
+        trajectories, changed = prepare_for_model(model, uniform)
         hints += [changed] if changed else []
     else:
         trajectories = prepare_logs(
-            matched, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+            uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
         )
     folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
