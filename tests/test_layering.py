@@ -29,6 +29,7 @@ LAYERS = (
     "unit_hints",
     "smoothing",
     "sensor_faults",
+    "repeated_logs",
     "uniform_log",
     "preparation",
     "folds",

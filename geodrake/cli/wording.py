@@ -26,7 +26,9 @@ _FEW = 2  # places whose values are told one by one
 
 def number(value: float) -> str:
     """Three significant digits without an exponent, unless very small or large."""
-    if not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6 or value == round(value):
+    if not np.isfinite(value):
+        return "unknown"
+    if not 1e-4 <= abs(value) < 1e6 or value == round(value):
         return f"{value:.3g}"
     digits = np.format_float_positional(
         value, 3, unique=False, fractional=False, min_digits=3, trim="k"
