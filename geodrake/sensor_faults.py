@@ -119,15 +119,6 @@ class _Sensor:
         for where, words in replace(self, values=values)._faults():
             lost[where] = True
             notes.append(f"the {self.name} {words}: left out")
-        impossible = np.flatnonzero(~lost & (np.abs(values) > LARGEST))
-        if len(impossible):
-            row = int(np.arange(len(column))[self.rows][impossible[0]]) + 1
-            raise LogError(
-                f"Row {row} of log {self.log.name!r} has {values[impossible[0]]:.4g} as the "
-                f"{self.name}, and so have {len(impossible)} rows: no robot in SI units has that.",
-                advice="Are these ticks of an encoder, or has the sensor failed?",
-                row=row,
-            )
         if notes:
             column = column.copy()
             column[self.rows] = np.where(lost, np.nan, values)
@@ -144,6 +135,7 @@ class _Sensor:
                 f"jumps and comes back, {len(spikes)} rows in all, the first at "
                 f"t = {self.time[first]:.2f} s to {self.values[first]:.4g}",
             )
+        self._check_possible(spikes)
         explained = [spikes, spikes - 1]
         for first, last in self._frozen(jumps):
             seconds = self.time[last] - self.time[first]
@@ -161,6 +153,18 @@ class _Sensor:
             explained.append(np.array([last]))
         if self.quantity == "position":
             yield from self._stays(np.setdiff1d(jumps, np.concatenate(explained)))
+
+    def _check_possible(self, spikes: Indices) -> None:
+        """Raise a LogError if readings beside spikes are none of a robot."""
+        rows = np.setdiff1d(np.flatnonzero(np.abs(self.values) > LARGEST), spikes)
+        if len(rows):
+            row = int(np.arange(len(self.log))[self.rows][rows[0]]) + 1
+            raise LogError(
+                f"Row {row} of log {self.log.name!r} has {self.values[rows[0]]:.4g} as the "
+                f"{self.name}, and {len(rows)} rows have the like: no robot in SI units has that.",
+                advice="Are these ticks of an encoder, or has the sensor failed?",
+                row=row,
+            )
 
     def _unwrapped(self) -> tuple[Array, str]:
         """Positions without wraps at a full turn, and what was done."""
@@ -191,19 +195,20 @@ class _Sensor:
     def _spikes(self, jumps: Indices) -> Indices:
         """Readings between a jump and the way back, and those at an end of the log."""
         values, last = self.values, len(self.values) - 1
+        steps = np.abs(np.diff(values)) if len(jumps) else np.zeros(0)
         found, free = [np.zeros(0, int)], 0
         for before in jumps.tolist():
             if before < free:
                 continue
-            height = abs(values[before + 1] - values[before])
+            height = steps[before]
             after = values[before + 2 : before + 2 + _FEW]
             back = np.flatnonzero(np.abs(after - values[before]) <= _BACK * height)
             start = before + 1
             if len(back):
                 free = before + 2 + int(back[0])
-            elif before < _FEW:
+            elif before < _FEW and steps[before + 1] <= _ALONE * height:
                 start, free = 0, before + 1
-            elif last - before <= _FEW:
+            elif last - before <= _FEW and steps[before - 1] <= _ALONE * height:
                 free = last + 1
             else:
                 continue

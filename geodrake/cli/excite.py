@@ -147,7 +147,7 @@ def _check(options: ExciteOptions) -> None:
         ("seeds", options.seeds, 1000),
         ("seconds", options.seconds, 1e6),
         ("iterations", options.iterations, 1e6),
-        ("rate", options.rate, 1e5),
+        ("rate", options.rate, 1e4),
         ("samples", 1 if options.samples is None else options.samples, 10_000),
     ):
         if not 0 < value <= most:

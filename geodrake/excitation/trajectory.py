@@ -18,7 +18,7 @@ from geodrake.motion import JointLog, Motion
 
 Array = NDArray[np.float64]
 
-_MOST_INSTANTS = 1e7
+_MOST_INSTANTS = 1e6  # of a file
 _DEGREE = 5  # of the spline that stands for other families in Drake
 _PER_FASTEST = 64  # intervals of that spline in the shortest time: errors of some 1e-9
 

@@ -43,7 +43,7 @@ def _reading(path: Path) -> Iterator[None]:
     """Whatever an archive raises that is damaged, or made to do harm, is an error of the log."""
     try:
         yield
-    except (LogError, OSError, MemoryError):
+    except (LogError, MemoryError):
         raise
     except Exception as error:  # of zipfile, its decompressors and numpy: no list would be whole
         raise LogError(
