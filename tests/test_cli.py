@@ -199,7 +199,7 @@ def test_a_terminal_of_80_columns_is_wide_enough(log):
         (2.0, "2"),
         (0, "0"),
         (1.5e-7, "1.5e-07"),
-        (np.nan, "nan"),
+        (np.nan, "unknown"),
     ],
 )
 def test_numbers_have_three_digits(value, text):
