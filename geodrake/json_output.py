@@ -147,6 +147,7 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
             }
             for joint in rollout.joints
         },
+        "notes": list(rollout.notes),
     }
 
 

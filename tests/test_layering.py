@@ -31,6 +31,8 @@ LAYERS = (
     "motion",
     "unit_hints",
     "smoothing",
+    "sensor_faults",
+    "repeated_logs",
     "uniform_log",
     "preparation",
     "folds",

@@ -53,6 +53,7 @@ _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free
 _NOISE_SHARE = 0.01  # of the limits of effort
 _TOLD_EVERY = 5  # evaluations
 _SAMPLES = 300
+_FARTHEST, _LAST_SEED = 100.0, 1 << 32
 _REPEATS = 3  # of a motion that tells effects apart: a diagnosis holds out blocks of its log
 
 
@@ -126,9 +127,9 @@ def family_of(options: ExciteOptions) -> MotionFamily:
                 f"--{wanted[0]} to write.",
                 advice="Use --trajectory fourier or spline.",
             )
-        return FreeSamples(options.samples or 50)
+        return FreeSamples(50 if options.samples is None else options.samples)
     if name == "spline":
-        return SplineMotion(options.duration, options.points or 16)
+        return SplineMotion(options.duration, 16 if options.points is None else options.points)
     frequency = options.frequency
     if frequency is None and options.tell_apart is not None and 0 < options.duration < np.inf:
         frequency = _REPEATS / options.duration
@@ -147,19 +148,21 @@ def _check(options: ExciteOptions) -> None:
             raise ArgumentError(
                 f"There is no {what} {given!r}.", advice=f"Use one of {', '.join(known)}."
             )
-    for what, value in (
-        ("seeds", options.seeds),
-        ("seconds", options.seconds),
-        ("iterations", options.iterations),
-        ("rate", options.rate),
-        ("samples", 1 if options.samples is None else options.samples),
+    for what, value, most in (
+        ("seeds", options.seeds, 1000),
+        ("seconds", options.seconds, 1e6),
+        ("iterations", options.iterations, 1e6),
+        ("rate", options.rate, 1e4),
+        ("samples", 1 if options.samples is None else options.samples, 10_000),
     ):
-        if not 0 < value < np.inf:
-            raise ArgumentError(f"--{what} is a positive number; got {value}.")
-    if not 0 <= options.clearance < np.inf:
-        raise ArgumentError(f"--clearance is a distance in m; got {options.clearance}.")
-    if options.seed < 0:
-        raise ArgumentError(f"--seed is not negative; got {options.seed}.")
+        if not 0 < value <= most:
+            raise ArgumentError(f"--{what} is a positive number up to {most:g}; got {value}.")
+    if not 0 <= options.clearance <= _FARTHEST:
+        raise ArgumentError(
+            f"--clearance is a distance in m, up to {_FARTHEST:g}; got {options.clearance}."
+        )
+    if not 0 <= options.seed < _LAST_SEED:
+        raise ArgumentError(f"--seed is not negative, and below 2^32; got {options.seed}.")
 
 
 @dataclass(frozen=True)
@@ -183,7 +186,7 @@ def _designed(
     objective, more = _objective(options, model, limits, effects)
     start = None if options.start is None else joint_values(options.start, model, "--start")
     design = DesignOptions(
-        samples=options.samples or _SAMPLES,
+        samples=_SAMPLES if options.samples is None else options.samples,
         start=start,
         collisions=collisions,
         solver=options.solver,

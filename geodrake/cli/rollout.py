@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from geodrake.cli.options import RolloutOptions
@@ -88,7 +88,10 @@ def _show(console: Console, found: Pair, wording: Wording) -> None:
         show_list(
             console, f"Not simulated of the model before, {_NO_FORCES}", before.left_out_words
         )
+    show_list(console, "Notes", after.notes)
 
 
 def _share(value: float) -> str:
-    return percent(value) if not 10 <= value < np.inf else f"{value:.3g} times the whole"
+    if not isfinite(value):
+        return "more than can be simulated"
+    return percent(value) if value < 10 else f"{value:.3g} times the whole"

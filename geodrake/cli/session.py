@@ -20,7 +20,8 @@ from geodrake.cli.version import version
 from geodrake.cli.wording import Wording
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, LogError
+from geodrake.input_files import regular_file
 from geodrake.json_output import to_json
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
@@ -89,8 +90,8 @@ def run(command: Command[R], options: LogOptions) -> None:
     """
     targets = Targets(options.model_target, options.json, options.report, command.more)
     read = [options.model, *options.logs, *(options.effects or ())]
-    targets.check(read)
     _check_logs(options.logs)
+    targets.check(read)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.visualization") if options.report else None
     with progress(f"Reading {options.model.name}") as tell:
@@ -144,11 +145,13 @@ def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
 
 
 def _check_logs(logs: Sequence[Path]) -> None:
-    seen: set[Path] = set()
+    """Refuse what is no file, and a file that is there twice, by whatever path or link."""
+    seen: set[tuple[int, int]] = set()
     for log in logs:
-        if log.resolve() in seen:
+        status = regular_file(log, "log", LogError).stat()
+        if (status.st_dev, status.st_ino) in seen:
             raise ArgumentError(
                 f"Log {log} is given twice, so it would be validated against itself.",
                 advice="Name each log once.",
             )
-        seen.add(log.resolve())
+        seen.add((status.st_dev, status.st_ino))

@@ -30,6 +30,7 @@ from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
 
+_MOST_SAMPLES, _MOST_SEEDS = 10_000, 1000
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
 
@@ -98,13 +99,16 @@ def design_objective(
     """
     options = DesignOptions() if options is None else options
     family = FourierMotion() if trajectory is None else trajectory
-    chosen = list(range(seeds)) if isinstance(seeds, int) else [*seeds]
+    asked = range(seeds) if isinstance(seeds, int) else seeds
     check_solver(options.solver)
-    if not chosen or options.samples < 1 or not options.sharpness:
+    many = not 1 <= options.samples <= _MOST_SAMPLES or len(asked) > _MOST_SEEDS
+    if many or not len(asked) or not options.sharpness:
         raise ArgumentError(
-            f"A design needs at least one seed, sample and stage; got {chosen}, "
-            f"{options.samples} and {options.sharpness}."
+            f"A design needs at least one seed, sample and stage; got {len(asked)} seeds, "
+            f"{options.samples} samples and {options.sharpness}.",
+            advice=f"Give at most {_MOST_SEEDS} seeds and {_MOST_SAMPLES} samples.",
         )
+    chosen = [*asked]
     problem = make_problem(objective, limits, family, options)
     model = objective.target.model
     if problem.start is None:

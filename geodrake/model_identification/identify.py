@@ -23,6 +23,7 @@ from geodrake.model import FittedEffect, RobotModel
 from geodrake.model_identification.bodies import (
     block_names,
     body_changes,
+    bound_notes,
     boundary_blocks,
     covariance_of,
     model_notes,
@@ -109,7 +110,12 @@ def identify_model(
         result,
         comparison(case, unknowns, held_out),
         alternatives,
-        (*case.notes, *model_notes(fitted, body_changes(fits, result)), *sweep_notes(gamma, sweep)),
+        (
+            *case.notes,
+            *model_notes(fitted, body_changes(fits, result)),
+            *sweep_notes(gamma, sweep),
+            *bound_notes(result.gamma),
+        ),
     )
 
 

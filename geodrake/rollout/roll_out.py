@@ -24,6 +24,7 @@ HORIZON = 0.5
 MOST_WINDOWS = 12
 """Windows that are simulated, spread evenly over the logs."""
 
+_SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
 _SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 
 Progress = Callable[[str, float], None]
@@ -57,20 +58,22 @@ def roll_out(
         progress: Told about each window: its log, and the share that is done.
 
     Raises:
-        ArgumentError: A setting is not positive.
+        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window.
     """
-    if not (0.0 < horizon < np.inf and most >= 1):
+    if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
         raise ArgumentError(
-            f"A rollout needs a horizon above 0 s and a window at least; it got {horizon} s and "
-            f"{most}."
+            f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "
+            f"it got a horizon of {horizon} s and {most} windows."
         )
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = moving_passages(case, horizon)
-    chosen = np.unique(np.linspace(0, len(passages) - 1, most).round().astype(int))
-    least = _SIGN_WIDTH * np.maximum(peak_speeds(case.trajectories), 1e-3)
+    count = min(most, len(passages))
+    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int))
+    fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
+    least = _SIGN_WIDTH * fastest
     width, held = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
-    simulation = cache(lambda log: Simulation(holding(model, held[log]), width, log))
+    simulation = cache(lambda log: Simulation(holding(model, held[log]), width, log, fastest))
     windows = []
     for count, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment
@@ -78,10 +81,12 @@ def roll_out(
             progress(f"{log} {segment.time[0]:.1f} s", count / len(chosen))
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
-    return _rollout(model, windows, horizon)
+    return _rollout(model, windows, horizon, case.notes)
 
 
-def _rollout(model: RobotModel, windows: Sequence[Window], horizon: float) -> Rollout:
+def _rollout(
+    model: RobotModel, windows: Sequence[Window], horizon: float, notes: tuple[str, ...]
+) -> Rollout:
     departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
     squares = np.array([np.mean(np.square(d), 0) for d in departures])
     moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
@@ -97,4 +102,4 @@ def _rollout(model: RobotModel, windows: Sequence[Window], horizon: float) -> Ro
             )
         )
     broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
-    return Rollout(tuple(joints), tuple(windows), horizon, broken, left_out(model))
+    return Rollout(tuple(joints), tuple(windows), horizon, broken, left_out(model), notes)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import Adder, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
@@ -20,6 +22,8 @@ Array = NDArray[np.float64]
 
 _LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
+_MOST_STEPS = 100  # times the steps that a simulation without a care would take
+_FASTEST = 1e3  # peak speeds of the log, beyond which no robot is simulated any more
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
 
 
@@ -36,10 +40,11 @@ class Simulation:
         model: The model.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
         log: Name of the log.
+        fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
     """
 
-    def __init__(self, model: RobotModel, sign_width: Array, log: str) -> None:
-        self._model, self._sign_width = model, sign_width
+    def __init__(self, model: RobotModel, sign_width: Array, log: str, fastest: Array) -> None:
+        self._model, self._sign_width, self._fastest = model, sign_width, fastest
         builder = DiagramBuilder()
         self._plant = builder.AddSystem(load_plant(model.path, floating=model.floating).plant)
         effects = [(fitted.effect, fitted.parameters) for fitted in _forces(model)]
@@ -62,7 +67,11 @@ class Simulation:
         self._order = np.argsort(places)
 
     def positions(self, passage: Passage) -> Array:
-        """(K, nv) positions from a passage's first state on, under its efforts."""
+        """(K, nv) positions from a passage's first state on, under its efforts.
+
+        From where a joint is a thousand times as fast as any was measured, or from where the
+        integrator takes a hundred times the steps that it should, they are NaN.
+        """
         segment, time = passage.segment, passage.time
         self._effort.UpdateTrajectory(
             PiecewisePolynomial.FirstOrderHold(time, np.asarray(segment.effort).T)
@@ -79,14 +88,31 @@ class Simulation:
         ResetIntegratorFromFlags(simulator, scheme, _LARGEST_STEP)
         simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
         simulator.Initialize()
+        steps = _MOST_STEPS * max(len(time), (time[-1] - time[0]) / _LARGEST_STEP)
+        simulator.set_monitor(self._limit(round(steps)))
         simulated = np.full(segment.position.shape, np.nan)
         for k, instant in enumerate(time):
             try:
-                simulator.AdvanceTo(instant)
+                status = simulator.AdvanceTo(instant)
             except RuntimeError:  # the integrator gives up: the robot flies apart
+                break
+            if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
                 break
             simulated[k] = self._plant.GetPositions(context)[self._order]
         return simulated
+
+    def _limit(self, steps: int) -> Callable[[Context], EventStatus]:
+        """What ends a simulation that takes more steps, or whose robot is too fast for any."""
+        left = iter(range(steps))
+
+        def limit(root: Context) -> EventStatus:
+            velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
+            inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
+            if inside and next(left, None) is not None:
+                return EventStatus.DidNothing()
+            return EventStatus.ReachedTermination(self._diagram, "beyond all reason")
+
+        return limit
 
     def _remember(self, passage: Passage, root: Context) -> None:
         """Leaves the hidden states of effects as the measured motion before a passage does."""
