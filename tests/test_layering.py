@@ -12,6 +12,7 @@ PACKAGE = ROOT / "geodrake"
 LAYERS = (
     # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
+    "input_files",
     "positive_definite",
     "bodies",
     "inertia",
