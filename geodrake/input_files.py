@@ -43,8 +43,8 @@ def regular_file(
         reason = "does not exist"
     except OSError as problem:
         reason = f"cannot be read: {problem.strerror or problem}"
-    except ValueError as problem:  # a null character in the path
-        reason = f"cannot be read: {problem}"
+    except ValueError:
+        reason, path = "cannot be read: its path has null characters", Path(repr(str(path)))
     if reason is not None:
         raise error(f"The {what} {path} {reason}.", advice="Check the path.", path=path)
     if status.st_size == 0:

@@ -42,7 +42,6 @@ def test_what_is_no_file_is_refused_without_being_opened(tmp_path):
         ("loop", "symbolic links"),
         ("empty/below", "Not a directory"),
         ("x" * 300, "name too long"),
-        ("a\x00b", "null"),
         ("empty", "is empty"),
     ]:
         message = refusal(tmp_path / name)
@@ -55,6 +54,11 @@ def test_size_is_judged_before_reading(tmp_path):
     with sparse.open("wb") as file:
         file.truncate(6_000_000_000)
     assert "has 6,000 MB; at most 2 MB are read" in refusal(sparse, largest=2_000_000)
+
+
+def test_null_characters_are_not_printed(tmp_path):
+    with pytest.raises(LogError, match=r"a\\x00b' cannot be read: its path has null characters"):
+        regular_file(tmp_path / "a\x00b", "log", LogError)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

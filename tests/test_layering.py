@@ -13,6 +13,7 @@ LAYERS = (
     # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
     "input_files",
+    "yaml_text",
     "positive_definite",
     "bodies",
     "inertia",
