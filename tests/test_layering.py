@@ -49,6 +49,7 @@ LAYERS = (
     "floating_base",
     "effects",
     "model",
+    "admissible",
     "held_payloads",
     "saved_model",
     "export",
