@@ -4,20 +4,29 @@
 import dataclasses as dc
 import hashlib
 import os
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
+from geodrake.admissible import check_model
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.errors import GeodrakeError, ModelError, OutputError
+from geodrake.input_files import regular_file
 from geodrake.model import FittedEffect, RobotModel, load_description
 from geodrake.whole_files import write_whole
+from geodrake.yaml_text import yaml_text
 
+T = TypeVar("T")
 FORMAT = "geodrake model 1"
+_HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?format: *['\"]?geodrake model\b", re.MULTILINE)
+_DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass
@@ -75,17 +84,17 @@ def load_model(
         ModelError: The file cannot be read or does not describe a robot; or the file that a saved
             model is based on is gone or has other joints or bodies.
     """
-    path = Path(path)
+    path = regular_file(Path(path), "model file", ModelError)
     if is_saved_model(path):
         return _read(path, extra)
     return load_description(path, floating=floating)
 
 
 def is_saved_model(path: Path) -> bool:
-    """Whether a file is one that `save_model` wrote."""
+    """Whether a file is one that `save_model` wrote, of whatever version."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return path.suffix in {".yaml", ".yml"} and FORMAT in file.read(200)
+        with path.open("rb") as file:
+            return path.suffix in {".yaml", ".yml"} and _HEAD.search(file.read(1000)) is not None
     except OSError:
         return False
 
@@ -148,16 +157,6 @@ def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str
     return {} if values is None else dict(zip(model.joints, values.tolist(), strict=True))
 
 
-def _of_joints(model: RobotModel, values: dict[str, float]) -> NDArray[np.float64] | None:
-    return np.array([values[joint] for joint in model.joints]) if values else None
-
-
-def _checked_speed(speed: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    if speed is not None and not np.all(np.isfinite(speed) & (speed >= 0.0)):
-        raise ModelError(f"dry friction cannot fade below {speed} rad/s or m/s.")
-    return speed
-
-
 def _saved_effect(fitted: FittedEffect) -> SavedEffect:
     effect = fitted.effect
     shape = {name: float(value) for name, value in effect.shape.items() if value is not None}
@@ -168,51 +167,86 @@ def _saved_effect(fitted: FittedEffect) -> SavedEffect:
 
 
 def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
+    text = yaml_text(path)
     try:
-        saved = yaml_load_typed(schema=SavedModel, filename=str(path))
+        saved = yaml_load_typed(schema=SavedModel, data=text)
     except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
-        reason = str(error).splitlines()[0]
+        field = _odd_field(text)
+        what = f"{path} is no geodrake model" + (f", by its field {field!r}" if field else "")
+        reason = " ".join(str(error).split())[:300].rstrip(".")
+        raise ModelError(f"{what}: {reason}.", advice="Save the model again.", path=path) from error
+    if saved.format != FORMAT:
         raise ModelError(
-            f"{path} is no geodrake model: {reason}", advice="Save the model again.", path=path
-        ) from error
-    base = path.resolve().parent / saved.base_model
-    if not base.is_file():
-        raise ModelError(
-            f"{path} is based on {saved.base_model}, which is not at {base}.",
-            advice="Move it back, or change base_model in the saved model.",
-            base=base,
+            f"{path} has the format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
+            advice="Use the version that saved it, or save the model again.",
+            path=path,
         )
+    base = _base_of_saved(path, saved)
     model = load_description(base, floating=saved.floating)
     try:
-        return _with_parameters(model, saved, base, extra)
-    except (KeyError, ValueError, GeodrakeError) as error:
+        loaded = _with_parameters(model, saved, base, extra)
+        check_model(loaded)
+    except GeodrakeError as error:
         raise ModelError(
-            f"{path} does not fit its base model {base}: {error}",
+            f"{path} does not fit its base model {base}, or any robot: {error}",
             advice="Fit and save the model again.",
+            path=path,
         ) from error
+    return loaded
+
+
+def _odd_field(text: str) -> str:
+    """The first field that is not of its type; nothing if that cannot be told."""
+    with suppress(Exception):
+        for name, value in yaml_load(data=text).items():
+            try:
+                yaml_load_typed(schema=SavedModel, data=yaml_dump({name: value}))
+            except Exception:  # whatever it is, it is told of already
+                return str(name)
+    return ""
+
+
+def _base_of_saved(path: Path, saved: SavedModel) -> Path:
+    """The model file that a saved model is based on."""
+    base = path.resolve().parent / saved.base_model
+    try:
+        regular_file(base, "file", ModelError)
+    except ModelError as error:
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which cannot be read. {error.problem}",
+            advice="Move it back, or change base_model in the saved model.",
+            base=base,
+        ) from error
+    if is_saved_model(base):
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which is a saved model itself.",
+            advice="Change base_model to the URDF, SDF, MJCF or directives file.",
+            base=base,
+        )
+    if not _DIGEST.fullmatch(saved.base_sha256):
+        raise ModelError(
+            f"{path} has base_sha256 = {saved.base_sha256[:80]!r}, which is no SHA-256 digest.",
+            advice="Save the model again.",
+            path=path,
+        )
+    return base
 
 
 def _with_parameters(
     model: RobotModel, saved: SavedModel, base: Path, extra: Sequence[type[Effect]]
 ) -> RobotModel:
-    phi = np.array([saved.inertial_parameters[body] for body in model.bodies])
-    for e in saved.effects:
-        for place in set(e.where).difference(model.joints, model.bodies):
-            raise ModelError(f"it has {e.name} at {place!r}, which the robot does not have.")
-    effects = tuple(
-        FittedEffect(
-            make_effect(e.name, e.where, e.shape, extra),
-            np.array(e.parameters),
-            np.array(e.deviations) if e.deviations else None,
-        )
-        for e in saved.effects
-    )
+    bodies = _ordered("inertial_parameters", saved.inertial_parameters, model.bodies)
+    phi = np.array([_numbers(f"inertial_parameters of {b!r}", x, 10) for b, x in bodies.items()])
+    effects = tuple(_fitted_effect(model, effect, extra) for effect in saved.effects)
     p = phi.size + sum(
         len(f.effect.parameters) for f in effects if not isinstance(f.effect, EffortDelay)
     )
-    information = np.array(saved.information) if saved.information else None
-    if information is not None and information.shape != (p, p):
-        raise ModelError(f"its information matrix is {information.shape}, and {p} are fitted.")
+    information = None
+    if saved.information:
+        rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
+        if len(rows) != p:
+            raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
+        information = np.array(rows)
     notes = model.notes
     if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
         notes += (f"{base.name} has changed since the model was saved.",)
@@ -221,8 +255,49 @@ def _with_parameters(
         phi=phi,
         effects=effects,
         information=information,
-        effort_noise=_of_joints(model, saved.effort_noise),
-        fading_speed=_checked_speed(_of_joints(model, saved.fading_speed)),
+        effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
+        fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
         notes=notes,
     )
+
+
+def _fitted_effect(
+    model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
+) -> FittedEffect:
+    effect = make_effect(saved.name, saved.where, saved.shape, extra)
+    places = model.bodies if effect.places == "body" else model.joints
+    for place in saved.where:
+        if place not in places:
+            raise ModelError(
+                f"it has {saved.name} at {place!r}, which the robot does not have.",
+                advice=f"It has {', '.join(places)}.",
+            )
+    count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"
+    return FittedEffect(
+        effect,
+        _numbers(f"parameters {what}", saved.parameters, count),
+        _numbers(f"deviations {what}", saved.deviations, count) if saved.deviations else None,
+    )
+
+
+def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:
+    if len(values) != count:
+        raise ModelError(f"{what} are {len(values)} numbers instead of {count}.")
+    return np.array(values, float)
+
+
+def _of_joints(
+    model: RobotModel, field: str, values: dict[str, float]
+) -> NDArray[np.float64] | None:
+    return np.array([*_ordered(field, values, model.joints).values()]) if values else None
+
+
+def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
+    """The values in the order of some names, when there is one for each and no other."""
+    odd = [name for name in values if name not in names]
+    missing = [name for name in names if name not in values]
+    if odd or missing:
+        reason = f"has {odd[0]!r}, which the robot does not" if odd else f"lacks {missing[0]!r}"
+        raise ModelError(f"{field} {reason}.", advice=f"It has {', '.join(names)}.")
+    return {name: values[name] for name in names}

@@ -403,7 +403,7 @@ def test_impossible_member_of_a_possible_body_is_no_problem(load):
     [
         ("r.urdf", "<html><body/></html>", "root element is <html>"),
         ("r.csv", "a,b\n1,2\n", "not valid XML"),
-        ("r.urdf", "", "not valid XML"),
+        ("r.urdf", "", "is empty"),
         ("r.yaml", "a: b\n", "Drake cannot read"),
         ("r.yaml", "just words\n", "Drake cannot read"),
         ("r.yaml", "directives: []\n", "add no model"),

@@ -276,5 +276,5 @@ def test_impossible_fading_speed_is_refused(saved, speed):
     text = saved.read_text()
     joint = load_model(saved).joints[1]
     saved.write_text(text.replace(f"{joint}: 0.01\n", f"{joint}: {speed}\n"))
-    with pytest.raises(ModelError, match="cannot fade"):
+    with pytest.raises(ModelError, match="fading_speed"):
         load_model(saved)

@@ -141,7 +141,9 @@ def make_effect(
         )
     for field in fields(cls):  # type: ignore[arg-type]
         value = shape.get(field.name)
-        if field.type in (int, "int") and isinstance(value, float) and value.is_integer():
+        if field.type in (int, "int") and isinstance(value, float):
+            if not value.is_integer():
+                raise ArgumentError(f"{name} needs a whole number as {field.name}; it got {value}.")
             shape[field.name] = int(value)  # which a saved model holds as a float
     if where:
         shape[place] = tuple(where) if cls.places == "joint_pair" else where[0]

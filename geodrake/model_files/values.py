@@ -58,7 +58,8 @@ def rotation(values: Array) -> Array:
 
 def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
     """Parameters (10,) of a central inertia that is expressed in a frame turned by R."""
-    return from_mass_com_inertia(mass, com, R @ inertia @ R.T)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no number stays none
+        return from_mass_com_inertia(mass, com, R @ inertia @ R.T)
 
 
 def tensor_words(inertia: Array) -> dict[str, str]:
