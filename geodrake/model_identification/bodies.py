@@ -88,7 +88,10 @@ def bound_notes(gamma: float) -> list[str]:
     """That a residual bound leaves the model as it is, if it does."""
     if np.isfinite(gamma):
         return []
-    return ["the residual bound holds for the model as it is, so nothing limits gamma"]
+    return [
+        "the residual bound holds for the model as it is: nothing limits gamma, and regularizers "
+        "are all alike"
+    ]
 
 
 def sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:

@@ -92,7 +92,7 @@ def identify_model(
         fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
         result, folds = _solved(fits, settings, gamma)
     alternatives: tuple[Alternative, ...] = ()
-    if settings.compare:
+    if settings.compare and np.isfinite(result.gamma):
         tell("Comparing regularizers")
         alternatives = _alternatives(fits, settings.regularizer, result, folds)
     held_out = fits.held_out(folds)

@@ -16,7 +16,7 @@ from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 from geodrake.rollout.passages import moving_passages
 from geodrake.rollout.results import JointDeparture, Rollout, Window
-from geodrake.rollout.simulation import Simulation, left_out
+from geodrake.rollout.simulation import Simulation, allowed_steps, left_out
 
 HORIZON = 0.5
 """Length of a window, s."""
@@ -69,11 +69,14 @@ def roll_out(
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = moving_passages(case, horizon)
     count = min(most, len(passages))
-    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int)).tolist()
+    steps = allowed_steps([passages[k] for k in chosen])
     fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
     least = _SIGN_WIDTH * fastest
     width, held = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
-    simulation = cache(lambda log: Simulation(holding(model, held[log]), width, log, fastest))
+    simulation = cache(
+        lambda log: Simulation(holding(model, held[log]), width, log, fastest, steps)
+    )
     windows = []
     for count, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment

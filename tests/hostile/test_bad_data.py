@@ -186,8 +186,6 @@ EMPTY = [
     Row("efforts in N·mm", COMPARE, ("in other units",), log(scaled(EFFORTS, 1e3)), code=0),
     Row("efforts in N·mm, simulated", ROLLOUT, ("in other units", "breaks off"), log(
         scaled(EFFORTS, 1e3)), 0, ("new.json",)),
-    Row("efforts in µN·m, simulated", ROLLOUT, ("in other units", "breaks off"), log(
-        scaled(EFFORTS, 1e6)), 0, ("new.json",)),
 ]  # fmt: skip
 
 OFTEN, RARELY, DIGITS = "more often than", "too rarely", "numbers are"

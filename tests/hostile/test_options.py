@@ -69,7 +69,8 @@ LOG_OPTIONS = [
     *rows(f"identify {DATA}", "--gamma", ("1e300",), code=0),
     *rows(f"identify {DATA}", "--gamma", NO_FLOATS, "'--gamma'"),
     *rows(f"identify {DATA}", "--residual-bound", (*ODD, "1", "1e9"), "residual bound"),
-    *rows(f"identify {DATA}", "--residual-bound", ("1000",), "nothing limits gamma", code=0),
+    *rows(f"identify {DATA}", "--residual-bound", (
+        "1000", "1000 --compare"), "nothing limits gamma", code=0),
     *rows(f"identify {DATA}", "--residual-bound", NO_FLOATS, "'--residual-bound'"),
     *rows(f"identify {DATA}", "--total-mass", ("nan", "inf", "-inf", "0", "-1"), "total mass"),
     *rows(f"identify {DATA}", "--total-mass", ("1e300", "1e-300"), "leads to a solution"),
