@@ -23,7 +23,7 @@ from geodrake.model_files import ModelDescription
 
 TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
 LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
-LEAST_SIZE = 1e-9  # m, up to which a body counts as a point
+LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
 LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
 LENGTH_PER_SIZE = 0.05  # the same, as a share of the body's size
 MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot's
