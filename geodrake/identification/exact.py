@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from geodrake.errors import GeodrakeError, IdentificationError
+from geodrake.errors import ConvergenceError, GeodrakeError, IdentificationError
 from geodrake.identification.fit import FitResult, solve_fit, solve_in_closed_form
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
@@ -61,7 +61,7 @@ def solve_surely(problem: FitProblem) -> FitResult:
     begin = time.perf_counter()
     try:
         return solve_fit(problem, solver=_CONIC)
-    except IdentificationError as error:
+    except (IdentificationError, ConvergenceError) as error:
         failure = error
     try:
         fit = solve_newton(problem)

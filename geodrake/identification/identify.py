@@ -121,6 +121,7 @@ def identify(  # noqa: PLR0913 - the stable interface
             constraints reach the residual bound; `minimum` of its evidence is what they reach.
         IdentificationError: The solver found no solution, for instance because no physical
             bodies have the total mass inside their ellipsoids.
+        ConvergenceError: A conic solver has found none in 20 s.
     """
     kind = regularizer_of(regularizer)
     if (gamma is None) == (residual_bound is None):

@@ -24,6 +24,10 @@ class LostProcessError(Exception):
     """What became of a process that gave no answer, as the rest of a sentence."""
 
 
+class LateProcessError(LostProcessError):
+    """A process whose time was over."""
+
+
 def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     """What a function returns or raises, called in a copy of this process.
 
@@ -33,7 +37,8 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
 
     Raises:
         GeodrakeError: What the function raised.
-        LostProcessError: It raised something else, its process ended, or its time was over.
+        LateProcessError: Its time was over.
+        LostProcessError: It raised something else, or its process ended.
     """
     reader, writer = Pipe(duplex=False)
     try:
@@ -49,7 +54,7 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     answer: Any = None
     try:
         if not reader.poll(seconds):
-            raise LostProcessError(f"gave no answer in {seconds:g} s")
+            raise LateProcessError(f"gave no answer in {seconds:g} s")
         answer = reader.recv()
     except EOFError:
         pass  # it has ended

@@ -20,8 +20,12 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from geodrake.errors import ArgumentError, IdentificationError
-from geodrake.identification.own_process import LostProcessError, in_own_process
+from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
+from geodrake.identification.own_process import (
+    LateProcessError,
+    LostProcessError,
+    in_own_process,
+)
 
 T = TypeVar("T")
 Tolerances = Mapping[str, Mapping[str, float | int]]
@@ -76,7 +80,7 @@ EXACTLY = (_EXACT, _GOOD)
 NEARLY = (_GOOD,)
 """The same, short of where a step can have no digits left."""
 
-_SECONDS = 30.0
+_SECONDS = 20.0
 """Time that a fit by a conic solver may take."""
 
 _CAUSES = {
@@ -127,13 +131,20 @@ def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
 
     Raises:
         GeodrakeError: What `solve` raised.
-        IdentificationError: The solver ended its process, or found nothing in time.
+        IdentificationError: The solver ended its process.
+        ConvergenceError: It found nothing in time.
     """
     over = time.monotonic() + _SECONDS
     for accuracies in (EXACTLY, NEARLY):
         seconds = max(over - time.monotonic(), 0.0)
         try:
             return in_own_process(partial(solve, accuracies), seconds=seconds)
+        except LateProcessError as error:
+            raise ConvergenceError(
+                f"{solver} {error}, which is all that a fit has.",
+                advice="Use the default solver, or raise gamma.",
+                solver=solver,
+            ) from None
         except LostProcessError as error:
             lost = str(error)
     cause, advice = _OTHER_CAUSE

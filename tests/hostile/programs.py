@@ -35,7 +35,7 @@ from geodrake.inertia import (
     pseudo_inertia,
 )
 
-SECONDS = 60.0  # that a program may take, its check by another solver apart
+SECONDS = 90.0  # that a program may take: four calls of a conic solver, each of which has 20 s
 SOLVERS = (None, "newton", "clarabel", "scs", "csdp")
 SHARES = (0.4, 0.18, 0.3, 0.1, 0.02)
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian", "masses_l2", "masses_kl")
@@ -43,6 +43,7 @@ DATA = ("plain", "rank-deficient", "columns 1e±12", "zero columns", "near-copie
 REGIONS = ("none", "around", "touching", "tiny", "huge", "flat", "far")
 CHANCES = (0.4, 0.2, 0.15, 0.1, 0.05, 0.05, 0.05)
 _SAME = 1e-4  # of the cost, above which two solvers disagree
+_ROUNDING = 1e-9  # of the cost at the prior, which counts as nothing
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ class Outcome:
         end: "solved", "refused", "unphysical", "raised", "died" or "hung".
         words: Which error or signal, or which solver gave the answer.
         seconds: Time it took.
-        difference: Cost above that of another solver, relative to the cost; None if not known.
+        difference: Cost above that of another solver, relative to the cost there or to a share
+            1e-9 of the cost at the prior; None if not known.
         other: What the other solver said.
     """
 
@@ -214,7 +216,10 @@ def compared(program, outcome):
         except GeodrakeError as error:
             return replace(outcome, other=f"refused: {error.problem}")
         costs.append(found.residual + program.options["gamma"] * found.divergence)
-    difference = (costs[0] - costs[1]) / max(abs(costs[1]), np.finfo(float).tiny)
+    A, b, prior = program.arguments
+    at_prior = np.square(A[:, : prior.size] @ prior.ravel() - b).sum()
+    size = max(abs(costs[1]), _ROUNDING * at_prior, np.finfo(float).tiny)
+    difference = (costs[0] - costs[1]) / size
     return replace(outcome, difference=difference, other=str(names[-1]))
 
 
