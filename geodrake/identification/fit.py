@@ -102,7 +102,7 @@ def solve_fit(
     """
     begin = time.perf_counter()
     check_solver(solver)
-    quick = solve_in_closed_form(problem) if shortcuts else None
+    quick = _in_closed_form(problem) if shortcuts else None
     if quick is not None:
         return quick
     check_residual_bound(problem)
@@ -111,7 +111,7 @@ def solve_fit(
     return fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
 
 
-def solve_in_closed_form(problem: FitProblem) -> FitResult | None:
+def _in_closed_form(problem: FitProblem) -> FitResult | None:
     """The fit by least squares alone; None where that does not solve the problem."""
     begin = time.perf_counter()
     coordinates = Coordinates.of(problem)

@@ -109,9 +109,10 @@ def identify(  # noqa: PLR0913 - the stable interface
         extra_bounds: (extra, 2) least and greatest extra parameters; ±inf for none.
         constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
             too instead.
-        solver: By default Newton's method, with Clarabel where that gives up (`note` of the
-            result), and Clarabel for point masses. Or one alone: "newton", but for point masses,
-            or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+        solver: By default Newton's method for "entropic" and "riemannian", and Clarabel for the
+            rest, whose last digits Newton's method adds, and which takes its place where it gives
+            up (`note` of the result). Or one alone: "newton", but for point masses, or a name of
+            `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
 
     Returns:
         The parameters and how they were found.

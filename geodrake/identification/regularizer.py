@@ -55,7 +55,7 @@ class Regularizer(ABC):
     ) -> FitResult:
         """Solve the fit with γ d(Φ, Φ⁰)² added.
 
-        With None, by Newton's method and the conic solver (`solve_exactly`); with "newton", by that
+        With None, by the conic solver and Newton's method (`solve_exactly`); with "newton", by that
         alone; else by Drake's conic solver of that name alone. Where such a solver is not exact
         enough to keep bodies physical at the problem's margin, it tries ten and a hundred times
         that margin.
