@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 _LINES = 50_000  # that are read at once
 _BLOCK = 1 << 20  # bytes in which line ends are looked for
+_HEADER_LINES = 1000  # of a header whose names have line ends
 _LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
 
 
@@ -26,10 +27,11 @@ def read_csv(path: Path, joints: Sequence[str] | None) -> JointLog:
     """Read a log from a CSV file; see `read_log`."""
     most = 1 + _count_lines(path)
     with path.open(encoding="utf-8-sig", newline="") as file:
-        header, columns = _read_header(path, file, joints)
+        header, line = _read_header(path, file)
+        columns = Columns.of(path, header, joints)
         recording = Recording(columns, most)
         places = [header.index(name) for name in columns.names]
-        rows, line = 0, 1
+        rows = 0
         while lines := list(islice(file, _LINES)):
             table = _numbers(path, header, lines)
             if table is None:
@@ -57,19 +59,18 @@ def _count_lines(path: Path) -> int:
     return count
 
 
-def _read_header(
-    path: Path, file: TextIO, joints: Sequence[str] | None
-) -> tuple[list[str], Columns]:
-    """Names of all columns in the first line, and the columns to read."""
+def _read_header(path: Path, file: TextIO) -> tuple[list[str], int]:
+    """Names of all columns, and how many lines they fill: a name in quotes may have line ends."""
+    reader = csv.reader(islice(file, _HEADER_LINES), strict=True)
     try:
-        header = [name.strip() for name in next(csv.reader([file.readline()]), [])]
+        header = [name.strip() for name in next(reader, [])]
     except csv.Error as error:
         raise LogError(
             f"The header of log {str(path)!r} cannot be read: {error}.",
             advice=f"Is there a quote that never closes? {HEADER_ADVICE}",
         ) from error
     _check_header(path, header)
-    return header, Columns.of(path, header, joints)
+    return header, reader.line_num
 
 
 def _numbers(path: Path, header: Sequence[str], lines: Sequence[str]) -> Array | None:

@@ -126,12 +126,12 @@ WRONG_ROWS = [
         "writing turned around": "a\u202eb",
     }.items()
     for option, command, says in (
-        ("a log", "compare robot.urdf", "no log file"),
+        ("a log", "compare robot.urdf", "does not exist"),
         ("numbers", "compare robot.urdf log.csv --json", "does not end in"),
         ("a place", "add coulomb_friction robot.urdf log.csv --where", "no joint or body"),
         ("an effect", "identify robot.urdf log.csv --effects", "no effect"),
         ("a report", "compare robot.urdf log.csv --report", "does not end in"),
-        ("a folder", "compare robot.urdf log.csv --report none/", "does not end in"),
+        ("another log", "compare robot.urdf log.csv --report new.html", "does not exist"),
         ("a limit", "excite robot.urdf --limits", "not a number"),
         ("a command", "", "No such command"),
         ("a number", "compare robot.urdf log.csv --blocks", "Invalid value"),
@@ -301,7 +301,7 @@ def test_a_motion_of_any_names_goes_to_ros_and_to_logs(tmp_path, monkeypatch):
     assert read_log(tmp_path / "motion.csv").joints == tuple(names)
 
 
-def test_an_effect_of_any_name_is_added_and_saved(tmp_path, monkeypatch):
+def test_an_effect_of_any_name_is_refused_by_a_name_that_can_be_read(tmp_path, monkeypatch):
     fill(tmp_path)
     name = 'x""" \\ \x1b[31m$\\frac$</b>\u2028: y'
     (tmp_path / "own.py").write_text(
@@ -315,11 +315,10 @@ def test_an_effect_of_any_name_is_added_and_saved(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     given = ["add", name, "robot.urdf", "log.csv", "--effects", "own.py"]
     code, out, err = run_here([*given, "--save", "new.yaml", "--report", "new.html"])
-    assert code == 0, err
-    assert printable(name)[:20] in out
-    assert "\x1b" not in out + (tmp_path / "new.html").read_text(encoding="utf-8")
-    again = load_model(tmp_path / "new.yaml", extra=load_effect_file("own.py"))
-    assert {fitted.effect.name for fitted in again.effects} == {name}
+    assert code == 2
+    assert "it needs words joined by underscores" in err
+    assert "\x1b" not in out + err and len(err.splitlines()) == 1
+    assert not (tmp_path / "new.yaml").exists() and not (tmp_path / "new.html").exists()
 
 
 @pytest.mark.parametrize("what", ["code", "markup", "YAML of a mapping", "a line end"])
