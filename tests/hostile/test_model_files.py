@@ -1034,6 +1034,8 @@ PATHS = [
             (".", "is a folder", lambda f: None),
             ("x", "is a socket", deaf_socket("x")),
             ("x.urdf", "does not exist", link("x.urdf", "nobody")),
+            ("x.urdf", "symbolic links", link("x.urdf", "x.urdf")),
+            ("x.yaml", "symbolic links", link("x.yaml", "x.yaml")),
             ("robot.urdf/x.urdf", "Not a directory", lambda f: None),
             ("x" * 300 + ".urdf", "name too long", lambda f: None),
             ("y/" * 3000 + "x.urdf", "name too long", lambda f: None),
@@ -1047,6 +1049,14 @@ PATHS = [
         )
     ],
     Row("name that is no UTF-8", "compare \udcff\udcfe.urdf log.csv", ("does not exist",)),
+    Row(
+        "model whose name is no UTF-8",
+        "compare \udcff.urdf log.csv --json new.json",
+        (r"\udcff.urdf against log.csv",),
+        lambda f: (f / "robot.urdf").rename(f / "\udcff.urdf"),
+        code=0,
+        writes=("new.json",),
+    ),
     Row("null character in the path", "compare a\x00b.urdf log.csv", ("null",)),
 ]
 NEAR = "compare p/robot.urdf log.csv"
