@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from excitation.balancing import FAMILY, Balance
 from excitation.humanoid import ATLAS, HALF_SOLE, groups, standing_robot
-from excitation.options import SHARED, cache_beside, study_parser, write_table
+from excitation.options import cache_beside, study_parser, write_table
+from public_data import add_folder_option
 from pydrake.math import RigidTransform
 from resumable.draws import results_of
 from rich.console import Console
@@ -232,7 +233,7 @@ def draw(table: dict[str, Any], path: Path) -> None:
 def main() -> None:
     """Run the study from the command line."""
     parser = study_parser(__doc__)
-    parser.add_argument("--shared", type=Path, default=SHARED, help="folder with Atlas")
+    add_folder_option(parser, "with Atlas")
     parser.add_argument("--motions", type=int, help="how many (20; 6 with --quick)")
     parser.add_argument("--threshold", type=float, default=1e-2, help="of variances told")
     parser.add_argument("--uncertainty", type=float, default=0.8, help="of the prior's masses")

@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 from excitation.manipulator import IIWA, NOISE, family, limits, manipulator
-from excitation.options import SHARED, study_parser, write_table
+from excitation.options import study_parser, write_table
+from public_data import add_folder_option
 from rich.console import Console
 from rich.table import Table
 
@@ -95,7 +96,7 @@ def draw(row: dict[str, Any], path: Path) -> None:
 def main() -> None:
     """Run the study from the command line."""
     parser = study_parser(__doc__)
-    parser.add_argument("--shared", type=Path, default=SHARED, help="folder with the iiwa")
+    add_folder_option(parser, "with the iiwa")
     options = parser.parse_args()
     ours = options.quick or not (options.shared / IIWA).is_file()
     model = manipulator(None if ours else options.shared)

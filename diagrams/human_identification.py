@@ -6,8 +6,7 @@ of the Euclidean regularizer sets the residual that all others meet.
 
     python diagrams/human_identification.py --json human.json --figures figures
 
-The measurements are not part of the project; by default they are read from the folder called
-`shared` beside the checkout.
+The measurements are not part of the project; without them the script says where they go.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
+from public_data import add_folder_option, require
 from rich.console import Console
 from rich.table import Table
 
@@ -32,7 +32,7 @@ from geodrake.visualization import style
 
 Array = NDArray[np.float64]
 
-DATA = Path(__file__).parents[2] / "shared" / "data" / "human_force_plate.npz"
+DATA = "data/human_force_plate.npz"
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
 COLORS = (style.BEFORE, style.AFTER, style.FLOOR, "#8a5fa8")
 BASELINE = 1e-2
@@ -248,15 +248,14 @@ def sweep_figure(rows: Sequence[Row]) -> Figure:
 def main() -> None:
     """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=DATA, help="file of the measurements")
+    add_folder_option(parser)
     parser.add_argument("--quick", action="store_true", help="only α = 0.01 and 1")
     parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
     parser.add_argument("--json", type=Path, help="write the table here")
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
     options = parser.parse_args()
-    if not options.data.is_file():
-        parser.exit(2, f"There are no measurements of a human at {options.data}; see --data.\n")
-    human, found, rows = Human.read(options.data), {}, []
+    require(parser, options.shared, DATA)
+    human, found, rows = Human.read(options.shared / DATA), {}, []
     for alpha in QUICK if options.quick else ALPHAS:
         found[alpha] = compare_regularizers(
             human.A,

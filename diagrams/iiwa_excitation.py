@@ -32,8 +32,9 @@ from excitation.manipulator import (
     represented_target,
 )
 from excitation.manipulator_figures import draw
-from excitation.options import SHARED, cache_beside, study_parser, write_table
+from excitation.options import cache_beside, study_parser, write_table
 from excitation.refined import refined
+from public_data import add_folder_option
 from resumable.draws import results_of
 from rich.console import Console
 from rich.table import Table
@@ -252,7 +253,7 @@ def show(table: dict[str, Any], console: Console) -> None:
 def main() -> None:
     """Run the study from the command line."""
     parser = study_parser(__doc__)
-    parser.add_argument("--shared", type=Path, default=SHARED, help="folder with the iiwa")
+    add_folder_option(parser, "with the iiwa")
     parser.add_argument("--bases", type=int, help="base representations (4; 2 with --quick)")
     parser.add_argument("--iterations", type=int, help="of the solver (150; 5 with --quick)")
     parser.add_argument("--seeds", type=int, default=1, help="number of random starts")

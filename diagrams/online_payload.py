@@ -1,13 +1,13 @@
 """A payload found while a UR10e moves, by the online estimator on public measurements.
 
-The logs of the arm without and with something at its wrist are played, in the folder `shared`
-beside the checkout (`--shared`). The arm is learned from the first log in one of two ways: offline
-(`identify_model`, with friction by load), or online, by the estimator, from the model file and
-guesses of friction. Then its bodies and friction are held by large weights, and a payload is
-estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of 0.1 m), on logs without one
-and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg, offline. A filtered effort
-is believed to three times the RMS error of the arm's own log, or, while it is learned, to a tenth
-of its standard deviation. Samples at which a joint stands are left out.
+The logs of the arm without and with something at its wrist are played; they are no part of the
+project, and without them the script says where they go. The arm is learned from the first log in
+one of two ways: offline (`identify_model`, with friction by load), or online, by the estimator,
+from the model file and guesses of friction. Then its bodies and friction are held by large
+weights, and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of
+0.1 m), on logs without one and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg,
+offline. A filtered effort is believed to three times the RMS error of the arm's own log, or, while
+it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out.
 
     python diagrams/online_payload.py --json online.json --figures figures
 """
@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from adaptive.options import make_parser, run_draws, show, write_json
 from adaptive.stream import Array, Streamed, stream, without_standing
+from public_data import add_folder_option, require
 from rich.console import Console
 
 from geodrake.adaptation import parameter_manifold
@@ -42,7 +43,6 @@ from geodrake.motion import JointLog
 from geodrake.online_estimation import SampleUpdate
 from geodrake.saved_model import load_model
 
-SHARED = Path(__file__).parents[2] / "shared"
 LEARNED, FREE, CHANGED = "ur10e_free_a", ("ur10e_free_b", "ur10e_free_c"), "ur10e_changed"
 OFFLINE_MASS = 3.08  # kg, by `geodrake explain`
 PERIOD = 0.01  # s
@@ -190,7 +190,7 @@ def numbers(found: Streamed) -> dict[str, Any]:
 def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
-    parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the measurements")
+    add_folder_option(parser)
     options = parser.parse_args()
     rows = run(parser, options)
     columns = {"way": "", "log": "", "learned": ".3f", "first": ".1f", "mass": ".2f"}
@@ -206,8 +206,8 @@ def main() -> None:
 
 def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequence[dict[str, Any]]:
     """Rows of both ways to learn the arm."""
-    if not (options.shared / "data").is_dir():
-        parser.exit(2, f"There are no measurements in {options.shared / 'data'}; see --shared.\n")
+    logs = (f"data/{name}.csv" for name in (LEARNED, *FREE, CHANGED))
+    require(parser, options.shared, "reference/ur10e.urdf", *logs)
     end = 12.0 if options.quick else None
     draws = [Draw(way, str(options.shared), end) for way in ("offline", "online")]
     return [row for rows in run_draws(parser, options, run_draw, draws) for row in rows]

@@ -1,7 +1,6 @@
 """What geodrake finds on public measurements of real robots, with the errors before and after.
 
-The measurements are not part of the project. They are read from a folder that holds `data` (logs)
-and `reference` (model files); by default the one called `shared` beside the checkout.
+The measurements are not part of the project. Without them the script says where they go.
 
     python diagrams/real_robots.py --json real_robots.json --figures figures
 """
@@ -17,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from public_data import add_folder_option, require
 from rich.console import Console
 from rich.table import Table
 
@@ -25,7 +25,6 @@ from geodrake.diagnosis import Explanation, Step, add, compare, explain
 from geodrake.model import RobotModel
 
 ROOT = Path(__file__).parents[1]
-SHARED = ROOT.parent / "shared"
 
 
 @dataclass(frozen=True)
@@ -55,6 +54,12 @@ STUDIES = (
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
 QUICK = ("double pendulum",)
+MEASUREMENTS = (
+    "reference/ur10e.urdf",
+    "reference/tx40.urdf",
+    *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
+    "data/double_pendulum_c1_*.csv",
+)
 ELSEWHERE = {"ur10e free": ("ur10e_free_c.csv", "ur10e_ptp.csv")}
 """Logs that took no part in a study, on which every one of its steps is to hold."""
 
@@ -177,15 +182,14 @@ def show(rows: Sequence[Row], console: Console) -> None:
 def main() -> None:
     """Run the studies from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--shared", type=Path, default=SHARED, help="folder of the measurements")
+    add_folder_option(parser)
     parser.add_argument("--quick", action="store_true", help="only the double pendulum")
     parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
     parser.add_argument("--json", type=Path, help="write the table here")
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
     options = parser.parse_args()
     console, rows, elsewhere = Console(width=160), [], {}
-    if not (options.shared / "data").is_dir():
-        parser.exit(2, f"There are no measurements in {options.shared / 'data'}; see --shared.\n")
+    require(parser, options.shared, *(MEASUREMENTS[-1:] if options.quick else MEASUREMENTS))
     with tempfile.TemporaryDirectory() as saved:
         for study in STUDIES:
             if options.quick and study.name not in QUICK:

@@ -20,6 +20,10 @@ class GeodrakeError(Exception):
         self.advice = advice
         self.evidence = evidence
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """How errors of other processes come whole, with advice and evidence."""
+        return _remade, (type(self), self.problem, self.advice, self.evidence)
+
 
 class ArgumentError(GeodrakeError, ValueError):
     """A function or command got an argument it cannot take (shape, range, name)."""
@@ -43,3 +47,9 @@ class ConvergenceError(GeodrakeError):
 
 class OutputError(GeodrakeError):
     """A result cannot be written where it was asked for."""
+
+
+def _remade(
+    kind: type[GeodrakeError], problem: str, advice: str, evidence: dict[str, Any]
+) -> GeodrakeError:
+    return kind(problem, advice=advice, **evidence)

@@ -27,7 +27,7 @@ from geodrake.model_files.description import drake_messages, read_description
 from geodrake.model_files.inertia_text import link_names, with_inertias
 from geodrake.model_files.reading import model_text_of
 from geodrake.repairs import TOLERANCE
-from geodrake.saved_model import write_whole
+from geodrake.whole_files import write_whole
 
 _UNCHANGED = 1e-13
 """Relative difference below which a link keeps the numbers that the file has for it."""

@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 LEAST_SPECTRUM = 32  # samples that a spectrum needs
 HIGHEST_BANDWIDTH = 0.25  # of the sampling rate: above it, splines and jitter spoil derivatives
+_LARGEST_DECIMATION = 10_000  # the kernel then has 120,000 samples
 _KAISER_SHAPE = 6.76  # 70 dB: the passband is flat to 3e-4
 _RESPONSE_POINTS = 257
 _HALFWIDTH = 6  # in output samples; the passband then ends at 0.64 of the bandwidth
@@ -144,16 +145,16 @@ def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
             by 2 or 3, and 5 % by 10.
 
     Raises:
-        ArgumentError: If the bandwidth is not positive or too large for the sampling rate, or if
-            the period is not positive.
+        ArgumentError: If the bandwidth is too small or too large for the sampling rate, or if the
+            period is not positive.
     """
     if not 0.0 < period < np.inf:
         raise ArgumentError(f"A sampling period is above zero; got {period:g} s.", period=period)
-    highest = HIGHEST_BANDWIDTH / period
-    if not 0.0 < bandwidth <= highest * (1 + 1e-9):
+    lowest, highest = 0.5 / (_LARGEST_DECIMATION * period), HIGHEST_BANDWIDTH / period
+    if not lowest <= bandwidth <= highest * (1 + 1e-9):
         raise ArgumentError(
             f"A bandwidth of {bandwidth:g} Hz does not fit a sampling rate of {1 / period:g} Hz.",
-            advice=f"Choose a bandwidth above 0 and up to {highest:g} Hz.",
+            advice=f"Choose a bandwidth from {lowest:g} to {highest:g} Hz.",
             bandwidth=bandwidth,
             period=period,
         )

@@ -19,6 +19,7 @@ from geodrake.motion import Trajectory
 
 _ENOUGH_TRAJECTORIES = 4
 _FOLDS = 8
+_MOST_BLOCKS = 1000  # of a log; each is held out of a fit once
 _LEAST_OUTPUTS = 10  # filtered samples in a fold
 _LARGEST_GAP = 0.05  # of a block
 _CORRELATION_SECONDS = 0.5  # of what friction and elasticity leave in a residual
@@ -89,10 +90,11 @@ def validation_blocks(
             f"trajectories, gap_seconds={gap_seconds}."
         )
     least = 2 if len(trajectories) == 1 else 1
-    if blocks is not None and blocks < least:
+    if blocks is not None and not least <= blocks <= _MOST_BLOCKS:
+        why = "something must be held out" if blocks < least else "each is held out of a fit once"
         raise ArgumentError(
-            f"{blocks} blocks do not do for {len(trajectories)} log: something must be held out.",
-            advice=f"Ask for at least {least} blocks.",
+            f"{blocks} blocks do not do for {len(trajectories)} log: {why}.",
+            advice=f"Ask for {least} to {_MOST_BLOCKS} blocks.",
             blocks=blocks,
         )
     wanted = blocks or max(1, _FOLDS // len(trajectories))
@@ -214,7 +216,7 @@ def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | N
     ends = np.cumsum(counts)
     total, period = int(ends[-1]), trajectory.filter.output_period
     window = 2 * trajectory.filter.halfwidth * trajectory.filter.period
-    for pieces in range(wanted, 0, -1):
+    for pieces in range(max(1, min(wanted, total // _LEAST_OUTPUTS)), 0, -1):
         gap = int(np.ceil((window + _CORRELATION_SECONDS) / period))
         gap = min(gap, max(1, int(_LARGEST_GAP * total / pieces)))
         if gap_seconds is not None:

@@ -1,4 +1,4 @@
-"""Results as JSON: plain dictionaries of numbers and names, with null where nothing is known.
+"""Results as JSON: plain dictionaries of finite numbers and names; every null comes with a reason.
 
 The keys of an explanation are a stable interface; more may be added, none are renamed.
 """
@@ -12,8 +12,12 @@ from dataclasses import asdict
 from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
-from geodrake.drafting import Correlate, Draft, effect_name
+from geodrake.drafting import Correlate, Draft
+from geodrake.escaping import json_text
 from geodrake.rollout import Rollout
+
+_WHY_NAN = "was not determined"
+_WHY_INFINITE = "has no bound: the data say nothing of it"
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
@@ -87,7 +91,7 @@ def draft_dict(draft: Draft) -> dict[str, Any]:
     return {
         "effects": [
             {
-                "name": effect_name(effect.formula.joint),
+                "name": draft.names[effect.formula.joint],
                 "joint": effect.formula.joint,
                 "formula": effect.formula.words(),
                 "coefficients": {
@@ -143,12 +147,21 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
             }
             for joint in rollout.joints
         },
+        "notes": list(rollout.notes),
     }
 
 
 def to_json(result: Mapping[str, Any]) -> str:
-    """Text of a result, numbers that are not finite as null."""
-    return json.dumps(_plain(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    """Text of a result; every number in it is finite, or null with a reason.
+
+    Where there is a null, the key `nulls` says of each why: its place as a JSON pointer, such as
+    `/steps/0/deviations/flange/mass`, and the reason in words.
+    """
+    nulls: dict[str, str] = {}
+    plain = _plain(result, "", nulls)
+    if nulls:
+        plain["nulls"] = nulls
+    return json_text(json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)) + "\n"
 
 
 def _step(step: Step) -> dict[str, Any]:
@@ -180,12 +193,28 @@ def _errors(**tables: ErrorTable) -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
-    """The value in dictionaries, lists, strings, Python numbers and None."""
+def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
+    """The value in dictionaries, lists, strings, Python numbers and None.
+
+    Args:
+        value: What is to be written.
+        place: Where it stands, as a JSON pointer.
+        nulls: Is told why what stands where is null.
+    """
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(k): _plain(v, f"{place}/{_token(k)}", nulls) for k, v in value.items()}
     if hasattr(value, "tolist"):  # numpy arrays and scalars
-        return _plain(value.tolist())
+        return _plain(value.tolist(), place, nulls)
     if isinstance(value, Iterable) and not isinstance(value, str):
-        return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return [_plain(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
+    if value is None:
+        nulls[place] = "does not apply here"
+    elif isinstance(value, float) and not math.isfinite(value):
+        nulls[place] = _WHY_NAN if math.isnan(value) else _WHY_INFINITE
+        return None
+    return value
+
+
+def _token(key: object) -> str:
+    """A key in a JSON pointer (RFC 6901)."""
+    return str(key).replace("~", "~0").replace("/", "~1")

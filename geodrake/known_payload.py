@@ -13,6 +13,7 @@ from geodrake.inertia import from_mass_com_inertia
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
+_HEAVIEST, _FARTHEST = 1e6, 1e3  # kg, and m; beyond them it is a slip of the keyboard
 _POINT = ((0.0, 0.0, 0.0),) * 3
 
 
@@ -32,7 +33,7 @@ class KnownPayload:
             kg·m²; by default that of a point mass.
 
     Raises:
-        ArgumentError: The mass is not positive, or a value is not finite.
+        ArgumentError: The mass is not positive, or a value is beyond all reason.
     """
 
     body: str
@@ -41,18 +42,21 @@ class KnownPayload:
     inertia: tuple[Vector, Vector, Vector] = _POINT
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.mass < np.inf:
+        if not 0.0 < self.mass <= _HEAVIEST:
             raise ArgumentError(
                 f"A known payload of {self.body} has a mass of {self.mass:g} kg.",
-                advice="Give what a scale says of it: a mass above 0 kg.",
+                advice=f"Give what a scale says of it: above 0 kg and up to {_HEAVIEST:g} kg.",
             )
         center, inertia = np.asarray(self.mass_center, float), np.asarray(self.inertia, float)
         shapes = center.shape, inertia.shape
-        if shapes != ((3,), (3, 3)) or not np.isfinite([*center, *inertia.flat]).all():
+        largest = _HEAVIEST * _FARTHEST**2
+        bounds = (center, _FARTHEST), (inertia, largest)
+        if shapes != ((3,), (3, 3)) or not all((np.abs(x) <= most).all() for x, most in bounds):
             raise ArgumentError(
                 f"A known payload of {self.body} has its centre at {self.mass_center} m and the "
                 f"inertia {self.inertia} kg·m².",
-                advice="Give three numbers x, y, z, and three rows of three.",
+                advice=f"Give three numbers x, y, z, up to {_FARTHEST:g} m, and three rows of "
+                "three.",
             )
 
         object.__setattr__(self, "mass_center", tuple(center.tolist()))

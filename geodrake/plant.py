@@ -28,6 +28,7 @@ from geodrake.bodies import lumped_bodies
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_spatial_inertia
 from geodrake.model_files import ModelDescription, read_description
+from geodrake.model_files.checks import check_poses
 from geodrake.model_files.description import drake_errors, drake_messages
 from geodrake.repairs import Repair, repair_inertias
 
@@ -109,6 +110,7 @@ def _build(description: ModelDescription, *, floating: bool) -> _Built:
         for joint in _joints(plant):
             joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
         plant.Finalize()
+        check_poses(plant, description.path)
     if plant.num_velocities() == 0:
         links = plant.num_bodies() - 1
         raise ModelError(

@@ -98,6 +98,8 @@ def _prepare(
         f"{1 / low_pass.output_period:.4g} Hz"
     )
     long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p)) > 0)
+    # Known before the work, which for a filter longer than the log is the longest there is.
+    _check_outputs(uniform, low_pass, sum(low_pass.output_count(len(p)) for p in long))
     stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
     derived = any(stretch.lag is None for stretch in stretches)
     trajectory = Trajectory(
@@ -111,23 +113,28 @@ def _prepare(
         float(log.time[0]),
         log.payloads,
     )
-    outputs = sum(trajectory.output_counts)
-    if outputs < LEAST_OUTPUTS:
-        ends = 4 * low_pass.halfwidth * period
-        raise LogError(
-            f"Log {log.name!r} is too short: its {uniform.seconds:.3g} s give {outputs} filtered "
-            f"samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are "
-            "needed.",
-            advice=f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
-            "motion in one piece, or ask for a larger bandwidth.",
-            seconds=uniform.seconds,
-            bandwidth=low_pass.bandwidth,
-        )
+    _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)
     if dropped:
         note = f"left out {dropped} of {len(uniform.pieces)} pieces: still, or short for the filter"
         return replace(trajectory, notes=(*notes, note))
     return trajectory
+
+
+def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int) -> None:
+    """Raise a LogError unless a log gives enough filtered samples."""
+    if outputs >= LEAST_OUTPUTS:
+        return
+    ends = 4 * low_pass.halfwidth * uniform.period
+    raise LogError(
+        f"Log {uniform.log.name!r} is too short: its {uniform.seconds:.3g} s give {outputs} "
+        f"filtered samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are "
+        "needed.",
+        advice=f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
+        "motion in one piece, or ask for a larger bandwidth.",
+        seconds=uniform.seconds,
+        bandwidth=low_pass.bandwidth,
+    )
 
 
 def _smooth(

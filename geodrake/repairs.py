@@ -22,6 +22,8 @@ from geodrake.inertia import (
 from geodrake.model_files import ModelDescription
 
 TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
+LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
+LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
 LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
 LENGTH_PER_SIZE = 0.05  # the same, as a share of the body's size
 MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot's
@@ -74,7 +76,7 @@ def repair_inertias(
     repairs, notes, changed = [], [], False
     for body, members, phi in zip(lumps, stated, usable, strict=True):
         after = phi
-        if not is_physical(phi, tolerance=TOLERANCE):
+        if not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi) and _has_size(phi)):
             after = nearest_physical(phi, points=_joint_points(plant, body), spare_mass=spare_mass)
             before = members.sum(0)
             problem = _problem(before if len(members) == 1 or not _counts(phi) else phi)
@@ -134,8 +136,14 @@ def _left_out(phi: Array) -> bool:
 
 
 def _counts(phi: Array) -> NDArray[np.bool_]:
-    """Whether parameters (..., 10) are finite with a mass above zero, so that they can be used."""
-    return np.asarray(np.isfinite(phi).all(-1) & (phi[..., 0] > 0))
+    """Whether parameters (..., 10) are finite with a mass that is one, so that they can be used."""
+    return np.asarray(np.isfinite(phi).all(-1) & (phi[..., 0] > LEAST_MASS))
+
+
+def _has_size(phi: Array) -> bool:
+    """Whether the mass of parameters (10,) is not all in one point, the body's origin."""
+    second_moments = np.diagonal(pseudo_inertia(phi))[:3]
+    return bool(second_moments.max() > LEAST_SIZE**2 * phi[0])
 
 
 def _stated_parameters(
@@ -171,7 +179,7 @@ def _joint_points(plant: MultibodyPlant, body: LumpedBody) -> Array:
 def _problem(phi: Array) -> str:
     if not np.isfinite(phi).all():
         return "has a mass or inertia that is not a number"
-    if phi[0] <= 0:
+    if phi[0] <= LEAST_MASS:
         return f"has a mass of {phi[0]:g} kg"
     mass, _, inertia = to_mass_com_inertia(phi)
     moments = np.linalg.eigvalsh(inertia)

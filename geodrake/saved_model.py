@@ -4,21 +4,30 @@
 import dataclasses as dc
 import hashlib
 import os
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
+from geodrake.admissible import check_model
 from geodrake.arguments import file_path, instance, instances
 from geodrake.effects import Effect, EffortDelay, make_effect
 from geodrake.errors import GeodrakeError, ModelError, OutputError
+from geodrake.input_files import regular_file
 from geodrake.model import FittedEffect, RobotModel, load_description
+from geodrake.whole_files import write_whole
+from geodrake.yaml_text import yaml_text
 
+T = TypeVar("T")
 FORMAT = "geodrake model 1"
+_HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?format: *['\"]?geodrake model\b", re.MULTILINE)
+_DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
 @dataclass
@@ -76,18 +85,18 @@ def load_model(
         ModelError: The file cannot be read or does not describe a robot; or the file that a saved
             model is based on is gone or has other joints or bodies.
     """
-    path = file_path(path)
     instances(extra, "extra", type)
+    path = regular_file(file_path(path), "model file", ModelError)
     if is_saved_model(path):
         return _read(path, extra)
     return load_description(path, floating=floating)
 
 
 def is_saved_model(path: Path) -> bool:
-    """Whether a file is one that `save_model` wrote."""
+    """Whether a file is one that `save_model` wrote, of whatever version."""
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            return path.suffix in {".yaml", ".yml"} and FORMAT in file.read(200)
+        with path.open("rb") as file:
+            return path.suffix in {".yaml", ".yml"} and _HEAD.search(file.read(1000)) is not None
     except OSError:
         return False
 
@@ -99,9 +108,22 @@ def save_model(model: RobotModel, path: str | Path) -> None:
         OutputError: The target cannot be written.
     """
     path = file_path(path)
-    base = instance(model, "model", RobotModel).path.resolve()
+    write_whole(path, saved_text(model, path))
+
+
+def saved_text(model: RobotModel, path: str | Path) -> str:
+    """What `save_model` writes.
+
+    Args:
+        model: The model.
+        path: Where it is to be written; the model file is named from there.
+
+    Raises:
+        OutputError: The model file is gone, or its path is none that YAML can hold.
+    """
+    base = _base_of(instance(model, "model", RobotModel))
     saved = SavedModel(
-        base_model=os.path.relpath(base, path.resolve().parent),
+        base_model=os.path.relpath(base, Path(path).resolve().parent),
         base_sha256=hashlib.sha256(base.read_bytes()).hexdigest(),
         floating=model.floating,
         inertial_parameters={
@@ -113,40 +135,29 @@ def save_model(model: RobotModel, path: str | Path) -> None:
         fitted_to=list(model.fitted_to),
         information=[] if model.information is None else model.information.tolist(),
     )
-    write_whole(path, yaml_dump_typed(saved, schema=SavedModel))
+    return str(yaml_dump_typed(saved, schema=SavedModel))
+
+
+def _base_of(model: RobotModel) -> Path:
+    """Path of the model file, which the saved model needs to be read again."""
+    base = model.path.resolve()
+    if not base.is_file():
+        raise OutputError(
+            f"Cannot save the model: its file {base} is gone.", advice="Put it back.", path=base
+        )
+    try:
+        str(base).encode()
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"Cannot save the model: the path of its file {base} is not UTF-8.",
+            advice="Rename the file or its folder.",
+            path=base,
+        ) from error
+    return base
 
 
 def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
     return {} if values is None else dict(zip(model.joints, values.tolist(), strict=True))
-
-
-def _of_joints(model: RobotModel, values: dict[str, float]) -> NDArray[np.float64] | None:
-    return np.array([values[joint] for joint in model.joints]) if values else None
-
-
-def _checked_speed(speed: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    if speed is not None and not np.all(np.isfinite(speed) & (speed >= 0.0)):
-        raise ModelError(f"dry friction cannot fade below {speed} rad/s or m/s.")
-    return speed
-
-
-def write_whole(path: Path, content: str | bytes) -> None:
-    """Write a file under a temporary name, then rename it; text is written in UTF-8.
-
-    Raises:
-        OutputError: The target cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
-        temporary.replace(path)
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write {path}: {error.strerror}.", advice="Choose another place.", path=path
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _saved_effect(fitted: FittedEffect) -> SavedEffect:
@@ -159,51 +170,86 @@ def _saved_effect(fitted: FittedEffect) -> SavedEffect:
 
 
 def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
+    text = yaml_text(path)
     try:
-        saved = yaml_load_typed(schema=SavedModel, filename=str(path))
+        saved = yaml_load_typed(schema=SavedModel, data=text)
     except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
-        reason = str(error).splitlines()[0]
+        field = _odd_field(text)
+        what = f"{path} is no geodrake model" + (f", by its field {field!r}" if field else "")
+        reason = " ".join(str(error).split())[:300].rstrip(".")
+        raise ModelError(f"{what}: {reason}.", advice="Save the model again.", path=path) from error
+    if saved.format != FORMAT:
         raise ModelError(
-            f"{path} is no geodrake model: {reason}", advice="Save the model again.", path=path
-        ) from error
-    base = path.resolve().parent / saved.base_model
-    if not base.is_file():
-        raise ModelError(
-            f"{path} is based on {saved.base_model}, which is not at {base}.",
-            advice="Move it back, or change base_model in the saved model.",
-            base=base,
+            f"{path} has the format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
+            advice="Use the version that saved it, or save the model again.",
+            path=path,
         )
+    base = _base_of_saved(path, saved)
     model = load_description(base, floating=saved.floating)
     try:
-        return _with_parameters(model, saved, base, extra)
-    except (KeyError, ValueError, GeodrakeError) as error:
+        loaded = _with_parameters(model, saved, base, extra)
+        check_model(loaded)
+    except GeodrakeError as error:
         raise ModelError(
-            f"{path} does not fit its base model {base}: {error}",
+            f"{path} does not fit its base model {base}, or any robot: {error}",
             advice="Fit and save the model again.",
+            path=path,
         ) from error
+    return loaded
+
+
+def _odd_field(text: str) -> str:
+    """The first field that is not of its type; nothing if that cannot be told."""
+    with suppress(Exception):
+        for name, value in yaml_load(data=text).items():
+            try:
+                yaml_load_typed(schema=SavedModel, data=yaml_dump({name: value}))
+            except Exception:  # whatever it is, it is told of already
+                return str(name)
+    return ""
+
+
+def _base_of_saved(path: Path, saved: SavedModel) -> Path:
+    """The model file that a saved model is based on."""
+    base = path.resolve().parent / saved.base_model
+    try:
+        regular_file(base, "file", ModelError)
+    except ModelError as error:
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which cannot be read. {error.problem}",
+            advice="Move it back, or change base_model in the saved model.",
+            base=base,
+        ) from error
+    if is_saved_model(base):
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which is a saved model itself.",
+            advice="Change base_model to the URDF, SDF, MJCF or directives file.",
+            base=base,
+        )
+    if not _DIGEST.fullmatch(saved.base_sha256):
+        raise ModelError(
+            f"{path} has base_sha256 = {saved.base_sha256[:80]!r}, which is no SHA-256 digest.",
+            advice="Save the model again.",
+            path=path,
+        )
+    return base
 
 
 def _with_parameters(
     model: RobotModel, saved: SavedModel, base: Path, extra: Sequence[type[Effect]]
 ) -> RobotModel:
-    phi = np.array([saved.inertial_parameters[body] for body in model.bodies])
-    for e in saved.effects:
-        for place in set(e.where).difference(model.joints, model.bodies):
-            raise ModelError(f"it has {e.name} at {place!r}, which the robot does not have.")
-    effects = tuple(
-        FittedEffect(
-            make_effect(e.name, e.where, e.shape, extra),
-            np.array(e.parameters),
-            np.array(e.deviations) if e.deviations else None,
-        )
-        for e in saved.effects
-    )
+    bodies = _ordered("inertial_parameters", saved.inertial_parameters, model.bodies)
+    phi = np.array([_numbers(f"inertial_parameters of {b!r}", x, 10) for b, x in bodies.items()])
+    effects = tuple(_fitted_effect(model, effect, extra) for effect in saved.effects)
     p = phi.size + sum(
         len(f.effect.parameters) for f in effects if not isinstance(f.effect, EffortDelay)
     )
-    information = np.array(saved.information) if saved.information else None
-    if information is not None and information.shape != (p, p):
-        raise ModelError(f"its information matrix is {information.shape}, and {p} are fitted.")
+    information = None
+    if saved.information:
+        rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
+        if len(rows) != p:
+            raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
+        information = np.array(rows)
     notes = model.notes
     if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
         notes += (f"{base.name} has changed since the model was saved.",)
@@ -212,8 +258,49 @@ def _with_parameters(
         phi=phi,
         effects=effects,
         information=information,
-        effort_noise=_of_joints(model, saved.effort_noise),
-        fading_speed=_checked_speed(_of_joints(model, saved.fading_speed)),
+        effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
+        fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
         notes=notes,
     )
+
+
+def _fitted_effect(
+    model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
+) -> FittedEffect:
+    effect = make_effect(saved.name, saved.where, saved.shape, extra)
+    places = model.bodies if effect.places == "body" else model.joints
+    for place in saved.where:
+        if place not in places:
+            raise ModelError(
+                f"it has {saved.name} at {place!r}, which the robot does not have.",
+                advice=f"It has {', '.join(places)}.",
+            )
+    count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"
+    return FittedEffect(
+        effect,
+        _numbers(f"parameters {what}", saved.parameters, count),
+        _numbers(f"deviations {what}", saved.deviations, count) if saved.deviations else None,
+    )
+
+
+def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:
+    if len(values) != count:
+        raise ModelError(f"{what} are {len(values)} numbers instead of {count}.")
+    return np.array(values, float)
+
+
+def _of_joints(
+    model: RobotModel, field: str, values: dict[str, float]
+) -> NDArray[np.float64] | None:
+    return np.array([*_ordered(field, values, model.joints).values()]) if values else None
+
+
+def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
+    """The values in the order of some names, when there is one for each and no other."""
+    odd = [name for name in values if name not in names]
+    missing = [name for name in names if name not in values]
+    if odd or missing:
+        reason = f"has {odd[0]!r}, which the robot does not" if odd else f"lacks {missing[0]!r}"
+        raise ModelError(f"{field} {reason}.", advice=f"It has {', '.join(names)}.")
+    return {name: values[name] for name in names}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.motion import JointLog
+from geodrake.sensor_faults import without_faults
 from geodrake.smoothing import Piece
 
 Array = NDArray[np.float64]
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 _GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
 _LEAST_ROWS = 8  # of a piece worth resampling
 _LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accelerations
+_SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
+_COARSEST = 0.1  # of a period, to which time stamps are to be told apart
 _STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
 _PART, _PARTS = 100_000, 8  # samples, and how many such parts of a log are looked at for a choice
 
@@ -27,7 +30,7 @@ class UniformLog:
     """A log in uniform pieces, and which of its joints move.
 
     Attributes:
-        log: The log.
+        log: The log, without what sensors did wrong.
         pieces: Its pieces between gaps, in time.
         period: Time between samples, s.
         noise: (n,) deviation of the noise of the positions, rad or m.
@@ -57,8 +60,10 @@ def make_uniform(log: JointLog) -> UniformLog:
 
     Raises:
         LogError: If the log is still throughout, is sampled too rarely, as one with time in
-            milliseconds seems to be, or has no rows in a row.
+            milliseconds seems to be, or too often, has time stamps of too few digits, no rows in a
+            row, or a sensor that failed for good.
     """
+    log = without_faults(log)
     notes = list(log.notes)
     if log.acceleration is not None:
         notes.append("measured accelerations are not used; they are derived from velocities")
@@ -72,17 +77,11 @@ def make_uniform(log: JointLog) -> UniformLog:
     if np.count_nonzero(complete) < 2:
         raise LogError(
             f"Log {log.name!r} has {np.count_nonzero(complete)} rows without empty cells out of "
-            f"{len(log)}.",
+            f"{len(log)}{_never_measured(log)}.",
             advice="Log time, position and effort of every joint in the same row.",
         )
     runs, period, note = _runs(log.time, complete)
-    if period >= _LONGEST_PERIOD:
-        raise LogError(
-            f"Log {log.name!r} has a sample every {period:.4g} s, from t = {log.time[0]:.6g} to "
-            f"{log.time[-1]:.6g} s: too rarely to tell accelerations.",
-            advice="Is time in ms, µs or ns? It must be in s. If it is, record at 50 Hz or more.",
-            period=period,
-        )
+    _check_period(log, period)
     notes += [note] if note else []
     pieces = tuple(
         Piece(
@@ -97,6 +96,44 @@ def make_uniform(log: JointLog) -> UniformLog:
     )
     noise, moving = _find_moving(log, pieces, period)
     return UniformLog(log, pieces, period, noise, moving, tuple(notes))
+
+
+def _never_measured(log: JointLog) -> str:
+    """The first column without a single number, in words."""
+    if not np.isfinite(log.time).any():
+        return ": there is no time in any"
+    for quantity in ("position", "effort"):
+        empty = ~np.isfinite(getattr(log, quantity)).any(axis=0)
+        if empty.any():
+            return f": there is no {quantity} of {log.joints[int(np.argmax(empty))]} in any"
+    return ""
+
+
+def _check_period(log: JointLog, period: float) -> None:
+    """Refuse time stamps that no log of a robot in seconds has."""
+    latest = float(np.max(np.abs(log.time), initial=0.0, where=np.isfinite(log.time)))
+    span = f"from t = {log.time[0]:.6g} to {log.time[-1]:.6g} s"
+    if period >= _LONGEST_PERIOD:
+        raise LogError(
+            f"Log {log.name!r} has a sample every {period:.4g} s, {span}: too rarely to tell "
+            "accelerations.",
+            advice="Is time in ms, µs or ns? It must be in s. If it is, record at 50 Hz or more.",
+            period=period,
+        )
+    if period < _SHORTEST_PERIOD:
+        raise LogError(
+            f"Log {log.name!r} has a sample every {period:.4g} s, {span}: more often than a robot "
+            "is logged.",
+            advice="Is time in another unit? It must be in s.",
+            period=period,
+        )
+    if np.spacing(latest) > _COARSEST * period:
+        raise LogError(
+            f"Time stamps of log {log.name!r} go up to {latest:.6g} s, where neighbouring numbers "
+            f"are {np.spacing(latest):.2g} s apart; its rows are {period:.4g} s apart.",
+            advice="Is one of them wrong? Log the time since the start, in s.",
+            period=period,
+        )
 
 
 def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float, str | None]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measurements import REFERENCE
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, RevoluteJoint, SpatialInertia
@@ -25,7 +26,6 @@ from geodrake.reduction import triangular_factor
 from geodrake.regressor import inverse_dynamics_regressor
 
 ROOT = Path(__file__).parents[1]
-REFERENCE = ROOT.parent / "shared" / "reference"
 
 
 def serial(axes, *, length=0.4, slides=(), gravity=(0.0, 0.0, -9.81)):
@@ -74,10 +74,9 @@ def test_known_ranks(plant, rank):
     assert structural_base_parameters(plant()).rank == rank
 
 
+@pytest.mark.measurements("reference/iiwa14.sdf", "reference/ur10e.urdf")
 @pytest.mark.parametrize(("name", "rank"), [("iiwa14.sdf", 43), ("ur10e.urdf", 36)])
 def test_known_ranks_of_real_robots(name, rank):
-    if not (REFERENCE / name).exists():
-        pytest.skip(f"{name} is not there")
     assert structural_base_parameters(load_plant(REFERENCE / name).plant).rank == rank
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurements import DATA
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -24,7 +25,6 @@ from geodrake.motion import JointLog, Motion
 from geodrake.saved_model import load_model
 
 MODEL = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
-DATA = Path(__file__).parents[2] / "shared" / "data"
 DEMO_LOG = Path(geodrake.__file__).parent / "demo" / "demo.csv"
 COULOMB = {"shoulder": 0.3, "elbow": 0.2}
 
@@ -199,7 +199,7 @@ def test_a_terminal_of_80_columns_is_wide_enough(log):
         (2.0, "2"),
         (0, "0"),
         (1.5e-7, "1.5e-07"),
-        (np.nan, "nan"),
+        (np.nan, "–"),
     ],
 )
 def test_numbers_have_three_digits(value, text):
@@ -249,7 +249,7 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="the real measurements are not here")
+@pytest.mark.measurements("data/double_pendulum_c1_*.csv")
 def test_real_pendulum_is_explained():
     logs = sorted(DATA.glob("double_pendulum_c1_*.csv"))
     result = geodrake_command("explain", MODEL, *logs)

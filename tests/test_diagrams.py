@@ -43,9 +43,16 @@ def reaches_its_bars(table):
 
 
 SHOWS = {"hidden_effects": reaches_its_bars}
+MEASUREMENTS = {
+    "human_identification": ("data/human_force_plate.npz",),
+    "online_payload": ("data/ur10e_*.csv", "reference/ur10e.urdf"),
+    "real_robots": ("data/double_pendulum_c1_*.csv",),
+}
+NEEDING = {name: pytest.mark.measurements(*paths) for name, paths in MEASUREMENTS.items()}
+CASES = [pytest.param(p, id=p.stem, marks=NEEDING.get(p.stem, ())) for p in SCRIPTS]
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("script", CASES)
 def test_script(script, tmp_path):
     table, figures = tmp_path / "table.json", tmp_path / "figures"
     done = run(script, "--quick", "--seed", 3, "--json", table, "--figures", figures)
@@ -55,6 +62,16 @@ def test_script(script, tmp_path):
     if script.stem in SHOWS:
         SHOWS[script.stem](found)
     assert list(figures.glob("*.png"))
+
+
+@pytest.mark.parametrize("name", MEASUREMENTS)
+def test_absent_measurements_are_said_clearly(name, tmp_path):
+    done = run(ROOT / "diagrams" / f"{name}.py", "--quick", "--shared", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"There are no measurements in {tmp_path}: it lacks\n")
+    for path in MEASUREMENTS[name]:
+        assert path.partition("*")[0] in done.stderr
+    assert "GEODRAKE_MEASUREMENTS" in done.stderr and "Traceback" not in done.stderr
 
 
 class TestHiddenEffectLog:

@@ -337,7 +337,11 @@ class TestSystem:
         [
             (effects.CoulombFriction("knee"), [1.0], "no joint 'knee'"),
             (effects.Payload("hand"), [1.0, 0, 0, 0, 1, 1, 1, 0, 0, 0], "no moving body 'hand'"),
-            (effects.CoulombFriction("joint1"), [1.0, 2.0], r"coulomb \(N·m\) must be \(1,\)"),
+            (
+                effects.CoulombFriction("joint1"),
+                [1.0, 2.0],
+                r"coulomb_friction of joint1 must be \(1,\)",
+            ),
             (effects.CoulombFriction("joint1"), [np.nan], "holds nan"),
             (effects.EffortDelay(0.01), [], "DelayedEffort"),
         ],

@@ -523,7 +523,7 @@ class TestUsersEffect:
     def test_no_file(self, tmp_path):
         with pytest.raises(ModelError, match=r"absent\.py does not exist\. Check the path"):
             effects.load_effect_file(tmp_path / "absent.py")
-        (tmp_path / "effects.txt").write_text("")
+        (tmp_path / "effects.txt").write_text("x = 1\n")
         with pytest.raises(ModelError, match="not a Python file"):
             effects.load_effect_file(tmp_path / "effects.txt")
 

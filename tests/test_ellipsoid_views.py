@@ -142,7 +142,7 @@ def test_ellipsoids_move_with_the_robot_in_meshcat(model, context):
     drawn = MeshcatEllipsoids(meshcat, model.plant, sets, path="bodies", spacing=0.5)
     drawn.update(context)
     bodies = placed(model.plant, context, model.phi)
-    for name, shift in (("prior", 0.0), ("left_right", 0.5)):
+    for name, shift in (("prior", 0.0), ("left%2Fright", 0.5)):
         for k, body in enumerate(model.bodies):
             X_WE = transform(meshcat, f"bodies/{name}/{body}")
             np.testing.assert_allclose(X_WE[:3, :3], bodies.rotation[k], atol=1e-12)

@@ -1,11 +1,10 @@
 """`identify`: invariance, the two forms, constraints, a human's data, and what is refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measurements import DATA
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -19,7 +18,6 @@ from geodrake.inertia import (
     pullback_metric,
 )
 
-HUMAN = Path(__file__).parents[2] / "shared" / "data" / "human_force_plate.npz"
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
 PRIOR = from_mass_com_inertia(
     np.array([4.0, 2.5, 0.8]),
@@ -257,9 +255,9 @@ def test_contradictory_constraints_are_named(regularizer, solver):
             )
 
 
-@pytest.mark.skipif(not HUMAN.exists(), reason="the human's measurements are not here")
+@pytest.mark.measurements("data/human_force_plate.npz")
 def test_human_residuals_match_for_all_regularizers():
-    human = np.load(HUMAN)
+    human = np.load(DATA / "human_force_plate.npz")
     sigma = np.tile(human["sigma"], len(human["b"]) // 3)
     arguments = (human["A"], human["b"], human["phi_prior"])
     options = {"sigma": sigma, "ellipsoids": human["Q"]}

@@ -122,8 +122,8 @@ class TestGainTold:
         assert "if its mass is 0.9" in found.notes[-1]
 
     def test_not_by_what_all_logs_have(self):
-        held = two_logs(9, gain_of(1))[1]
-        case = open_case(model_file(), [held, held], candidates=True)
+        held = [two_logs(seed, gain_of(1))[1] for seed in (9, 10)]
+        case = open_case(model_file(), held, candidates=True)
         assert not any(effect.name == "effort_scale" for effect in case.dataset.effects)
         assert any("known payloads tell no gain" in note for note in case.notes)
 
@@ -179,7 +179,7 @@ class TestLoad:
     def test_both_fitted_and_held_out(self):
         """Of four logs only one has the weight: it is cut in two."""
         empty, held = two_logs(16)
-        logs = [replace(empty, name=f"empty {k}") for k in range(3)]
+        logs = [empty, *(two_logs(seed)[0] for seed in (17, 18))]
         assert len(open_case(model_file(), [*logs, held], candidates=False).folds) == 8
         bare = replace(held, payloads=())
         assert len(open_case(model_file(), [*logs, bare], candidates=False).folds) == 4

@@ -116,18 +116,18 @@ def test_bad_files_say_what_is_wrong(tmp_path, header, rows, parts):
 
 
 def test_unreadable_files(tmp_path):
-    with pytest.raises(LogError, match="no log file"):
+    with pytest.raises(LogError, match="does not exist"):
         read_log(tmp_path / "missing.csv")
-    with pytest.raises(LogError, match="directory"):
+    with pytest.raises(LogError, match="is a folder"):
         read_log(tmp_path)
     with pytest.raises(LogError, match=r"'\.bag'"):
         read_log(_write(tmp_path, name="log.bag"))
     binary = tmp_path / "log.csv"
     binary.write_bytes(bytes(range(256)) * 10)
-    with pytest.raises(LogError, match="cannot be read"):
+    with pytest.raises(LogError, match="no text in UTF-8"):
         read_log(binary)
     archive = _write(tmp_path, name="log.npz")
-    with pytest.raises(LogError, match="cannot be read"):
+    with pytest.raises(LogError, match="no NPZ archive"):
         read_log(archive)
 
 
@@ -179,6 +179,12 @@ def test_large_files_are_fast(tmp_path):
     names = tuple(f"joint_{k}" for k in range(6))
     log = JointLog("log", names, 2e-4 * np.arange(45_000), table[:, :6], table[:, 6:])
     write_log(log, tmp_path / "log.csv")
-    begin = clock.process_time()
-    read_log(tmp_path / "log.csv")
-    assert clock.process_time() - begin < 1.5
+    ours, plain = [], []
+    for _ in range(2):
+        begin = clock.process_time()
+        read_log(tmp_path / "log.csv")
+        ours.append(clock.process_time() - begin)
+        begin = clock.process_time()
+        np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
+        plain.append(clock.process_time() - begin)
+    assert min(ours) < 3.0 * min(plain)

@@ -1,12 +1,12 @@
 """Logs and motions, their preparation, and the folds that validation uses."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from measurements import DATA
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.filtering import design_filter
@@ -22,7 +22,6 @@ from geodrake.motion import (
 from geodrake.preparation import prepare_log, prepare_logs
 from geodrake.unit_hints import effort_unit_hint, position_unit_hint
 
-DATA = Path(__file__).parents[2] / "shared" / "data"
 JOINTS = ("shoulder", "elbow")
 RATES = 2 * np.pi * np.array([0.3, 0.5])
 
@@ -286,6 +285,7 @@ def test_nothing_to_hold_out():
         validation_blocks(_trajectories((300,)), gap_seconds=np.nan)
 
 
+@pytest.mark.measurements("data/ur10e_*.csv", "data/tx40.csv", "data/double_pendulum_c1_*.csv")
 @pytest.mark.parametrize(
     ("name", "low", "high"),
     [
@@ -302,10 +302,7 @@ def test_nothing_to_hold_out():
     ],
 )
 def test_measured_logs(name, low, high):
-    path = DATA / f"{name}.csv"
-    if not path.exists():
-        pytest.skip("the measured logs are not there")
-    log = read_log(path)
+    log = read_log(DATA / f"{name}.csv")
     trajectory = prepare_log(log)
     (stretch,) = trajectory.segments
     segment = stretch[:]

@@ -1,12 +1,12 @@
 """Newton's method for entropic fits: second solvers, invariance, extremes, the two forms."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from measurements import DATA
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -24,8 +24,6 @@ from geodrake.inertia import (
     pseudo_inertia_basis,
 )
 
-HUMAN = Path(__file__).parents[2] / "shared" / "data" / "human_force_plate.npz"
-needs_human = pytest.mark.skipif(not HUMAN.exists(), reason="the human's measurements are not here")
 PRIOR = from_mass_com_inertia(
     np.array([4.0, 2.5, 0.8]),
     np.array([[0.0, 0.02, 0.2], [0.05, 0.0, 0.15], [0.0, 0.0, 0.04]]),
@@ -348,9 +346,9 @@ def test_what_newton_refuses():
         solve_newton(replace(problem, constraints=negative))
 
 
-@needs_human
+@pytest.mark.measurements("data/human_force_plate.npz")
 def test_the_human_as_clarabel_has_it():
-    human = np.load(HUMAN)
+    human = np.load(DATA / "human_force_plate.npz")
     sigma = np.tile(human["sigma"], len(human["b"]) // 3)
     arguments = (human["A"], human["b"], human["phi_prior"])
     options = {"sigma": sigma, "ellipsoids": human["Q"], "regularizer": "entropic"}

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measurements import REFERENCE
 from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.bodies import lumped_bodies
@@ -24,16 +25,8 @@ from geodrake.plant import (
 )
 
 MODELS = Path(__file__).parents[1] / "models"
-REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 OWN = ("double_pendulum", "arm6", "arm7")
 GOOD = "ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'"
-
-
-def reference(name):
-    path = REFERENCE / name
-    if not path.exists():
-        pytest.skip(f"{name} is not there")
-    return path
 
 
 def urdf(inertial="", *, joint="", extra=""):
@@ -410,7 +403,7 @@ def test_impossible_member_of_a_possible_body_is_no_problem(load):
     [
         ("r.urdf", "<html><body/></html>", "root element is <html>"),
         ("r.csv", "a,b\n1,2\n", "not valid XML"),
-        ("r.urdf", "", "not valid XML"),
+        ("r.urdf", "", "is empty"),
         ("r.yaml", "a: b\n", "Drake cannot read"),
         ("r.yaml", "just words\n", "Drake cannot read"),
         ("r.yaml", "directives: []\n", "add no model"),
@@ -465,6 +458,7 @@ def test_written_parameters_are_read_back():
 # Public descriptions
 
 
+@pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")
 @pytest.mark.parametrize(
     ("name", "nv", "repaired"),
     [
@@ -476,7 +470,7 @@ def test_written_parameters_are_read_back():
     ],
 )
 def test_reference_models(name, nv, repaired, capfd):
-    loaded = load_plant(reference(name))
+    loaded = load_plant(REFERENCE / name)
     assert capfd.readouterr() == ("", "")
     assert loaded.plant.num_velocities() == nv
     assert {repair.body for repair in loaded.repairs} == repaired

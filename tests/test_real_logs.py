@@ -5,18 +5,21 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from measurements import DATA, REFERENCE
 
 from geodrake import load_model
 from geodrake.diagnosis import compare, diagnose, explain
 from geodrake.inertia import is_physical
 from geodrake.saved_model import save_model
 
-SHARED = Path(__file__).parents[2] / "shared"
-DATA, REFERENCE = SHARED / "data", SHARED / "reference"
 MODELS = Path(__file__).parents[1] / "models"
 
-pytestmark = pytest.mark.skipif(
-    not DATA.is_dir(), reason=f"the measurements of real robots are not at {DATA}"
+pytestmark = pytest.mark.measurements(
+    "data/ur10e_*.csv",
+    "data/tx40.csv",
+    "data/double_pendulum_c1_*.csv",
+    "reference/ur10e.urdf",
+    "reference/tx40.urdf",
 )
 
 

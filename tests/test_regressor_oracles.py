@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from measurements import REFERENCE
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
@@ -14,7 +15,6 @@ from geodrake.inertia import inertial_parameters
 from geodrake.regressor import inverse_dynamics, inverse_dynamics_regressor
 
 MODELS = Path(__file__).parents[1] / "models"
-REFERENCE = Path(__file__).parents[2] / "shared" / "reference"
 
 ARMS = (
     "models/arm6.urdf",
@@ -31,7 +31,15 @@ HUMANOIDS = (
     "robots/talos_data/robots/talos_reduced.urdf",
     "robots/g1_description/urdf/g1_29dof_rev_1_0.urdf",
 )
+TIAGO = "robots/tiago_description/robots/tiago.urdf"
 PINOCCHIO_ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # its [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
+
+
+def cases(*names):
+    """The names, those marked that come with the public measurements."""
+    public = [name for name in names if name.startswith("reference/")]
+    marks = {name: pytest.mark.measurements(name) for name in public}
+    return [pytest.param(name, marks=marks.get(name, ())) for name in names]
 
 
 def robots():
@@ -96,7 +104,7 @@ def assert_close(actual, expected):
     np.testing.assert_allclose(actual, expected, rtol=1e-10, atol=1e-10 * scale)
 
 
-@pytest.mark.parametrize("name", ARMS + HUMANOIDS)
+@pytest.mark.parametrize("name", cases(*ARMS, *HUMANOIDS))
 def test_every_entry_is_pinocchios(name):
     pinocchio = pytest.importorskip("pinocchio")
     text = description(name)
@@ -117,7 +125,7 @@ def test_every_entry_is_pinocchios(name):
         assert_close(ours[i][drake][:, bodies].reshape(len(joints), -1), expected)
 
 
-@pytest.mark.parametrize("name", HUMANOIDS)
+@pytest.mark.parametrize("name", cases(*HUMANOIDS))
 def test_efforts_on_a_floating_base_are_pinocchios(name):
     pinocchio = pytest.importorskip("pinocchio")
     text = description(name)
@@ -143,7 +151,7 @@ def test_efforts_on_a_floating_base_are_pinocchios(name):
 
 
 # MuJoCo refuses the last link of tx40, which has no mass.
-@pytest.mark.parametrize("name", sorted({*ARMS} - {"reference/tx40.urdf"}))
+@pytest.mark.parametrize("name", cases(*sorted({*ARMS} - {"reference/tx40.urdf"})))
 def test_efforts_of_arms_are_mujocos(name):
     mujoco = pytest.importorskip("mujoco")
     text = description(name)
@@ -165,16 +173,14 @@ def test_efforts_of_arms_are_mujocos(name):
 
 
 @pytest.mark.parametrize("floating", [False, True])
-@pytest.mark.parametrize("name", [*ARMS, *HUMANOIDS, "robots/tiago_description/robots/tiago.urdf"])
+@pytest.mark.parametrize("name", cases(*ARMS, *HUMANOIDS, TIAGO))
 def test_efforts_are_drakes(name, floating):
     assert_efforts_are_drakes(plant_of(description(name), floating=floating))
 
 
+@pytest.mark.measurements("reference/iiwa14.sdf")
 def test_efforts_of_an_sdf_arm_are_drakes():
-    path = REFERENCE / "iiwa14.sdf"
-    if not path.exists():
-        pytest.skip("iiwa14.sdf is not there")
-    robot = ElementTree.parse(path).getroot()
+    robot = ElementTree.parse(REFERENCE / "iiwa14.sdf").getroot()
     for link in robot.iter("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             link.remove(shape)

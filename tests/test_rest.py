@@ -33,12 +33,14 @@ def log():
     return effort_log("arm6", 1, brake, duration=40.0, share=0.02).log
 
 
-def test_the_brake_is_told_by_joint_and_motion_within_a_second(log):
+def test_the_brake_is_told_by_joint_and_motion_in_less_time_than_the_search(log):
+    begin = time.process_time()
     found = investigate(open_case(load_model(ARM), [log], candidates=True))
+    searched = time.process_time() - begin
     assert found.explanation.verdict == "unexplained"
-    start = time.process_time()
+    begin = time.process_time()
     correlates = rest_correlates(found)
-    assert time.process_time() - start < 1.5  # half a second on a machine with nothing else to do
+    assert time.process_time() - begin < searched  # about half of it
     assert {c.joint for c in correlates} == {"wrist_pitch"}
     assert correlates[0].words == WORDS
     assert correlates[0].share > 0.95

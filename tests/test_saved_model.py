@@ -30,7 +30,8 @@ from geodrake.errors import ModelError, OutputError
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.model import FittedEffect
 from geodrake.motion import Motion
-from geodrake.saved_model import is_saved_model, save_model, write_whole
+from geodrake.saved_model import is_saved_model, save_model
+from geodrake.whole_files import write_whole
 
 MODELS = Path(__file__).parents[1] / "models"
 
@@ -275,5 +276,5 @@ def test_impossible_fading_speed_is_refused(saved, speed):
     text = saved.read_text()
     joint = load_model(saved).joints[1]
     saved.write_text(text.replace(f"{joint}: 0.01\n", f"{joint}: {speed}\n"))
-    with pytest.raises(ModelError, match="cannot fade"):
+    with pytest.raises(ModelError, match="fading_speed"):
         load_model(saved)

@@ -10,7 +10,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "diagrams" / "human_identification.py"
-DATA = ROOT.parent / "shared" / "data" / "human_force_plate.npz"
 
 
 def run(*arguments):
@@ -19,7 +18,7 @@ def run(*arguments):
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.skipif(not DATA.exists(), reason="the human's measurements are not here")
+@pytest.mark.measurements("data/human_force_plate.npz")
 def test_residuals_and_bodies(tmp_path):
     done = run("--quick", "--json", tmp_path / "table.json", "--figures", tmp_path)
     assert done.returncode == 0, done.stderr
@@ -35,9 +34,3 @@ def test_residuals_and_bodies(tmp_path):
             assert not row["degenerate"] and row["least"] > 0.1
         assert row["starts_agree"] in ((True,) if row["regularizer"] == "riemannian" else (None,))
     assert len(list(tmp_path.glob("human_*.png"))) == 3
-
-
-def test_absent_measurements_are_said_clearly(tmp_path):
-    done = run("--data", tmp_path / "nothing.npz")
-    assert done.returncode == 2
-    assert "no measurements of a human" in done.stderr and "Traceback" not in done.stderr

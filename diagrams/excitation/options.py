@@ -7,7 +7,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-SHARED = Path(__file__).parents[3] / "shared"
 MODELS = Path(__file__).parents[2] / "models"
 
 

@@ -1,16 +1,13 @@
 """The `geodrake` command: compare, diagnose, add, explain, identify, demo."""
 
-import sys
+from geodrake.cli.interruption import interruptible
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command; Ctrl-C is said in a word, even while it is still being imported."""
-    try:
+    """Run the command; what stops it is said in a word, even while it is still being imported."""
+    with interruptible():
         from geodrake.cli.app import main as run
 
         run()
-    except KeyboardInterrupt:
-        print("Interrupted.", file=sys.stderr)
-        sys.exit(130)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.resources import as_file, files
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.options import (
@@ -18,7 +20,9 @@ from geodrake.cli.options import (
     RolloutOptions,
     taking,
 )
+from geodrake.cli.surroundings import settled_surroundings
 from geodrake.cli.version import version
+from geodrake.escaping import printable
 
 if TYPE_CHECKING:
     from geodrake.cli.session import Input
@@ -26,8 +30,32 @@ if TYPE_CHECKING:
 
 DEMO_MODEL, DEMO_LOG = "demo.urdf", "demo.csv"
 
+
+class _Commands(TyperGroup):
+    """The commands; what was typed wrongly is quoted as a line that is safe to print."""
+
+    def make_context(self, *args: Any, **more: Any) -> Any:
+        with _printable_words():
+            return super().make_context(*args, **more)
+
+    def invoke(self, ctx: Any) -> Any:
+        with _printable_words():
+            return super().invoke(ctx)
+
+
+@contextmanager
+def _printable_words() -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:
+        if isinstance(words := getattr(error, "message", None), str):  # of an error of usage
+            error.message = printable(words)  # type: ignore[attr-defined]
+        raise
+
+
 app = typer.Typer(
     name="geodrake",
+    cls=_Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -38,10 +66,8 @@ app = typer.Typer(
 
 def main() -> None:
     """Run the `geodrake` command."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
-    app(prog_name="geodrake")
+    with settled_surroundings():
+        app(prog_name="geodrake")
 
 
 @app.command()

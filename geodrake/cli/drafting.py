@@ -13,6 +13,7 @@ from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.cli.tables import (
     REST,
     head,
+    lines_of,
     number_columns,
     say,
     show_explanation,
@@ -21,7 +22,7 @@ from geodrake.cli.tables import (
 )
 from geodrake.cli.wording import Wording
 from geodrake.diagnosis.results import Explanation
-from geodrake.drafting import Draft, DraftedEffect, draft_effects, effect_name, source_of
+from geodrake.drafting import Draft, DraftedEffect, draft_effects, source_of
 from geodrake.json_output import draft_dict, explanation_dict
 from geodrake.model import RobotModel
 
@@ -92,8 +93,8 @@ def _show(console: Console, found: _Drafted, wording: Wording) -> None:
     for effect in draft.effects:
         numbers = (effect.rms_before, effect.rms_after, effect.floor)
         table.add_row(
-            effect_name(effect.formula.joint),
-            "\n".join([effect.formula.words(), *_coefficients(effect)]),
+            draft.names[effect.formula.joint],
+            lines_of(console, [effect.formula.words(), *_coefficients(effect)]),
             *(f"{value:.3g}" for value in numbers),
         )
     console.print(table)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -15,7 +13,8 @@ from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.progress import Tell, progress
-from geodrake.cli.session import own_effects
+from geodrake.cli.session import Maker, own_effects
+from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.tell_apart import check_alone, separation_of
@@ -39,7 +38,7 @@ from geodrake.excitation import (
     Target,
     design_objective,
     make_target,
-    write_trajectory,
+    trajectory_content,
 )
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
 from geodrake.excitation_json import excitation_dict
@@ -54,6 +53,7 @@ _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free
 _NOISE_SHARE = 0.01  # of the limits of effort
 _TOLD_EVERY = 5  # evaluations
 _SAMPLES = 300
+_FARTHEST, _LAST_SEED = 100.0, 1 << 32
 _REPEATS = 3  # of a motion that tells effects apart: a diagnosis holds out blocks of its log
 
 
@@ -84,18 +84,24 @@ def run_excite(options: ExciteOptions) -> None:
             name = options.model.name
             return str(pages.render_excitation(result, title=f"{name}: excite", model_name=name))  # type: ignore[union-attr]
 
-        makers: dict[str, Callable[[], str | bytes]] = {
+        makers: dict[str, Maker] = {
             "json": lambda: numbers,
             "report": page,
-            "save": lambda: _motion_file(result, options.save or Path("motion.csv"), options.rate),
+            "save": lambda: trajectory_content(
+                result.trajectory,
+                options.save or "motion.csv",
+                result.objective.target.model,
+                rate=options.rate,
+            ),
             "meshcat": lambda: _replay(result),
         }
         written = targets.write(model, makers)
-    if options.json == STDOUT:
-        print(numbers, end="")
-    console = make_console(stderr=options.json == STDOUT)
-    show_excitation(console, result, options.model.name)
-    show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
+    with printing():
+        if options.json == STDOUT:
+            print_whole(numbers)
+        console = make_console(stderr=options.json == STDOUT)
+        show_excitation(console, result, options.model.name)
+        show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
@@ -121,9 +127,9 @@ def family_of(options: ExciteOptions) -> MotionFamily:
                 f"--{wanted[0]} to write.",
                 advice="Use --trajectory fourier or spline.",
             )
-        return FreeSamples(options.samples or 50)
+        return FreeSamples(50 if options.samples is None else options.samples)
     if name == "spline":
-        return SplineMotion(options.duration, options.points or 16)
+        return SplineMotion(options.duration, 16 if options.points is None else options.points)
     frequency = options.frequency
     if frequency is None and options.tell_apart is not None and 0 < options.duration < np.inf:
         frequency = _REPEATS / options.duration
@@ -142,19 +148,21 @@ def _check(options: ExciteOptions) -> None:
             raise ArgumentError(
                 f"There is no {what} {given!r}.", advice=f"Use one of {', '.join(known)}."
             )
-    for what, value in (
-        ("seeds", options.seeds),
-        ("seconds", options.seconds),
-        ("iterations", options.iterations),
-        ("rate", options.rate),
-        ("samples", 1 if options.samples is None else options.samples),
+    for what, value, most in (
+        ("seeds", options.seeds, 1000),
+        ("seconds", options.seconds, 1e6),
+        ("iterations", options.iterations, 1e6),
+        ("rate", options.rate, 1e4),
+        ("samples", 1 if options.samples is None else options.samples, 10_000),
     ):
-        if not 0 < value < np.inf:
-            raise ArgumentError(f"--{what} is a positive number; got {value}.")
-    if not 0 <= options.clearance < np.inf:
-        raise ArgumentError(f"--clearance is a distance in m; got {options.clearance}.")
-    if options.seed < 0:
-        raise ArgumentError(f"--seed is not negative; got {options.seed}.")
+        if not 0 < value <= most:
+            raise ArgumentError(f"--{what} is a positive number up to {most:g}; got {value}.")
+    if not 0 <= options.clearance <= _FARTHEST:
+        raise ArgumentError(
+            f"--clearance is a distance in m, up to {_FARTHEST:g}; got {options.clearance}."
+        )
+    if not 0 <= options.seed < _LAST_SEED:
+        raise ArgumentError(f"--seed is not negative, and below 2^32; got {options.seed}.")
 
 
 @dataclass(frozen=True)
@@ -178,7 +186,7 @@ def _designed(
     objective, more = _objective(options, model, limits, effects)
     start = None if options.start is None else joint_values(options.start, model, "--start")
     design = DesignOptions(
-        samples=options.samples or _SAMPLES,
+        samples=_SAMPLES if options.samples is None else options.samples,
         start=start,
         collisions=collisions,
         solver=options.solver,
@@ -270,13 +278,6 @@ def _telling(tell: Tell) -> Callable[[DesignProgress], None]:
             )
 
     return told
-
-
-def _motion_file(result: ExcitationResult, path: Path, rate: float) -> bytes:
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / path.name
-        write_trajectory(result.trajectory, file, result.objective.target.model, rate=rate)
-        return file.read_bytes()
 
 
 def _replay(result: ExcitationResult) -> str:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import typer
 
+from geodrake.cli.interruption import was_interrupted
+from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings
 from geodrake.errors import GeodrakeError
+from geodrake.escaping import printable
+from geodrake.interrupts import held_interrupts
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 1
@@ -27,16 +32,21 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
         effect_files: Python files of the user's own, which may be what fails.
     """
     try:
+        check_surroundings()
+        _load_drake()
         yield
-    except (typer.Exit, BrokenPipeError):
+    except typer.Exit:
         raise
+    except BrokenPipeError:
+        raise typer.Exit(PIPE_CLOSED) from None
     except KeyboardInterrupt:
         _stop("Interrupted.", INTERRUPTED)
     except Exception as error:  # whatever it is, the user gets a sentence
-        if _was_interrupted(error):
-            _stop("Interrupted.", INTERRUPTED)
+        if was_interrupted():  # extensions make an error of their own of an interrupt
+            raise
         if debug or os.environ.get("GEODRAKE_DEBUG", "0") not in ("", "0"):
-            traceback.print_exc()
+            lines = "".join(traceback.format_exception(error)).splitlines()
+            _say("\n".join(map(printable, lines)))
         if isinstance(error, GeodrakeError):
             _stop(f"Error: {error}", BAD_INPUT)
         line = _line_of_user(error, effect_files)
@@ -49,18 +59,20 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
         )
 
 
-def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error, as when it comes amid the import of an extension."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+def _load_drake() -> None:
+    """Import what every command needs, and what prints errors of its own if it is interrupted."""
+    with held_interrupts():
+        importlib.import_module("pydrake")
 
 
 def _stop(message: str, code: int) -> None:
-    print(message, file=sys.stderr)
+    _say(printable(message))
     raise typer.Exit(code) from None
+
+
+def _say(text: str) -> None:
+    with suppress(OSError):  # standard error may be full, and there is nowhere else to say it
+        print(text, file=sys.stderr, flush=True)
 
 
 def _words(error: Exception) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 from rich.console import Console
 
@@ -26,7 +28,7 @@ def identification_verdict(found: ModelIdentification) -> str:
     before, after = found.before, found.after
     words = (
         f"held-out nrms {before.nrms:.3f} -> {after.nrms:.3f} with the {found.regularizer} "
-        f"regularizer, gamma {number(found.gamma)}"
+        f"regularizer, gamma {_gamma(found.gamma)}"
     )
     if found.sweep:
         words += f" (chosen by held-out error from {len(found.sweep)})"
@@ -108,6 +110,11 @@ def _show_effects(console: Console, found: ModelIdentification, wording: Wording
     console.print(table)
 
 
+def _gamma(value: float) -> str:
+    """The weight of a regularizer, which a loose bound leaves as large as one likes."""
+    return number(value) if isfinite(value) else "without end"
+
+
 def _show_alternatives(console: Console, found: ModelIdentification) -> None:
     head(console, "Regularizers at the same training residual")
     table = table_of(console, "regularizer")
@@ -116,7 +123,7 @@ def _show_alternatives(console: Console, found: ModelIdentification) -> None:
     for other in found.alternatives:
         table.add_row(
             other.regularizer,
-            number(other.gamma),
+            _gamma(other.gamma),
             f"{other.residual:.6g}",
             f"{other.errors.nrms:.4f}",
             ", ".join(other.at_boundary) or "-",

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from geodrake.escaping import printable
+
 Tell = Callable[[str], None]
 
 
@@ -34,5 +36,5 @@ def progress(words: str) -> Iterator[Tell]:
         disable=not console.is_terminal,
     )
     with bar:
-        task = bar.add_task(words, total=None)
-        yield lambda text: bar.update(task, description=text)
+        task = bar.add_task(printable(words), total=None)
+        yield lambda text: bar.update(task, description=printable(text))

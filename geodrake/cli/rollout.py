@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 from rich.console import Console
@@ -87,7 +88,10 @@ def _show(console: Console, found: Pair, wording: Wording) -> None:
         show_list(
             console, f"Not simulated of the model before, {_NO_FORCES}", before.left_out_words
         )
+    show_list(console, "Notes", after.notes)
 
 
 def _share(value: float) -> str:
+    if not isfinite(value):
+        return "more than can be simulated"
     return percent(value) if value < 10 else f"{value:.3g} times the whole"

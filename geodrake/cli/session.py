@@ -13,22 +13,25 @@ from rich.console import Console
 from geodrake.cli.known_payloads import with_known_payloads
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Tell, progress
+from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
 from geodrake.cli.wording import Wording
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, LogError
+from geodrake.input_files import regular_file
 from geodrake.json_output import to_json
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 from geodrake.saved_model import load_model
+from geodrake.whole_files import Content
 
 R = TypeVar("R")
 
 _WITH_UNITS = ("add", "explain")  # whose pages take units from the model in the result
-Maker = Callable[[], str | bytes]
+Maker = Callable[[], Content]
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,8 @@ def run(command: Command[R], options: LogOptions) -> None:
     """
     targets = Targets(options.model_target, options.json, options.report, command.more)
     read = [options.model, *options.logs, *(options.effects or ())]
-    targets.check(read)
     _check_logs(options.logs)
+    targets.check(read)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.visualization") if options.report else None
     with progress(f"Reading {options.model.name}") as tell:
@@ -118,12 +121,13 @@ def run(command: Command[R], options: LogOptions) -> None:
 
         makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
         written = targets.write(fitted, {**makers, **command.makers(result)})
-    if options.json == STDOUT:
-        print(numbers, end="")
-    console = make_console(stderr=options.json == STDOUT)
-    console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
-    command.show(console, result, Wording(fitted, extra))
-    show_saved(console, written)
+    with printing():
+        if options.json == STDOUT:
+            print_whole(numbers)
+        console = make_console(stderr=options.json == STDOUT)
+        console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
+        command.show(console, result, Wording(fitted, extra))
+        show_saved(console, written)
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
@@ -141,11 +145,13 @@ def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
 
 
 def _check_logs(logs: Sequence[Path]) -> None:
-    seen: set[Path] = set()
+    """Refuse what is no file, and a file that is there twice, by whatever path or link."""
+    seen: set[tuple[int, int]] = set()
     for log in logs:
-        if log.resolve() in seen:
+        status = regular_file(log, "log", LogError).stat()
+        if (status.st_dev, status.st_ino) in seen:
             raise ArgumentError(
                 f"Log {log} is given twice, so it would be validated against itself.",
                 advice="Name each log once.",
             )
-        seen.add(log.resolve())
+        seen.add((status.st_dev, status.st_ino))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from rich import box
 from rich.console import Console
@@ -21,6 +22,7 @@ from geodrake.cli.wording import (
 )
 from geodrake.diagnosis.ambiguity import telling_commands
 from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, JointError
+from geodrake.escaping import printable
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 _PLACES_WIDTH = 36
@@ -37,9 +39,19 @@ _SAVED = {
 }
 
 
+class _Console(Console):
+    """Shows a string as one line, in which nothing acts on the terminal, whatever names it has."""
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        return super().render_str(printable(text), **how)
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError  # where the command ends, this is known
+
+
 def make_console(*, stderr: bool = False) -> Console:
     """A console that prints names and numbers as they are, without reading markup into them."""
-    console = Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    console = _Console(stderr=stderr, markup=False, emoji=False, highlight=False)
     if not console.is_terminal:
         console.width = _PIPE_WIDTH
     return console
@@ -77,7 +89,7 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> 
         for count, candidate in enumerate(diagnosis.candidates, 1):
             table.add_row(
                 "=" if candidate.tied and count > 1 else str(count),
-                candidate.effect.replace(" + ", "\n+ "),
+                lines_of(console, candidate.effect.replace(" + ", "\n+ ").split("\n")),
                 wording.where(candidate.where),
                 f"{candidate.error_before:.3f}",
                 f"{candidate.error_after:.3f}",
@@ -166,7 +178,7 @@ def _show_steps(console: Console, explanation: Explanation, wording: Wording) ->
         table.add_row(
             str(count),
             step.effect,
-            "\n".join(lines),
+            lines_of(console, lines),
             f"{step.error_before:.3f}",
             f"{step.error_after:.3f}",
             percent(step.agreement),
@@ -188,6 +200,11 @@ def table_of(console: Console, *columns: str) -> Table:
     return table
 
 
+def lines_of(console: Console, lines: Sequence[str]) -> Text:
+    """An entry of a table in several lines."""
+    return Text("\n").join(console.render_str(line) for line in lines)
+
+
 def number_columns(table: Table, *names: str) -> None:
     """Adds columns of numbers to a table."""
     for name in names:
@@ -197,12 +214,12 @@ def number_columns(table: Table, *names: str) -> None:
 def head(console: Console, words: str) -> None:
     """A heading after an empty line."""
     console.print()
-    console.print(Text(words, "bold"), soft_wrap=True)
+    console.print(console.render_str(words, style="bold"), soft_wrap=True)
 
 
 def say(console: Console, head: str, sentence: str) -> None:
     """A paragraph; in a pipe it stays one line."""
-    text = Text.assemble((f"{head}: ", "bold"), sentence)
+    text = Text.assemble((f"{head}: ", "bold"), console.render_str(sentence))
     console.print()
     console.print(text, soft_wrap=not console.is_terminal)
 
@@ -215,7 +232,7 @@ def show_list(console: Console, words: str, entries: Sequence[str]) -> None:
     for entry in entries:
         if console.is_terminal:
             grid = Table.grid(padding=(0, 1))
-            grid.add_row("-", Text(entry))
+            grid.add_row("-", entry)
             console.print(grid)
         else:
             console.print(f"- {entry}", soft_wrap=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geodrake.errors import OutputError
+from geodrake.whole_files import Content, check_writable, write_together
 
 if TYPE_CHECKING:
     from geodrake.model import RobotModel
@@ -47,8 +48,13 @@ class Targets:
     @property
     def files(self) -> dict[str, Path]:
         """Option -> file, those asked for."""
+        return {name: path for name, path in self._named.items() if path != STDOUT}
+
+    @property
+    def _named(self) -> dict[str, Path]:
+        """Option -> what it was given."""
         named = {"save": self.save, "json": self.json, "report": self.report, **self.more}
-        return {name: path for name, path in named.items() if path and path != STDOUT}
+        return {name: path for name, path in named.items() if path is not None}
 
     def check(self, inputs: Iterable[Path]) -> None:
         """Refuse targets that cannot be written or that would overwrite something else.
@@ -60,23 +66,24 @@ class Targets:
             OutputError: A target has another kind's suffix, is an input or another target, is no
                 regular file, or its folder is missing or cannot be written to.
         """
-        taken = {path.resolve(): "is an input of this command" for path in inputs}
+        for name, path in self._named.items():
+            if path == STDOUT and name != "json":
+                reason = "is standard output, which takes --json alone"
+                raise _refusal(name, path, reason, "Name a file.")
+        taken = {_place(path): "is an input of this command" for path in inputs}
         for name, path in self.files.items():
             _check_kind(name, path, self.suffixes.get(name, _SUFFIXES.get(name, ())))
-            reason = taken.get(path.resolve())
+            if _place(path) in taken:
+                raise _refusal(name, path, taken[_place(path)], "Choose another name.")
+            taken[_place(path)] = f"is already the target of --{name}"
+            reason, advice = _obstacle(path)
             if reason:
-                raise _refusal(name, path, reason, "Choose another name.")
-            taken[path.resolve()] = f"is already the target of --{name}"
-            try:
-                _check_writable(name, path)
-            except OSError as error:
-                reason = f"cannot be written: {error.strerror or error}"
-                raise _refusal(name, path, reason, "Choose another place.") from error
+                raise _refusal(name, path, reason, advice)
 
     def write(
-        self, model: RobotModel, makers: Mapping[str, Callable[[], str | bytes]]
+        self, model: RobotModel, makers: Mapping[str, Callable[[], Content]]
     ) -> dict[str, Path]:
-        """Write what was asked for, each file whole or not at all; contents are made first.
+        """Write what was asked for, all files or none; contents are made first.
 
         Args:
             model: The model to save.
@@ -88,14 +95,18 @@ class Targets:
         Raises:
             OutputError: A file cannot be written after all.
         """
-        from geodrake.saved_model import save_model, write_whole
+        from geodrake.saved_model import saved_text
 
-        contents = {name: makers[name]() for name in self.files if name in makers}
-        for name, content in contents.items():
-            write_whole(self.files[name], content)
-        if self.save:
-            save_model(model, self.save)
-        return {name: path for name, path in self.files.items() if name in {*contents, "save"}}
+        if self.save is not None:
+            makers = {**makers, "save": partial(saved_text, model, self.save)}
+        made = {name: path for name, path in self.files.items() if name in makers}
+        write_together({path: makers[name]() for name, path in made.items()})
+        return made
+
+
+def _place(path: Path) -> str:
+    """Where a path leads, also one whose links lead nowhere."""
+    return os.path.realpath(path)
 
 
 def _check_kind(name: str, path: Path, suffixes: tuple[str, ...]) -> None:
@@ -104,17 +115,21 @@ def _check_kind(name: str, path: Path, suffixes: tuple[str, ...]) -> None:
         raise _refusal(name, path, reason, f"Name it {path.stem or name}{suffixes[0]}.")
 
 
-def _check_writable(name: str, path: Path) -> None:
-    if not path.parent.is_dir():
-        raise _refusal(
-            name, path, f"is in {path.parent}, which is no folder", "Choose a folder that exists."
-        )
-    if path.exists() and not path.is_file():
-        raise _refusal(name, path, "is there and is no file", "Choose another name.")
-    if path.exists() and not os.access(path, os.W_OK):
-        raise _refusal(name, path, "is there and is read-only", "Choose another name.")
-    with tempfile.TemporaryFile(dir=path.parent):
-        pass
+def _obstacle(path: Path) -> tuple[str, str]:
+    """Why a file cannot be written, and what to do about it; nothing if it can."""
+    try:
+        if not path.parent.is_dir():
+            return f"is in {path.parent}, which is no folder", "Choose a folder that exists."
+        if path.exists() and not path.is_file():
+            return "is there and is no file", "Choose another name."
+        if path.exists() and not os.access(path, os.W_OK):
+            return "is there and is read-only", "Choose another name."
+        check_writable(path)
+    except OSError as error:
+        return f"cannot be written: {error.strerror}", "Choose another place."
+    except OutputError as error:
+        return f"cannot be written: {error.evidence['reason']}", "Choose another place."
+    return "", ""
 
 
 def _refusal(name: str, path: Path, reason: str, advice: str) -> OutputError:

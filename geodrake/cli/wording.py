@@ -21,12 +21,15 @@ from geodrake.effects.shape_units import SHAPE_UNITS, when_sliding
 from geodrake.errors import ArgumentError
 from geodrake.model import RobotModel
 
+UNKNOWN = "–"  # in place of a number that is none
 _FEW = 2  # places whose values are told one by one
 
 
 def number(value: float) -> str:
-    """Three significant digits without an exponent, unless very small or large."""
-    if not np.isfinite(value) or not 1e-4 <= abs(value) < 1e6 or value == round(value):
+    """Three significant digits without an exponent, unless very small or large; – for none."""
+    if not np.isfinite(value):
+        return UNKNOWN
+    if not 1e-4 <= abs(value) < 1e6 or value == round(value):
         return f"{value:.3g}"
     digits = np.format_float_positional(
         value, 3, unique=False, fractional=False, min_digits=3, trim="k"
@@ -35,7 +38,9 @@ def number(value: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent, never rounded up to all of it."""
+    """A share in percent, never rounded up to all of it; – for none."""
+    if not np.isfinite(share):
+        return UNKNOWN
     return "> 99 %" if 0.99 < share < 1 else f"{100 * share:.0f} %"
 
 

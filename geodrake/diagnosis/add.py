@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from geodrake.arguments import instance, instances
 from geodrake.diagnosis.case import Case, error_table, open_case
 from geodrake.diagnosis.columns import with_columns, with_episodes
@@ -23,9 +25,10 @@ from geodrake.diagnosis.steps import steps_of
 from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Contact, EffortDelay, effect_class
 from geodrake.effects.base import Effect
+from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.model_fit import model_unknowns
-from geodrake.model import RobotModel
+from geodrake.model import FittedEffect, RobotModel
 from geodrake.motion import JointLog
 
 WHOLE = ("wrong_inertia", "effort_delay")
@@ -76,6 +79,7 @@ def add(
     else:
         case, trail = _with_shapes(effect, case, start, where, extra)
     after_case, fit, _ = final_fit(case, trail.end)
+    _refuse_untold(fit.model, set(trail.end.unknowns.effects) - set(start.unknowns.effects))
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
         verdict_of(after.errors, found=True),
@@ -109,6 +113,21 @@ def _refuse_what_cannot_be(
                 f"There is no joint {'' if late else 'or body '}{name!r}.",
                 advice=f"There are: {', '.join(known)}.",
             )
+
+
+def _refuse_untold(fitted: RobotModel, added: set[Effect]) -> None:
+    """Raises an ArgumentError for an effect of whose parameters the logs tell none."""
+    untold = [f.effect for f in fitted.effects if f.effect in added and _is_untold(f)]
+    if untold and len(untold) == len(added):
+        raise ArgumentError(
+            f"{untold[0].name} at {', '.join(effect.place for effect in untold)} is not told by "
+            "these logs, in which its columns are zero.",
+            advice="Check its columns, or record a motion in which it acts.",
+        )
+
+
+def _is_untold(fitted: FittedEffect) -> bool:
+    return fitted.deviations is not None and not np.isfinite(fitted.deviations).any()
 
 
 def _with_contacts(case: Case, start: Hypothesis) -> tuple[Case, Trail]:
@@ -159,7 +178,7 @@ def _without_columns(
         return ()
     pairs = other_pairs(case.model, case.model.single_joints)
     asked = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
-    found = [effect for pair in asked for effect in kind.candidates(pair)]
+    found = [effect for pair in asked for effect in candidates_of(kind, pair)]
     return tuple(effect for effect in found if effect not in case.dataset.effects)
 
 

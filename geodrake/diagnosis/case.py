@@ -29,9 +29,13 @@ from geodrake.model import RobotModel
 from geodrake.motion import JointLog, Trajectory, match_joints
 from geodrake.plant import effort_limits
 from geodrake.preparation import prepare_logs
+from geodrake.repeated_logs import check_repeated
+from geodrake.uniform_log import make_uniform
 from geodrake.unit_hints import effort_unit_hint, position_unit_hint
 
 Array = NDArray[np.float64]
+
+_LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +117,7 @@ def open_case(
     Raises:
         ArgumentError: A log has a known payload of a body that there is not.
         LogError: A log cannot be used.
-        ArgumentError: There is no log, or a setting is no usable number.
+        ArgumentError: There is no log, one is there twice, or a setting is no usable number.
     """
     logs = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
@@ -124,17 +128,19 @@ def open_case(
         for log in logs
     ]
     matched = _with_names_of_their_own(read)
+    check_repeated(matched)
     for log in matched:
         _check_efforts(log)
+    uniform = [make_uniform(log) for log in matched]
     limits = effort_limits(model.plant)
-    hints = [hint for log in matched for hint in _hints(log, limits)]
+    hints = [hint for each in uniform for hint in _hints(each.log, limits)]
     hints += payload_notes(model, matched)
     if bandwidth is None:
-        trajectories, changed = prepare_for_model(model, matched)
+        trajectories, changed = prepare_for_model(model, uniform)
         hints += [changed] if changed else []
     else:
         trajectories = prepare_logs(
-            matched, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+            uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
         )
     folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
@@ -274,7 +280,8 @@ def _check_efforts(log: JointLog) -> None:
     known = np.isfinite(log.effort)
     highest = log.effort.max(axis=0, initial=-np.inf, where=known)
     lowest = log.effort.min(axis=0, initial=np.inf, where=known)
-    constant = highest - lowest <= 1e-9 * np.maximum(np.abs(highest), np.abs(lowest))
+    largest = np.maximum(np.abs(highest), np.abs(lowest))
+    constant = highest - lowest <= np.maximum(1e-9 * largest, _LEAST_EFFORT)
     constant &= known.any(axis=0)
     if constant.any():
         joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]

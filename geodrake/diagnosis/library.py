@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
+from geodrake.effects.user_code import candidates_of
 from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -49,15 +50,15 @@ def candidate_effects(
                 if effect.turning_only and joint in model.sliding_joints:
                     continue
                 if speed[joint] > 0.0:
-                    found.extend(effect.candidates(joint, speed[joint]))
+                    found.extend(candidates_of(effect, joint, speed[joint]))
         elif effect.places == "joint_pair":
             for pair in model.joint_pairs:
-                found.extend(effect.candidates(pair))
+                found.extend(candidates_of(effect, pair))
         elif effect.places == "body":
             for body in model.bodies:
-                found.extend(effect.candidates(body))
+                found.extend(candidates_of(effect, body))
         elif effect.places == "robot":
-            found.extend(effect.candidates())
+            found.extend(candidates_of(effect))
     return tuple(found)
 
 

@@ -9,7 +9,7 @@ what the rest goes with, in a fraction of the time.
 from geodrake.drafting.draft import draft_effects, draft_rest, rest_correlates
 from geodrake.drafting.formula import Factor, Formula, Term
 from geodrake.drafting.results import Correlate, Draft, DraftedEffect
-from geodrake.drafting.source import effect_name, source_of
+from geodrake.drafting.source import source_of
 
 __all__ = [
     "Correlate",
@@ -20,7 +20,6 @@ __all__ = [
     "Term",
     "draft_effects",
     "draft_rest",
-    "effect_name",
     "rest_correlates",
     "source_of",
 ]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.results import ErrorTable
 from geodrake.drafting.formula import Formula
 from geodrake.effects import Effect
+from geodrake.escaping import identifiers
 
 Array = NDArray[np.float64]
 
@@ -82,3 +83,9 @@ class Draft:
     before: ErrorTable
     after: ErrorTable
     logs: tuple[str, ...]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Joint -> name of its effect, such as "elbow_joint_draft"."""
+        joints = identifiers(effect.formula.joint for effect in self.effects)
+        return {joint: f"{name}_draft" for joint, name in joints.items()}

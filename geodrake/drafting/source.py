@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import re
 import textwrap
-from collections.abc import Sequence
-from keyword import iskeyword
 
-from geodrake.arguments import instance
 from geodrake.drafting.formula import Formula
 from geodrake.drafting.results import Draft, DraftedEffect
+from geodrake.escaping import docstring_text, identifiers, quoted
 
 _HEAD = '''"""{title}
 
@@ -30,6 +26,7 @@ from geodrake.effects import Effect, Parameter, RobotMotion
 '''
 
 _WIDTH = 92  # of lines in docstrings, four less than there is room for
+_TAKEN = ("np", "motion", "self", "cls", "columns")  # names that the code has
 _CLASS = '''
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class {title}(Effect):
 
     joint: str = {quoted}
 
-    name: ClassVar[str] = "{name}"
+    name: ClassVar[str] = {name}
     places: ClassVar[str] = "joint"
     parameters: ClassVar[tuple[Parameter, ...]] = (
 {parameters}
@@ -68,29 +65,39 @@ def source_of(draft: Draft) -> str:
     Args:
         draft: A draft with an effect at least.
     """
-    joints = ", ".join(effect.formula.joint for effect in draft.effects)
-    head = _HEAD.format(title=f"What is missing at {joints}.", logs=", ".join(draft.logs))
-    return head + "".join(_class(effect) for effect in draft.effects)
+    joints, names = ", ".join(draft.names), draft.names
+    titles = identifiers(names.values(), style=_title)
+    head = _HEAD.format(
+        title=docstring_text(f"What is missing at {joints}."),
+        logs=docstring_text(", ".join(draft.logs)),
+    )
+    classes = []
+    for effect in draft.effects:
+        name = names[effect.formula.joint]
+        classes.append(_class(effect, name, titles[name]))
+    return head + "".join(classes)
 
 
-def effect_name(joint: str) -> str:
-    """Name of the effect drafted for a joint, such as "elbow_joint_draft"."""
-    return f"{_identifier(instance(joint, 'joint', str))}_draft"
+def _title(name: str) -> str:
+    """Name of the class of an effect: "ElbowJointDraft"."""
+    return "".join(part.capitalize() for part in name.split("_"))
 
 
-def _class(effect: DraftedEffect) -> str:
+def _class(effect: DraftedEffect, name: str, title: str) -> str:
     formula = effect.formula
-    variables = _variables(formula.joints)
-    parameters = [f'        Parameter("{p.name}", "{p.unit}"),' for p in formula.parameters]
+    variables = identifiers(formula.joints, taken=_TAKEN)
+    parameters = [
+        f"        Parameter({quoted(p.name)}, {quoted(p.unit)})," for p in formula.parameters
+    ]
     motions = [
-        f"        {variable} = motion.joint({_quoted(joint)})"
+        f"        {variable} = motion.joint({quoted(joint)})"
         for joint, variable in variables.items()
     ]
     return _CLASS.format(
-        title="".join(part.capitalize() for part in effect_name(formula.joint).split("_")),
-        quoted=_quoted(formula.joint),
+        title=title,
+        quoted=quoted(formula.joint),
         text=_docstring(effect),
-        name=effect_name(formula.joint),
+        name=quoted(name),
         parameters="\n".join(parameters),
         motions="\n".join(motions),
         columns="\n".join(f"            {code}," for code in _codes(formula, variables)),
@@ -106,7 +113,7 @@ def _docstring(effect: DraftedEffect) -> str:
         + ", ".join(f"{p.name} = {c:.4g} ± {d:.2g} {p.unit}" for p, c, d in fitted)
         + ".",
     )
-    lines = [textwrap.fill(p, _WIDTH, break_long_words=False) for p in paragraphs]
+    lines = [textwrap.fill(docstring_text(p), _WIDTH, break_long_words=False) for p in paragraphs]
     return textwrap.indent("\n\n".join(lines), "    ").lstrip()
 
 
@@ -120,26 +127,3 @@ def _codes(formula: Formula, variables: dict[str, str]) -> list[str]:
 def _bracketed(code: str) -> str:
     """A factor that may stand in a product."""
     return f"({code})" if " * np" in code else code
-
-
-def _variables(joints: Sequence[str]) -> dict[str, str]:
-    """A variable for each joint, all different."""
-    found: dict[str, str] = {}
-    for joint in joints:
-        name = _identifier(joint)
-        while (
-            name in found.values()
-            or iskeyword(name)
-            or name in ("np", "motion", "self", "cls", "columns")
-        ):
-            name += "_"
-        found[joint] = name
-    return found
-
-
-def _quoted(name: str) -> str:
-    return json.dumps(name, ensure_ascii=False)
-
-
-def _identifier(name: str) -> str:
-    return re.sub(r"^(?=\d)", "joint_", re.sub(r"\W+", "_", name).strip("_").lower()) or "joint"

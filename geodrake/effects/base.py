@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.columns import rows_of, stacked
 from geodrake.effects.gradient import RobotGradient, joint_gradient
 from geodrake.effects.parameter import CheckedFields, Parameter, require_positive
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
@@ -98,7 +99,7 @@ class Effect(CheckedFields, abc.ABC):
     def regressor(self, motion: RobotMotion) -> Array:
         """The dense regressor Y_e, (N, nv, k)."""
         dense = np.zeros((len(motion.v), len(motion.joints), len(self.parameters)))
-        for joint, columns in self.rows(motion).items():
+        for joint, columns in rows_of(self, motion).items():
             dense[:, motion.index(joint)] = columns
         return dense
 
@@ -207,12 +208,7 @@ class JointEffect(Effect):
             ArgumentError: There is no such joint, or `columns` gave something unusable.
         """
         columns = self.columns(motion.joint(self.joint))
-        if len(columns) != len(self.parameters):
-            raise ArgumentError(
-                f"{self.name} has {len(self.parameters)} parameters and {len(columns)} columns.",
-                advice="Let columns() return one column for each entry of `parameters`.",
-            )
-        return {self.joint: np.stack([self._usable(c, len(motion.v)) for c in columns], -1)}
+        return {self.joint: stacked(self, columns, self.joint, len(motion.v))}
 
     def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
         """Of each column, its derivatives by `JointMotion` field; fields left out have none.
@@ -229,23 +225,6 @@ class JointEffect(Effect):
             return None
         slopes = self.slopes(motion.joint(self.joint))
         return joint_gradient(motion, self.joint, self.columns, slopes, weights)
-
-    def _usable(self, column: ArrayLike, count: int) -> Array:
-        try:
-            values = np.broadcast_to(np.asarray(column, float), (count,))
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(
-                f"{self.name} of {self.joint} gives a column of shape {np.shape(column)} for "
-                f"{count} samples: {error}.",
-                advice="Let columns() return arrays of the shape of joint.q, or numbers.",
-            ) from error
-        if len(bad := np.flatnonzero(~np.isfinite(values))):
-            raise ArgumentError(
-                f"{self.name} of {self.joint} gives {values[bad[0]]} in {len(bad)} of {count} "
-                "samples.",
-                advice="Let columns() return finite numbers for every motion of the joint.",
-            )
-        return values
 
     @classmethod
     def candidates(cls, joint: str, peak_speed: float) -> Iterable[Effect]:

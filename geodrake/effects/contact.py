@@ -101,4 +101,4 @@ class Contact(BodyEffect):
 
 def log_number(name: str) -> int:
     """A number that tells a log from others."""
-    return zlib.crc32(name.encode()) or 1
+    return zlib.crc32(name.encode(errors="surrogateescape")) or 1

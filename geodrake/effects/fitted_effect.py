@@ -25,7 +25,7 @@ class FittedEffect:
     def __post_init__(self) -> None:
         shape = (len(instance(self.effect, "effect", Effect).parameters),)
         name = f"{self.effect.name} of {self.effect.place}"
-        values = real_array(self.parameters, f"parameters of {name}", shape)
+        values = real_array(self.parameters, f"parameters of {name}", shape, finite=False)
         object.__setattr__(self, "parameters", values)
         if self.deviations is not None:
             values = real_array(self.deviations, f"deviations of {name}", shape, finite=False)

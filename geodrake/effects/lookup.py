@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
 import importlib.util
 import inspect
+import os
 import sys
+import traceback
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -37,8 +40,10 @@ from geodrake.effects.payload import Payload
 from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.stribeck_friction import StribeckFriction
 from geodrake.effects.torque_ripple import TorqueRipple
+from geodrake.effects.user_code import check_class
 from geodrake.effects.viscous_friction import ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
+from geodrake.input_files import regular_file
 
 _PLACE_FIELDS = {
     "joint": "joint",
@@ -139,7 +144,9 @@ def make_effect(
         )
     for field in fields(cls):  # type: ignore[arg-type]
         value = shape.get(field.name)
-        if field.type in (int, "int") and isinstance(value, float) and value.is_integer():
+        if field.type in (int, "int") and isinstance(value, float):
+            if not value.is_integer():
+                raise ArgumentError(f"{name} needs a whole number as {field.name}; it got {value}.")
             shape[field.name] = int(value)  # which a saved model holds as a float
     if where:
         shape[place] = tuple(where) if cls.places == "joint_pair" else where[0]
@@ -164,19 +171,20 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
     Raises:
         ModelError: There is no such file, it cannot be run, or it defines no usable effect.
     """
-    path = file_path(path)
-    if not path.is_file():
-        what = "is a folder, not a file" if path.is_dir() else "does not exist"
-        raise ModelError(f"The file of effects {path} {what}.", advice="Check the path.")
+    path = regular_file(file_path(path), "file of effects", ModelError)
     module = _import(path)
-    effects = [
+    classes = [
         value
-        for value in vars(module).values()
-        if inspect.isclass(value)
-        and issubclass(value, Effect)
-        and value.__module__ == module.__name__
-        and not inspect.isabstract(value)
+        for value in dict.fromkeys(filter(inspect.isclass, vars(module).values()))
+        if issubclass(value, Effect) and value.__module__ == module.__name__
     ]
+    effects = [value for value in classes if not inspect.isabstract(value)]
+    if not effects and classes:
+        raise ModelError(
+            f"The effect {classes[-1].__name__} of {path} lacks "
+            f"{', '.join(sorted(classes[-1].__abstractmethods__))}.",
+            advice="Define it as a method.",
+        )
     if not effects:
         raise ModelError(
             f"{path} defines no effect.",
@@ -189,7 +197,11 @@ def load_effect_file(path: str | Path) -> tuple[type[Effect], ...]:
         if missing or not is_dataclass(effect):
             what = ", ".join(missing) or "the line @dataclass(frozen=True)"
             raise ModelError(f"The effect {effect.__name__} of {path} lacks {what}.")
-        place = _PLACE_FIELDS.get(effect.places)
+        try:
+            check_class(effect)
+        except ArgumentError as error:
+            raise ModelError(f"{path}: {error.problem}", advice=error.advice) from error
+        place = _PLACE_FIELDS.get(str(effect.places))
         if place is None or not (
             effect.places in ("log", "robot") or place in _field_names(effect)
         ):
@@ -214,19 +226,39 @@ def _field_names(effect: type[Effect]) -> list[str]:
 
 def _import(path: Path) -> ModuleType:
     """Imports a file under a name that depends on where it is, so that files do not collide."""
-    digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:12]
+    digest = hashlib.sha256(os.fsencode(path.resolve())).hexdigest()[:12]
     name = f"geodrake_user_effects_{digest}"
-    spec = importlib.util.spec_from_file_location(name, path)
+    spec = importlib.util.spec_from_file_location(name, path.absolute())
     if spec is None or spec.loader is None:
         raise ModelError(f"{path} is not a Python file.", advice="Give a file that ends in .py.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up while they are made
+    folder = Path.cwd()
     try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
+        with contextlib.redirect_stdout(sys.stderr):  # standard output is for results
+            spec.loader.exec_module(module)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever it raises is the file's
         del sys.modules[name]
+        words = " ".join(str(error).split()).rstrip(".")
         raise ModelError(
-            f"{path} cannot be run: {type(error).__name__}: {error}.",
+            f"{path} cannot be run: {_line(error, path)}{type(error).__name__}: {words}.",
             advice="Run it with python to see where it fails.",
         ) from error
+    if Path.cwd() != folder:
+        os.chdir(folder)
+        raise ModelError(
+            f"{path} changes the working directory to which all other paths belong.",
+            advice="Take os.chdir out of it.",
+        )
     return module
+
+
+def _line(error: BaseException, path: Path) -> str:
+    """The innermost line of a file that an error came through, in words."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename) == path.absolute()]
+    if isinstance(error, SyntaxError) and error.filename == str(path.absolute()):
+        lines.append(error.lineno)
+    return f"line {lines[-1]}: " if lines and lines[-1] else ""

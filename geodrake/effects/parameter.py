@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from geodrake.arguments import instance, instances, integer, number, positive, real_array
+from geodrake.arguments import instance, instances, integer, number, positive
 from geodrake.errors import ArgumentError
-from geodrake.manifolds import Interval
 
 Array = NDArray[np.float64]
 
@@ -23,6 +22,9 @@ class Parameter:
 
     Attributes:
         spread: How large it may be, as far as anybody knows; a fit holds what the data do not tell.
+
+    Raises:
+        ArgumentError: Name or unit are no printable words, or no value lies between the bounds.
     """
 
     name: str
@@ -32,15 +34,19 @@ class Parameter:
     spread: float = np.inf
 
     def __post_init__(self) -> None:
-        for field in ("name", "unit"):
-            instance(getattr(self, field), f"the {field} of a parameter", str)
-        for field in ("lower", "upper", "spread"):
-            number(getattr(self, field), f"{field} of {self.name}", finite=False)
-        if not (self.lower < self.upper and self.spread > 0):
+        named: Any = (("name", self.name), ("unit", self.unit))
+        for what, words in named:
+            if not (isinstance(words, str) and words.isprintable() and words.strip()):
+                raise ArgumentError(f"A parameter's {what} is printable words; got {words!r}.")
+        for what in ("lower", "upper", "spread"):
+            number(getattr(self, what), f"{what} of {self.name}", finite=False)
+        if not (self.lower < self.upper and self.lower < np.inf and self.upper > -np.inf):
             raise ArgumentError(
-                f"{self.name} needs a lower bound below its upper one, and a spread above zero; it "
-                f"has {self.lower}, {self.upper} and {self.spread}."
+                f"{self.name} has lower = {self.lower:g} and upper = {self.upper:g}, with nothing "
+                "between them."
             )
+        if not self.spread > 0.0:
+            raise ArgumentError(f"{self.name} has spread = {self.spread:g}; it must be above 0.")
 
 
 class CheckedFields:
@@ -77,23 +83,3 @@ def require_positive(effect: Any, *names: str) -> None:
     """
     for name in names:
         positive(getattr(effect, name), f"{name} of {effect.name}")
-
-
-def checked_parameters(effect: Any, values: ArrayLike) -> Array:
-    """Linear parameters (k,) of an effect, on its manifold or, where it has bounds, at one.
-
-    Raises:
-        ArgumentError: They are something else.
-    """
-    name = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters) or "no parameters"
-    mu = real_array(values, f"{effect.name} of {effect.place}: {name}", (len(effect.parameters),))
-    if isinstance(effect.manifold, Interval):
-        good = all(p.lower <= x <= p.upper for p, x in zip(effect.parameters, mu, strict=True))
-    else:
-        good = bool(effect.manifold.contains(mu))
-    if not good:
-        raise ArgumentError(
-            f"{effect.name} of {effect.place} cannot have {name} = {mu.tolist()}.",
-            advice="Friction and inertia are not negative, and a payload is a body that can exist.",
-        )
-    return mu.copy()

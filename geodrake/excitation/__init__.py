@@ -51,6 +51,7 @@ from geodrake.excitation.trajectory_files import (
     drake_trajectory,
     read_drake_trajectory,
     ros_joint_trajectory,
+    trajectory_content,
     write_trajectory,
 )
 
@@ -97,5 +98,6 @@ __all__ = [
     "reduced_identification",
     "regressor_jacobian",
     "ros_joint_trajectory",
+    "trajectory_content",
     "write_trajectory",
 ]

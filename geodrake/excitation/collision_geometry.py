@@ -16,11 +16,12 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.arguments import instance
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model import RobotModel
 from geodrake.model_files import read_description
-from geodrake.model_files.description import add_packages, drake_errors, drake_messages
+from geodrake.model_files.description import drake_errors, drake_messages
+from geodrake.model_files.packages import add_packages
 from geodrake.model_files.values import drop
 from geodrake.model_files.xml_text import parse_xml
 from geodrake.plant import free_roots
@@ -106,32 +107,29 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     parser = Parser(plant)
     _add_packages(parser.package_map(), model.path)
     inspector, found = scene.model_inspector(), {}
-    try:
-        with drake_messages(), TemporaryDirectory() as folder:
-            _parse(parser, model, Path(folder))
-            plant.Finalize()
-            for i in range(plant.num_bodies()):
-                body = plant.get_body(BodyIndex(i))
-                solids = []
-                for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body)):
-                    name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
-                    shape = in_memory(inspector.GetShape(geometry), name)
-                    solids.append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
-                found[body.scoped_name().get_full()] = solids
-    except RuntimeError as error:
-        reason = str(error).strip().partition("\n")[0]
-        raise ModelError(
-            f"Drake cannot read {model.path} with its collision geometry: {reason}",
-            advice="Give the links shapes of their own with `links` and leave out those of the "
-            "file (use_file=False).",
-            path=model.path,
-        ) from error
+    errors = drake_errors(
+        model.path,
+        how=" with its collision geometry",
+        advice="Give the links shapes of their own with `links` and leave out those of the file "
+        "(use_file=False).",
+    )
+    with drake_messages(), errors, TemporaryDirectory() as folder:
+        _parse(parser, model, Path(folder))
+        plant.Finalize()
+        for i in range(plant.num_bodies()):
+            body = plant.get_body(BodyIndex(i))
+            solids = []
+            for k, geometry in enumerate(plant.GetCollisionGeometriesForBody(body)):
+                name = f"{k}_{inspector.GetName(geometry).split('::')[-1]}"
+                shape = in_memory(inspector.GetShape(geometry), name)
+                solids.append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
+            found[body.scoped_name().get_full()] = solids
     return found
 
 
 def _add_packages(packages: PackageMap, path: Path) -> None:
     """Makes packages known; without a package.xml, folders above the file by their names."""
-    add_packages(packages, path)
+    add_packages(packages, path, read_description(path).named_packages())
     for folder in path.resolve().parents:
         if folder.name and not packages.Contains(folder.name):
             packages.Add(folder.name, str(folder))

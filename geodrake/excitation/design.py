@@ -31,7 +31,7 @@ from geodrake.model import RobotModel
 
 Array = NDArray[np.float64]
 
-_MOST_SEEDS = 1_000_000
+_MOST_SAMPLES, _MOST_SEEDS = 10_000, 1000
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
 
@@ -107,13 +107,16 @@ def design_objective(
     options = instance(given, "options", DesignOptions)
     family = FourierMotion() if trajectory is None else trajectory
     instance(family, "trajectory", MotionFamily)
-    chosen = _chosen(seeds)
+    asked = _asked(seeds)
     check_solver(options.solver)
-    if not chosen or options.samples < 1 or not options.sharpness:
+    many = not 1 <= options.samples <= _MOST_SAMPLES or len(asked) > _MOST_SEEDS
+    if many or not len(asked) or not options.sharpness:
         raise ArgumentError(
-            f"A design needs at least one seed, sample and stage; got {chosen}, "
-            f"{options.samples} and {options.sharpness}."
+            f"A design needs at least one seed, sample and stage; got {len(asked)} seeds, "
+            f"{options.samples} samples and {options.sharpness}.",
+            advice=f"Give at most {_MOST_SEEDS} seeds and {_MOST_SAMPLES} samples.",
         )
+    chosen = [*asked]
     problem = make_problem(objective, limits, family, options)
     model = objective.target.model
     if problem.start is None:
@@ -140,10 +143,10 @@ def design_objective(
     )
 
 
-def _chosen(seeds: int | Sequence[int]) -> list[int]:
+def _asked(seeds: int | Sequence[int]) -> Sequence[int]:
     """The seeds of random starts, from their number or as given."""
     if isinstance(seeds, int):
-        return list(range(integer(seeds, "seeds", lower=0, upper=_MOST_SEEDS)))
+        return range(integer(seeds, "seeds"))
     return [integer(seed, "a seed", lower=0) for seed in instances(seeds, "seeds", int)]
 
 

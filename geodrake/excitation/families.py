@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from geodrake.arguments import integer, number, real_array
+from geodrake.arguments import integer, number, positive, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
 
+_DURATIONS, _PERIODS = (1e-2, 1e5), (1e-4, 1e6)  # s; of the fastest and slowest part of a motion
+_MOST_COEFFICIENTS = 1000  # of a joint
+_LARGEST_BASIS = 30_000_000  # numbers: instants at which limits hold, times coefficients
 _INDEPENDENT = 1e-9  # relative size of a condition that the others do not imply
-
-
-_MOST = 1_000_000  # modes, points or samples of one motion
 
 
 class MotionFamily(abc.ABC):
@@ -64,7 +64,18 @@ class MotionFamily(abc.ABC):
         return np.linspace(0.0, self.length, samples)
 
     def limit_times(self, share: float = 0.05) -> Array:
-        """Instants at which limits are to hold: so close that nothing happens between them."""
+        """Instants at which limits are to hold: so close that nothing happens between them.
+
+        Raises:
+            ArgumentError: They are too many.
+        """
+        needed = self.length / (share * self.fastest)
+        if 3 * needed * self.count > _LARGEST_BASIS:
+            raise ArgumentError(
+                f"A {self.name} motion of {self.length:g} s in which something happens every "
+                f"{self.fastest:g} s is too long: limits would be looked at {needed:.2g} times.",
+                advice="Make it shorter or slower.",
+            )
         return self.times(max(2, int(np.ceil(self.length / (share * self.fastest))) + 1))
 
     def conditions(self, *, rest: bool, start: bool) -> Array:
@@ -116,13 +127,19 @@ class FourierMotion(MotionFamily):
 
     def __post_init__(self) -> None:
         number(self.duration, "duration")
-        integer(self.modes, "modes", upper=_MOST)
+        integer(self.modes, "modes")
         if self.frequency is not None:
-            number(self.frequency, "frequency")
-        if not (0 < self.duration < np.inf and self.modes >= 1 and self.omega > 0):
+            positive(self.frequency, "frequency")
+        least, most = _DURATIONS
+        fits = least <= self.duration <= most and 1 <= 2 * self.modes < _MOST_COEFFICIENTS
+        slowest = 2.0 * np.pi / _PERIODS[1]
+        if not (fits and slowest <= self.omega and self.fastest >= _PERIODS[0]):
             raise ArgumentError(
                 f"A Fourier motion needs a positive duration and frequency and at least one mode; "
-                f"got {self.duration} s, {self.frequency} rad/s and {self.modes}."
+                f"got {self.duration} s, {self.frequency} rad/s and {self.modes}.",
+                advice=f"It lasts {least:g} to {most:g} s, has fewer than "
+                f"{_MOST_COEFFICIENTS // 2} modes, and periods of {_PERIODS[0]:g} to "
+                f"{_PERIODS[1]:g} s.",
             )
 
     @property
@@ -181,12 +198,16 @@ class SplineMotion(MotionFamily):
 
     def __post_init__(self) -> None:
         number(self.duration, "duration")
-        integer(self.points, "points", upper=_MOST)
+        integer(self.points, "points")
         integer(self.degree, "degree")
-        if not (0 < self.duration < np.inf and 3 <= self.degree <= 5 and self.points > self.degree):
+        least, most = _DURATIONS
+        points = self.degree < self.points <= _MOST_COEFFICIENTS
+        if not (least <= self.duration <= most and 3 <= self.degree <= 5 and points):
             raise ArgumentError(
                 f"A spline motion needs a positive duration, a degree of 3 to 5 and more control "
-                f"points than that; got {self.duration} s, {self.degree} and {self.points}."
+                f"points than that; got {self.duration} s, {self.degree} and {self.points}.",
+                advice=f"It lasts {least:g} to {most:g} s and has at most {_MOST_COEFFICIENTS} "
+                "points.",
             )
 
     @property
@@ -233,7 +254,12 @@ class FreeSamples(MotionFamily):
     timed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        integer(self.samples, "samples", lower=1, upper=_MOST)
+        integer(self.samples, "samples")
+        if not 1 <= self.samples <= _MOST_COEFFICIENTS:
+            raise ArgumentError(
+                f"There must be at least one sample, and at most {_MOST_COEFFICIENTS} that need "
+                f"not follow each other; got {self.samples}."
+            )
 
     @property
     def count(self) -> int:

@@ -12,6 +12,7 @@ from scipy.optimize import lsq_linear
 
 from geodrake.arguments import instance, instances
 from geodrake.effects import Effect, effect_class, make_effect
+from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.excitation.effect_sizes import sized_effects
 from geodrake.excitation.limits import MotionLimits
@@ -85,7 +86,7 @@ def make_rival(
         except ArgumentError:
             if shape is not None or cls.places != "joint":
                 raise
-            per_place.append(tuple(cls.candidates(place[0], speed[place[0]])))
+            per_place.append(candidates_of(cls, place[0], speed[place[0]]))
     most = max(len(effects) for effects in per_place)
     every = [effects * most if len(effects) == 1 else effects for effects in per_place]
     if any(len(effects) != most for effects in every):

@@ -32,6 +32,7 @@ Indices = NDArray[np.intp]
 _SIGN_SHARE = 0.02  # of a joint's fastest speed, over which its friction changes sign
 _EFFECT_SHARE = 0.1  # of a joint's effort that an effect of unknown size is thought to have
 _RANDOM_SAMPLES = 200
+_NOISE = 1e-12, 1e12  # N·m or N; beyond them squares of weighted columns leave what floats can do
 _WEIGHTLESS = 1e-12  # share of gravity in efforts that is rounding alone
 
 
@@ -268,10 +269,12 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
     if given.shape not in ((), (1,), (len(rows),)):
         raise ArgumentError(f"The noise is one number or {len(rows)}; got the shape {given.shape}.")
     values = np.broadcast_to(given, (len(rows),)).copy()
-    if not (np.isfinite(values) & (values > 0)).all():
-        wrong = [n for n, x in zip(rows, values.tolist(), strict=True) if not 0 < x < np.inf]
+    least, most = _NOISE
+    wrong = [n for n, x in zip(rows, values.tolist(), strict=True) if not least <= x <= most]
+    if wrong:
         raise ArgumentError(
-            f"The noise of {', '.join(wrong)} is not a positive number: {values.tolist()}.",
+            f"The noise of {', '.join(wrong)} is not a positive number, from {least:g} to "
+            f"{most:g}: {values.tolist()}.",
             advice="Without noise every motion tells everything exactly. Give the deviation of the "
             "measured efforts, such as 1 % of the largest one.",
             wrong=wrong,

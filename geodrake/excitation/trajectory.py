@@ -10,7 +10,7 @@ from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 from scipy.interpolate import make_interp_spline
 
-from geodrake.arguments import instance, positive, real_array
+from geodrake.arguments import instance, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
@@ -19,6 +19,7 @@ from geodrake.motion import JointLog, Motion
 
 Array = NDArray[np.float64]
 
+_MOST_INSTANTS = 1e6  # of a file
 _DEGREE = 5  # of the spline that stands for other families in Drake
 _PER_FASTEST = 64  # intervals of that spline in the shortest time: errors of some 1e-9
 
@@ -108,11 +109,16 @@ class ExcitationTrajectory:
 
         Raises:
             ArgumentError: The samples do not follow each other in time, or the rate is not
-                positive.
+                positive, or gives more samples than a file is good for.
         """
         self._require_time("instants")
-        positive(rate, "rate")
+        number(rate, "rate", finite=False)
         length = self.family.length
+        if not 0 < rate < np.inf or rate * length > _MOST_INSTANTS:
+            raise ArgumentError(
+                f"A rate is a positive number of samples a second; got {rate}.",
+                advice=f"Give at most {_MOST_INSTANTS / length:g} a second.",
+            )
         times = np.arange(np.ceil(length * rate - 1e-9)) / rate
         return np.append(times, length)
 

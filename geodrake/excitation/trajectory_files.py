@@ -13,10 +13,11 @@ from pydrake.trajectories import BsplineTrajectory
 
 from geodrake.arguments import file_path, instance
 from geodrake.errors import ArgumentError, OutputError
+from geodrake.escaping import quoted
 from geodrake.excitation.trajectory import ExcitationTrajectory
-from geodrake.log_files import write_log
+from geodrake.log_files import log_content
 from geodrake.model import RobotModel
-from geodrake.saved_model import write_whole
+from geodrake.whole_files import Content, write_whole
 
 _LOGS = (".csv", ".txt", ".npz")
 _YAML = (".yaml", ".yml")
@@ -40,21 +41,28 @@ def write_trajectory(
         OutputError: The suffix is another, or the file cannot be written.
         ArgumentError: The samples do not follow each other in time.
     """
+    path = file_path(path)
+    write_whole(path, trajectory_content(trajectory, path, model, rate=rate))
+
+
+def trajectory_content(
+    trajectory: ExcitationTrajectory, path: str | Path, model: RobotModel, *, rate: float = 100.0
+) -> Content:
+    """What `write_trajectory` writes; arguments and errors are the same."""
     instance(trajectory, "trajectory", ExcitationTrajectory)
     instance(model, "model", RobotModel)
     path = file_path(path)
     suffix = path.suffix.lower()
     if suffix in _LOGS:
-        write_log(trajectory.log(model, rate=rate, name=path.stem), path)
-    elif path.name.lower().endswith(_DRAKE):
-        write_whole(path, drake_trajectory(trajectory))
-    elif suffix in _YAML:
-        write_whole(path, ros_joint_trajectory(trajectory, rate=rate))
-    else:
-        raise OutputError(
-            f"A motion cannot be written to {str(path)!r}.",
-            advice=f"Use {', '.join((*_LOGS, *_YAML, *_DRAKE))}.",
-        )
+        return log_content(trajectory.log(model, rate=rate, name=path.stem), path)
+    if path.name.lower().endswith(_DRAKE):
+        return drake_trajectory(trajectory)
+    if suffix in _YAML:
+        return ros_joint_trajectory(trajectory, rate=rate)
+    raise OutputError(
+        f"A motion cannot be written to {str(path)!r}.",
+        advice=f"Use {', '.join((*_LOGS, *_YAML, *_DRAKE))}.",
+    )
 
 
 def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.0) -> str:
@@ -74,7 +82,7 @@ def ros_joint_trajectory(trajectory: ExcitationTrajectory, *, rate: float = 100.
         "header:",
         "  stamp: {sec: 0, nanosec: 0}",
         '  frame_id: ""',
-        f"joint_names: {json.dumps(trajectory.joints)}",
+        f"joint_names: [{', '.join(map(quoted, trajectory.joints))}]",
         "points:",
     ]
     for time, q, v, vd in zip(times.tolist(), *trajectory.states(times), strict=True):

@@ -13,7 +13,7 @@ from geodrake.held_payloads import holding
 from geodrake.model import RobotModel
 from geodrake.motion import JointLog, Motion, Stretch, Trajectory
 from geodrake.preparation import prepare_logs
-from geodrake.uniform_log import make_uniform
+from geodrake.uniform_log import UniformLog, make_uniform
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _SAMPLES = 100_000
 
 
 def prepare_for_model(
-    model: RobotModel, logs: Sequence[JointLog]
+    model: RobotModel, logs: Sequence[JointLog | UniformLog]
 ) -> tuple[tuple[Trajectory, ...], str | None]:
     """Prepare logs at a bandwidth that suits motion and efforts alike.
 
@@ -39,12 +39,12 @@ def prepare_for_model(
 
     Args:
         model: The model; a rough one will do.
-        logs: Logs, joints in the model's order.
+        logs: Logs, joints in the model's order; uniform ones if somebody has them already.
 
     Returns:
         The prepared logs, and a sentence on what was changed and why, if anything was.
     """
-    uniform = [make_uniform(log) for log in logs]
+    uniform = [log if isinstance(log, UniformLog) else make_uniform(log) for log in logs]
     trajectories = prepare_logs(uniform)
     chosen = trajectories[0].filter.bandwidth
     coherent = coherent_bandwidth(model, trajectories)

@@ -157,6 +157,10 @@ def _cholesky(matrices: Array) -> Array:
 
 
 def _congruent(roots: Array, matrices: Array) -> Array:
-    """L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M, both (n, 4, 4)."""
+    """L⁻¹ M L⁻ᵀ for roots L and symmetric matrices M, both (n, 4, 4); symmetric to the last digit.
+
+    For a body that is nearly flat, rounding alone would not leave it so.
+    """
     half = np.swapaxes(np.linalg.solve(roots, matrices), -1, -2)
-    return np.asarray(np.linalg.solve(roots, half), float)
+    full = np.asarray(np.linalg.solve(roots, half), float)
+    return 0.5 * (full + np.swapaxes(full, -1, -2))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from pydrake.solvers import MathematicalProgramResult
@@ -17,7 +19,14 @@ from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.newton_root import bounded_minimum, first_minimum
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.program import FitProgram, build_fit
-from geodrake.identification.solvers import check_solver, cone_multiplier, run_solver
+from geodrake.identification.solvers import (
+    ROUGHLY,
+    Tolerances,
+    check_solver,
+    cone_multiplier,
+    run_solver,
+    solved_apart,
+)
 from geodrake.inertia import Array, pullback_metric
 from geodrake.reduction import triangular_factor
 
@@ -43,6 +52,7 @@ class FitResult:
         solver: What solved it: "closed form", "bounded least squares", "newton", or the conic
             solver.
         solve_time: Time of the whole solution, s.
+        note: Why another solver than usual gave the answer; empty if it was the usual one.
     """
 
     x: Array
@@ -53,6 +63,7 @@ class FitResult:
     prior_weight: float
     solver: str
     solve_time: float
+    note: str = ""
 
     def standard_deviations(self) -> Array:
         """Standard deviations (p,) of x, in its units; inf where nothing is known.
@@ -93,18 +104,34 @@ def solve_fit(
     begin = time.perf_counter()
     instance(problem, "problem", FitProblem)
     check_solver(solver)
-    if shortcuts:
-        coordinates = Coordinates.of(problem)
-        x, name = _without_solver(coordinates)
-        if x is not None:
-            return fit_result(coordinates, x, 1.0, name, time.perf_counter() - begin)
+    quick = _in_closed_form(problem) if shortcuts else None
+    if quick is not None:
+        return quick
     check_residual_bound(problem)
+    solve = partial(_by_conic_solver, problem, solver)
+    coordinates, x, weight = solved_apart(solve, solver)
+    return fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
+
+
+def _in_closed_form(problem: FitProblem) -> FitResult | None:
+    """The fit by least squares alone; None where that does not solve the problem."""
+    begin = time.perf_counter()
+    coordinates = Coordinates.of(problem)
+    x, name = _without_solver(coordinates)
+    if x is None:
+        return None
+    return fit_result(coordinates, x, 1.0, name, time.perf_counter() - begin)
+
+
+def _by_conic_solver(
+    problem: FitProblem, solver: str, accuracies: Sequence[Tolerances]
+) -> tuple[Coordinates, Array, float]:
+    """Coordinates in which a program was solved, parameters (p,), and weight of the prior."""
     # The first solution only says where and how to scale the program for the second.
     fit = build_fit(problem, centre=_centre(problem, solver))
-    solution = run_solver(fit.program, solver)
+    solution = run_solver(fit.program, solver, accuracies)
     x = _parameters(fit, solution)
-    weight = _prior_weight(fit, solution, x)
-    return fit_result(fit.coordinates, x, weight, solver, time.perf_counter() - begin)
+    return fit.coordinates, x, _prior_weight(fit, solution, x)
 
 
 def _centre(problem: FitProblem, solver: str) -> Array:
@@ -120,7 +147,7 @@ def _centre(problem: FitProblem, solver: str) -> Array:
         except IdentificationError:
             pass  # The conic solver says why.
     rough = build_fit(problem)
-    return _parameters(rough, run_solver(rough.program, solver, rough=True))
+    return _parameters(rough, run_solver(rough.program, solver, ROUGHLY))
 
 
 def _parameters(fit: FitProgram, solution: MathematicalProgramResult) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.arguments import instance, one_of, positive
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.euclidean import Euclidean
@@ -56,6 +56,11 @@ class IdentificationResult:
     def solver(self) -> str:
         """What solved it: "closed form", "interior point", … or a conic solver's name."""
         return self.fit.solver
+
+    @property
+    def note(self) -> str:
+        """Why another solver than usual gave the answer; empty if it was the usual one."""
+        return self.fit.note
 
     @property
     def minima(self) -> LocalMinima | None:
@@ -106,8 +111,9 @@ def identify(  # noqa: PLR0913 - the stable interface
         constraints: Bounds on masses and centres of mass; ellipsoids and total mass may be there
             too instead.
         solver: By default Newton's method for "entropic" and "riemannian", and Clarabel for the
-            rest, whose last digits Newton's method adds. Or one alone: "newton", but for point
-            masses, or a name of `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+            rest, whose last digits Newton's method adds, and which takes its place where it gives
+            up (`note` of the result). Or one alone: "newton", but for point masses, or a name of
+            `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
 
     Returns:
         The parameters and how they were found.
@@ -117,6 +123,7 @@ def identify(  # noqa: PLR0913 - the stable interface
             constraints reach the residual bound; `minimum` of its evidence is what they reach.
         IdentificationError: The solver found no solution, for instance because no physical
             bodies have the total mass inside their ellipsoids.
+        ConvergenceError: A conic solver has found none in 20 s.
     """
     kind = regularizer_of(regularizer)
     if (gamma is None) == (residual_bound is None):
@@ -132,8 +139,13 @@ def identify(  # noqa: PLR0913 - the stable interface
     factor = whitened_factor(A, b, sigma=sigma)
     problem = build_problem(factor, prior, constraints=bodies, extra_bounds=extra_bounds)
     problem = replace(problem, residual_bound=residual_bound)
-    fit = kind.solve(problem, prior, 1.0 if gamma is None else gamma, solver)
+    try:
+        fit = kind.solve(problem, prior, 1.0 if gamma is None else gamma, solver)
+    except np.linalg.LinAlgError as error:
+        raise _rounded(str(error)) from error
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]
+    if not (np.isfinite(fit.x).all() and np.all(is_physical(phi))):
+        raise _rounded("the parameters are not physical")
     return IdentificationResult(
         phi=phi,
         extra=extra,
@@ -142,6 +154,14 @@ def identify(  # noqa: PLR0913 - the stable interface
         regularizer=kind.name,
         gamma=fit.prior_weight if gamma is None else gamma,
         fit=fit,
+    )
+
+
+def _rounded(what: str) -> IdentificationError:
+    return IdentificationError(
+        f"Rounding has left no solution: {what}. Most often a body of the prior is too flat, or "
+        "data and prior differ by very many orders of magnitude.",
+        advice="Check the units of prior, data and ellipsoids, raise gamma, or try another solver.",
     )
 
 

@@ -102,7 +102,8 @@ def minimize(
         barrier: First duality gap, as a share of the size of the function; less for a good start.
 
     Raises:
-        IdentificationError: No minimum was reached in 300 Newton steps.
+        IdentificationError: No minimum was reached in 300 Newton steps, or rounding put the point
+            onto a constraint.
     """
     m, size = len(region.lower), objective.size
     least = _GAP * size / max(m, 1)
@@ -110,6 +111,8 @@ def minimize(
     z, s = start, region.slacks(start)
     y = t / s
     for count in range(1, _MOST_STEPS + 1):
+        if not s.min(initial=np.inf) > np.finfo(float).tiny * max(t, 1.0):
+            break  # rounding has put the point onto a constraint
         g, H = objective.derivatives(z)
         g = g - region.matrix.T @ (t / s)
         step, shift = _newton_step(
@@ -130,9 +133,9 @@ def minimize(
         elif promise <= _ACCURACY * size or length == 0.0:
             return Minimum(z, objective.value(z), objective.derivatives(z)[1], shift == 0.0, count)
     raise IdentificationError(
-        f"No minimum was reached in {_MOST_STEPS} Newton steps.",
+        f"No minimum was reached in {count} Newton steps.",
         advice="Check units and noise levels, raise gamma, or start from another point.",
-        steps=_MOST_STEPS,
+        steps=count,
     )
 
 
@@ -142,6 +145,12 @@ def _newton_step(
     """The step (p,), and the multiple of the metric that made its matrix positive definite."""
     N = region.directions
     reduced: Any = N.T @ hessian @ N
+    if not np.isfinite(reduced).all():
+        raise IdentificationError(
+            "The steps of Newton's method overflow: data, prior and constraints differ by too many "
+            "orders of magnitude.",
+            advice="Check units and noise levels, or raise gamma.",
+        )
     metric: Any = None
     shift = 0.0
     for _ in range(_MOST_SHIFTS):

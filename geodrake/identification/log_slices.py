@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect, RobotMotion
+from geodrake.effects.columns import rows_of
 from geodrake.effects.contact import log_number
 from geodrake.effects.deflection import DeflectionEffect, slopes_of
 from geodrake.effects.effort_delay import EffortDelay, delayed_by
@@ -60,7 +61,7 @@ class Layout:
         for effect in effects:
             if not is_payload(effect):
                 indices = starts[effect] + np.arange(len(effect.parameters))
-                for joint in effect.rows(probe):
+                for joint in rows_of(effect, probe):
                     columns[model.joints.index(joint)].append(indices)
         joined = tuple(np.concatenate(c) for c in columns)
         return cls(model, effects, sign_width, still_speed, joined)
@@ -113,7 +114,7 @@ class Layout:
         bending = [effect for effect in effects if isinstance(effect, DeflectionEffect)]
         slopes = slopes_of(seen, bending[0].name) if bending else None
         rows = [
-            effect.rows(seen)
+            rows_of(effect, seen)
             if slopes is None or not isinstance(effect, DeflectionEffect)
             else effect.rows_from(seen, slopes)
             for effect in effects

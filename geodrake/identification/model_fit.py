@@ -13,7 +13,8 @@ from geodrake.effects.base import Effect
 from geodrake.effects.effort_delay import EffortDelay
 from geodrake.identification.cross_validation import HeldOut, hold_out
 from geodrake.identification.dataset import Dataset, Delay, is_payload
-from geodrake.identification.fit import FitResult, solve_fit
+from geodrake.identification.exact import solve_surely
+from geodrake.identification.fit import FitResult
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.unknowns import (
     Unknowns,
@@ -112,7 +113,7 @@ def held_out_physical(
     """Held-out errors of physically consistent fits, one for every fold."""
     folds = range(len(dataset.folds))
     problems = (fit_problem(dataset, unknowns, weights, without=f, delay=delay) for f in folds)
-    x = np.array([solve_fit(problem).x for problem in problems])
+    x = np.array([solve_surely(problem).x for problem in problems])
     return hold_out(dataset, unknowns.columns, x, delay=delay)
 
 
@@ -150,7 +151,7 @@ def fit_model(
         weights: (nv,) weight of a squared residual of each joint.
         delays: Effort delays that the fitted model has.
     """
-    result = solve_fit(fit_problem(dataset, unknowns, weights))
+    result = solve_surely(fit_problem(dataset, unknowns, weights))
     held_out = held_out_physical(dataset, unknowns, weights)
     deviations = result.standard_deviations()
     effects = [

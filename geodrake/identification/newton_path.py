@@ -80,7 +80,7 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
     best: Minimum | None = None
     gamma = float(weighted.gamma.min(initial=np.inf))
     stalled = 0
-    here: Linearization | None = Linearization(weighted, start)
+    here, last = _linearized(weighted, start), start
     for count in range(_STEPS):
         if here is None:
             break
@@ -103,6 +103,14 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
     step = best.linearization.direction(0.0)
     length = min(1.0, (1.0 - _LEAST_ROOM) * best.linearization.reach(step))
     return replace(best, point=best.point.moved(step.step, length))
+
+
+def _linearized(weighted: WeightedProgram, point: Iterate) -> Linearization | None:
+    """The conditions at a point; None where rounding has put it at the boundary."""
+    try:
+        return Linearization(weighted, point)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _gap(here: Linearization) -> float:
@@ -141,10 +149,10 @@ def _stepped(here: Linearization) -> Linearization | None:
     room = min(_ROOM, max(ratio, _LEAST_ROOM))
     length = min(1.0, (1.0 - room) * reach)
     for _ in range(_HALVINGS):
-        try:
-            return Linearization(here.weighted, here.at.moved(step.step, length))
-        except np.linalg.LinAlgError:
-            length *= 0.5  # Rounding was more than the room.
+        there = _linearized(here.weighted, here.at.moved(step.step, length))
+        if there is not None:
+            return there
+        length *= 0.5  # Rounding was more than the room.
     return None
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +21,7 @@ from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.point_mass_program import PointMassProgram
 from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.identification.regularizer import Regularizer
+from geodrake.identification.solvers import ROUGHLY, Tolerances, solved_apart
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 
 _SAME_PRIOR = 1e-6
@@ -107,22 +110,33 @@ class PointMassRegularizer(Regularizer):
         self._check(prior)
         check_residual_bound(problem)
         program = PointMassProgram.of(self.points, problem)
-        # The first solution only says how to scale the cost for the second.
-        scale = 1e-2 * gamma * self.distance(0.0 * self.points.prior)
-        for rough in (True, False):
-            try:
-                v, weight = program.solve(self.add_cost, solver, gamma, scale, rough=rough)
-            except IdentificationError as failure:
-                program.check_bound(solver, failure)
-                raise
-            masses = program.masses(v)
-            cost = gamma * self.distance(masses)
-            cost += program.excess(v) if problem.residual_bound is None else 0.0
-            scale = max(cost, 1e-4 * scale)
+        v, weight = solved_apart(partial(self._shares, program, solver, gamma), solver)
+        masses = program.masses(v)
         x = np.clip(program.parameters(v), problem.lower, problem.upper)
         coordinates = Coordinates.of(self._informed(problem, gamma, masses))
         fit = fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
         return PointMassFit(**vars(fit), masses=masses)
+
+    def _shares(
+        self,
+        program: PointMassProgram,
+        solver: str,
+        gamma: float,
+        accuracies: Sequence[Tolerances],
+    ) -> tuple[Array, float]:
+        """Variables of the program, and the weight of the prior, from a conic solver."""
+        # The first solution only says how to scale the cost for the second.
+        scale = 1e-2 * gamma * self.distance(0.0 * self.points.prior)
+        for tried in (ROUGHLY, accuracies):
+            try:
+                v, weight = program.solve(self.add_cost, solver, gamma, scale, tried)
+            except IdentificationError as failure:
+                program.check_bound(solver, failure)
+                raise
+            cost = gamma * self.distance(program.masses(v))
+            cost += program.excess(v) if program.problem.residual_bound is None else 0.0
+            scale = max(cost, 1e-4 * scale)
+        return v, weight
 
     def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
         """With (R M Rᵀ)⁻¹ as information, for mobilities M of masses that are not spent."""

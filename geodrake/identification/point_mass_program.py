@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from geodrake.errors import IdentificationError
 from geodrake.identification.newton_root import out_of_reach
 from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.problem import FitProblem
-from geodrake.identification.solvers import cone_multiplier, run_solver
+from geodrake.identification.solvers import EXACTLY, Tolerances, cone_multiplier, run_solver
 from geodrake.inertia import Array
 from geodrake.reduction import triangular_factor
 
@@ -69,8 +69,7 @@ class PointMassProgram:
         solver: str,
         gamma: float,
         scale: float,
-        *,
-        rough: bool,
+        accuracies: Sequence[Tolerances],
     ) -> tuple[Array, float]:
         """Variables v, and γ over the given one in the point-to-set form, else 1.
 
@@ -79,7 +78,7 @@ class PointMassProgram:
             solver: Drake's conic solver.
             gamma: Weight of the distance.
             scale: Size of the cost, by which it is divided.
-            rough: Whether about four digits will do.
+            accuracies: What accuracies to try in turn.
         """
         program = MathematicalProgram()
         v = program.NewContinuousVariables(self.transform.shape[1], "v")
@@ -101,7 +100,7 @@ class PointMassProgram:
             cone = program.AddLorentzConeConstraint(lorentz, np.eye(len(e) + 1)[0], e)
         add_cost(program, v[: len(self.points.prior)], gamma / scale)
         self._add_bounds(program, v)
-        result = run_solver(program, solver, rough=rough)
+        result = run_solver(program, solver, accuracies)
         found = np.asarray(result.GetSolution(v), float)
         found[: len(self.points.prior)] = np.maximum(found[: len(self.points.prior)], _LEAST)
         if cone is None:
@@ -129,7 +128,7 @@ class PointMassProgram:
         start[: len(self.points.prior)] = 1.0
         scale = max(self.excess(start), np.finfo(float).tiny)
         try:
-            v, _ = free.solve(lambda *_: None, solver, 1.0, scale, rough=False)
+            v, _ = free.solve(lambda *_: None, solver, 1.0, scale, EXACTLY)
         except IdentificationError:
             return  # the constraints contradict each other, whatever the bound
         minimum = self.floor + self.excess(v)

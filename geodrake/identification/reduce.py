@@ -74,7 +74,7 @@ def reduce_logs(
             one; used and filled.
 
     Raises:
-        LogError: The effort of a joint never changes.
+        LogError: The effort of a joint never changes, or a joint moves for a moment only.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if not isinstance(e, EffortDelay))
     layout, shared = _layout(model, effects, trajectories), shared or SharedRows(0)
@@ -189,6 +189,14 @@ def _slices(
 
 def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) -> Array:
     count = np.array([sum(box.samples for box in joint) for joint in boxes])
+    for joint, used in zip(joints, count.tolist(), strict=True):
+        if not used:
+            raise LogError(
+                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
+                "of the filter's window.",
+                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
+                joint=joint,
+            )
     total, squares = np.array([np.sum([box.sums for box in joint], axis=0) for joint in boxes]).T
     mean, power = total / count, squares / count
     deviation = np.sqrt(np.maximum(power - mean**2, 0.0))

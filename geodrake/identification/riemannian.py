@@ -76,7 +76,7 @@ class Riemannian(Regularizer):
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None
     ) -> FitResult:
-        """The best local minimum that the starts lead to; the solver finds the starts.
+        """The best local minimum that the starts lead to; the solver finds the first start.
 
         Raises:
             ArgumentError: The residual bound is below what any parameters reach.
@@ -88,7 +88,7 @@ class Riemannian(Regularizer):
         first = search.start(convex.x)
         best, weight = search.meet_bound(first, convex.prior_weight)
         found: dict[str, Minimum | None] = {"entropic": best}
-        for name, start in self._others(search, first, prior, gamma * weight, solver).items():
+        for name, start in self._others(search, first, prior, gamma * weight).items():
             try:
                 found[name] = search.minimum(start(), weight)
             except GeodrakeError:  # the minima that were found stand
@@ -102,22 +102,20 @@ class Riemannian(Regularizer):
         return search.result(best, weight, minima, time.perf_counter() - begin)
 
     def _others(
-        self, search: RiemannianSearch, first: Array, prior: Array, gamma: float, solver: str | None
+        self, search: RiemannianSearch, first: Array, prior: Array, gamma: float
     ) -> dict[str, Callable[[], Array]]:
         """What gives the coordinates (p,) of the other starts, as far as they exist."""
         free = replace(search, problem=replace(search.problem, residual_bound=None))
 
         def pullback() -> Array:
-            fit = free.inside(
-                lambda inner: Pullback().solve(inner, prior, gamma, solver or "newton")
-            )
+            fit = free.inside(lambda inner: Pullback().solve(inner, prior, gamma, "newton"))
             # It may be at the boundary of physical bodies; a share of the first start leads inside.
             return 0.9 * search.start(fit.x) + 0.1 * first
 
         def data() -> Array:
             share = 1e-3 * gamma
             return search.start(
-                free.inside(lambda inner: Entropic().solve(inner, prior, share, solver)).x
+                free.inside(lambda inner: Entropic().solve(inner, prior, share, "newton")).x
             )
 
         def nearest() -> Array:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from pydrake.solvers import (
@@ -17,7 +20,16 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
-from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
+from geodrake.identification.own_process import (
+    LateProcessError,
+    LostProcessError,
+    in_own_process,
+)
+
+T = TypeVar("T")
+Tolerances = Mapping[str, Mapping[str, float | int]]
+"""Options of each solver that say how exact a solution is to be."""
 
 SOLVERS: dict[str, type[SolverInterface]] = {
     "clarabel": ClarabelSolver,
@@ -27,7 +39,7 @@ SOLVERS: dict[str, type[SolverInterface]] = {
 }
 """SCS and CSDP are there to cross-check; CSDP takes no exponential cones, so no entropic fits."""
 
-_EXACT: dict[str, dict[str, float | int]] = {
+_EXACT: Tolerances = {
     "clarabel": {
         "tol_gap_abs": 1e-10,
         "tol_gap_rel": 1e-10,
@@ -39,7 +51,7 @@ _EXACT: dict[str, dict[str, float | int]] = {
     },
     "scs": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 100_000},
 }
-_GOOD: dict[str, dict[str, float | int]] = {
+_GOOD: Tolerances = {
     "clarabel": {
         "tol_gap_abs": 1e-9,
         "tol_gap_rel": 1e-9,
@@ -49,7 +61,7 @@ _GOOD: dict[str, dict[str, float | int]] = {
         "reduced_tol_feas": 1e-6,
     },
 }
-_ROUGH: dict[str, dict[str, float | int]] = {
+_ROUGH: Tolerances = {
     "clarabel": {
         "tol_gap_abs": 1e-7,
         "tol_gap_rel": 1e-6,
@@ -60,6 +72,16 @@ _ROUGH: dict[str, dict[str, float | int]] = {
     },
     "scs": {"eps_abs": 1e-5, "eps_rel": 1e-5, "max_iters": 100_000},
 }
+
+ROUGHLY = (_ROUGH,)
+"""Accuracies to try in turn, for about four digits."""
+EXACTLY = (_EXACT, _GOOD)
+"""The same, for all digits: the last may be out of reach of rounding, and a little less will do."""
+NEARLY = (_GOOD,)
+"""The same, short of where a step can have no digits left."""
+
+_SECONDS = 20.0
+"""Time that a fit by a conic solver may take."""
 
 _CAUSES = {
     SolutionResult.kInfeasibleConstraints: (
@@ -96,15 +118,53 @@ def _is_usable(solver: str) -> bool:
     return bool(kind.available() and kind.enabled())
 
 
+def solved_apart(solve: Callable[[Sequence[Tolerances]], T], solver: str) -> T:
+    """What `solve` makes of a solver's solutions, in a process of its own.
+
+    Where rounding has left no digit of a step, Clarabel panics on the numbers that are none, and
+    that ends the process it is in. No check before the call can tell, as it takes the last digits
+    of an iterate; a little less accuracy often ends before that.
+
+    Args:
+        solve: Called with the accuracies that are to be tried.
+        solver: Name of the solver.
+
+    Raises:
+        GeodrakeError: What `solve` raised.
+        IdentificationError: The solver ended its process.
+        ConvergenceError: It found nothing in time.
+    """
+    over = time.monotonic() + _SECONDS
+    for accuracies in (EXACTLY, NEARLY):
+        seconds = max(over - time.monotonic(), 0.0)
+        try:
+            return in_own_process(partial(solve, accuracies), seconds=seconds)
+        except LateProcessError as error:
+            raise ConvergenceError(
+                f"{solver} {error}, which is all that a fit has.",
+                advice="Use the default solver, or raise gamma.",
+                solver=solver,
+            ) from None
+        except LostProcessError as error:
+            lost = str(error)
+    cause, advice = _OTHER_CAUSE
+    raise IdentificationError(
+        f"{solver} found no parameters: its process {lost}. {cause}",
+        advice=advice,
+        solver=solver,
+        status=lost,
+    )
+
+
 def run_solver(
-    program: MathematicalProgram, solver: str, *, rough: bool = False
+    program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances] = EXACTLY
 ) -> MathematicalProgramResult:
-    """Solve a program.
+    """Solve a program, in this process; `solved_apart` is safe where its solver is not.
 
     Args:
         program: Any program the solver can take.
         solver: A name of `SOLVERS`.
-        rough: Whether a solution to about four digits will do.
+        accuracies: What to try in turn.
 
     Returns:
         The result, a success.
@@ -122,8 +182,7 @@ def run_solver(
             f"{SOLVERS[solver]().ExplainUnsatisfiedProgramAttributes(program)}",
             advice="Use clarabel, or scs as a cross-check.",
         )
-    # The last digits may be out of reach of rounding; a little less is good enough then.
-    for tolerances in (_ROUGH,) if rough else (_EXACT, _GOOD):
+    for tolerances in accuracies:
         options = SolverOptions()
         for name, value in tolerances.get(solver, {}).items():
             options.SetOption(SOLVERS[solver].id(), name, value)

@@ -7,20 +7,19 @@ follows the last dot is the quantity, so joint names may contain dots.
 
 from __future__ import annotations
 
-import csv
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from geodrake.arguments import file_path, instances
 from geodrake.errors import LogError
+from geodrake.input_files import regular_file
 from geodrake.log_files.columns import HEADER_ADVICE
 from geodrake.log_files.csv_file import read_csv
 from geodrake.log_files.npz_file import read_npz
-from geodrake.log_files.writing import write_log
+from geodrake.log_files.writing import log_content, write_log
 from geodrake.motion import JointLog
 
-__all__ = ["read_log", "write_log"]
+__all__ = ["log_content", "read_log", "write_log"]
 
 
 def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointLog:
@@ -36,16 +35,14 @@ def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointL
         The log, its joints in the order given or of their position columns, named after the file.
 
     Raises:
-        LogError: If the file cannot be read, lacks a needed column or joint, has one twice, has
-            cells that are not numbers, has fewer than ten rows, or if its time does not increase.
+        LogError: If the file is no regular one or cannot be read, lacks a needed column or joint,
+            has one twice, has cells that are not numbers, has fewer than ten rows or more than
+            fit into memory, or if its time does not increase.
     """
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
     readers = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}
-    if not path.exists():
-        raise LogError(f"There is no log file {str(path)!r}.", advice="Check the path.")
-    if path.is_dir():
-        raise LogError(f"{str(path)!r} is a directory, not a log.", advice="Name the file in it.")
+    regular_file(path, "log", LogError)
     if path.suffix.lower() not in readers:
         raise LogError(
             f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
@@ -53,8 +50,13 @@ def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointL
         )
     try:
         return readers[path.suffix.lower()](path, joints)
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise LogError(
+            f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
+            advice="Save it as CSV in UTF-8, or as .npz.",
+        ) from error
+    except (OSError, MemoryError) as error:
         raise LogError(
             f"Log {str(path)!r} cannot be read: {error}.",
-            advice="Check the file's permissions and that it is a text table in UTF-8, or .npz.",
+            advice="Check the file's permissions, and that there is memory for it.",
         ) from error

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +19,7 @@ Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
 QUANTITIES = ("position", "velocity", "acceleration", "effort")
+_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
 
@@ -44,11 +47,11 @@ class Columns:
         Raises:
             LogError: Time, or a joint's position or effort, is missing, or the joints are others.
         """
+        _check_names(path, names)
         if "time" not in names:
-            close = difflib.get_close_matches("time", [name.lower() for name in names], cutoff=0.4)
+            close = difflib.get_close_matches("time", [n.lower() for n in names[:100]], cutoff=0.4)
             raise LogError(
-                f"Log {str(path)!r} has no column 'time'; it has {', '.join(names[:8]) or 'none'}"
-                f"{' …' if len(names) > 8 else ''}.",
+                f"Log {str(path)!r} has no column 'time'; it has {_listed(names)}.",
                 advice=(f"Is it {close[0]!r}? " if close else "") + HEADER_ADVICE,
             )
         having = {
@@ -60,16 +63,16 @@ class Columns:
             check_joints(path.stem, own, joints)
         quantities, notes = [], []
         for quantity in QUANTITIES:
-            missing = [f"{joint}.{quantity}" for joint in own if joint not in having[quantity]]
+            there = set(having[quantity])
+            missing = [f"{joint}.{quantity}" for joint in own if joint not in there]
             if not missing:
                 quantities.append(quantity)
             elif len(missing) < len(own):
-                notes.append(f"{quantity} is not used: there is no {', '.join(missing)}")
+                notes.append(f"{quantity} is not used: there is no {_listed(missing)}")
         known = {"time", *(f"{joint}.{quantity}" for joint in own for quantity in QUANTITIES)}
         others = [name for name in names if name not in known]
         if others:
-            more = " …" if len(others) > 8 else ""
-            notes.append(f"columns ignored: {', '.join(others[:8])}{more}")
+            notes.append(f"columns ignored: {_listed(others)}")
         return cls(path, tuple(own if joints is None else joints), tuple(quantities), tuple(notes))
 
     @property
@@ -88,9 +91,22 @@ class Recording:
     """
 
     def __init__(self, columns: Columns, rows: int) -> None:
-        """Room for so many rows."""
+        """Room for so many rows.
+
+        Raises:
+            LogError: There is none: with what is made of them they would fill the memory.
+        """
         self.columns = columns
+        needed, there = 8 * rows * len(columns.names), _memory()
+        if needed > _LARGEST_SHARE * there:
+            raise LogError(
+                f"Log {str(columns.path)!r} has {rows} rows of {len(columns.names)} numbers, "
+                f"{needed / 1e9:.3g} GB; this machine has {there / 1e9:.3g} GB of memory.",
+                advice="Give excerpts of it, or fewer columns.",
+                rows=rows,
+            )
         self.time = np.empty(rows)
+        self._places = {joint: place for place, joint in enumerate(columns.joints)}
         shape = (rows, len(columns.joints))
         self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
 
@@ -100,7 +116,7 @@ class Recording:
             self.time[rows] = numbers
         else:
             joint, quantity = name.rsplit(".", 1)
-            self.values[quantity][rows, self.columns.joints.index(joint)] = numbers
+            self.values[quantity][rows, self._places[joint]] = numbers
 
     def log(self, rows: int) -> JointLog:
         """The log of the first so many rows.
@@ -134,12 +150,12 @@ def is_used(name: str) -> bool:
 
 def _joints(path: Path, having: Mapping[str, Sequence[str]]) -> Sequence[str]:
     """Joints with position and effort; an error if a position has no effort."""
-    joints = having["position"]
-    silent = [joint for joint in joints if joint not in having["effort"]]
+    joints, heard = having["position"], set(having["effort"])
+    silent = [joint for joint in joints if joint not in heard]
     if not joints or len(silent) == len(joints):
         raise LogError(
             f"Log {str(path)!r} has no joint with both position and effort; positions: "
-            f"{', '.join(joints) or 'none'}; efforts: {', '.join(having['effort']) or 'none'}.",
+            f"{_listed(joints)}; efforts: {_listed(having['effort'])}.",
             advice=f"A log without effort says nothing about dynamics. {HEADER_ADVICE}",
         )
     if silent:
@@ -150,3 +166,32 @@ def _joints(path: Path, having: Mapping[str, Sequence[str]]) -> Sequence[str]:
             joints=silent,
         )
     return joints
+
+
+def _check_names(path: Path, names: Sequence[str]) -> None:
+    """Refuse names that a column of the format has twice, and those that no text has."""
+    if any("\0" in name for name in names):
+        raise LogError(
+            f"The first line of log {str(path)!r} has null characters: it is no text in UTF-8.",
+            advice="Is it UTF-16, or binary? Save it as CSV in UTF-8, or as .npz.",
+        )
+    twice = sorted(name for name, count in Counter(names).items() if count > 1 and is_used(name))
+    if twice:
+        raise LogError(
+            f"Log {str(path)!r} has these columns more than once: {', '.join(twice)}.",
+            advice="Remove or rename one of each.",
+            columns=twice,
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    """The first few names."""
+    return f"{', '.join(names[:8]) or 'none'}{' …' if len(names) > 8 else ''}"
+
+
+def _memory() -> int:
+    """Bytes of memory of this machine, where its system tells; else more than any log needs."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 1 << 62

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from geodrake.arguments import file_path, instance
 from geodrake.errors import OutputError
 from geodrake.log_files.columns import QUANTITIES
 from geodrake.motion import JointLog
+from geodrake.whole_files import Content, write_whole
 
 _ROWS = 50_000  # that are written at once
 
@@ -29,6 +31,12 @@ def write_log(log: JointLog, path: str | Path) -> None:
         OutputError: If the suffix is another, or the file cannot be written.
     """
     path = file_path(path)
+    write_whole(path, log_content(log, path))
+
+
+def log_content(log: JointLog, path: str | Path) -> Content:
+    """What `write_log` writes; arguments and errors are the same."""
+    path = file_path(path)
     instance(log, "log", JointLog)
     if path.suffix.lower() not in (".csv", ".txt", ".npz"):
         raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
@@ -38,22 +46,20 @@ def write_log(log: JointLog, path: str | Path) -> None:
         if values is not None:
             names = (f"{joint}.{quantity}" for joint in log.joints)
             columns.update(zip(names, values.T, strict=True))
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        if path.suffix.lower() == ".npz":
-            with partial.open("wb") as file:
-                np.savez_compressed(file, **columns)
-        else:
-            with partial.open("w", encoding="utf-8", newline="") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(columns)
-                for first in range(0, len(log), _ROWS):
-                    rows = [numbers[first : first + _ROWS] for numbers in columns.values()]
-                    writer.writerows(np.column_stack(rows).tolist())
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OutputError(
-            f"Log {str(path)!r} cannot be written: {error.strerror or error}.",
-            advice="Choose a folder that exists and can be written to.",
-        ) from error
+    if path.suffix.lower() == ".npz":
+        return lambda file: np.savez_compressed(file, **columns)
+    return lambda file: _write_csv(file, columns)
+
+
+def _write_csv(file: BinaryIO, columns: dict[str, Any]) -> None:
+    text = io.TextIOWrapper(file, encoding="utf-8", errors="backslashreplace", newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    if any("\r" in name for name in columns):  # readers take it for a line end if it is bare
+        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL).writerow(columns)
+    else:
+        writer.writerow(columns)
+    count = len(columns["time"])
+    for first in range(0, count, _ROWS):
+        rows = [numbers[first : first + _ROWS] for numbers in columns.values()]
+        writer.writerows(np.column_stack(rows).tolist())
+    text.detach()  # which flushes it, and leaves the file open

@@ -5,10 +5,18 @@ from __future__ import annotations
 import abc
 from pathlib import Path
 from typing import ClassVar
-from xml.etree.ElementTree import Element, SubElement, tostring
+from xml.etree.ElementTree import Element, SubElement
 
 from geodrake.inertia import Array, is_physical
+from geodrake.model_files.checks import (
+    Numeric,
+    check_inertia,
+    check_limits,
+    check_links,
+    check_numbers,
+)
 from geodrake.model_files.values import drop
+from geodrake.model_files.xml_text import numbered_text
 
 _LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
@@ -24,9 +32,11 @@ class ModelText(abc.ABC):
         friction: Scoped joint names with their dry friction, N or N·m.
         armature: Scoped joint names with their reflected inertia, kg·m² or kg.
         effort: Scoped joint names with their largest effort, N or N·m.
+        packages: Names of packages whose files are left for Drake to include.
     """
 
     kind: ClassVar[str]
+    numeric: ClassVar[Numeric]
 
     def __init__(self, root: Element, path: Path, scope: str | None) -> None:
         self.root, self.path, self.scope = root, path, scope
@@ -34,14 +44,25 @@ class ModelText(abc.ABC):
         self.friction: dict[str, float] = {}
         self.armature: dict[str, float] = {}
         self.effort: dict[str, float] = {}
+        self.packages: set[str] = set()
         self._links: dict[str, Element] = {}
         self._read()
+        check_numbers(self.root, self.numeric, path)
+        check_limits(self.root, path)
+        check_links(self._links, path)
         self.held_back: dict[str, Array] = {}
         for name, link in self._links.items():
             phi = self._inertia(link)
+            if phi is not None:
+                check_inertia(link, phi, path)
             if phi is not None and not is_physical(phi):
                 self.held_back[name] = phi
                 self.set_inertia(name, None)
+
+    @property
+    def link_count(self) -> int:
+        """Number of links."""
+        return len(self._links)
 
     def stated_inertia(self, link: str) -> Array | None:
         """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
@@ -60,9 +81,9 @@ class ModelText(abc.ABC):
             self._write_inertia(SubElement(element, "inertial"), phi)
         return True
 
-    def text(self) -> str:
-        """The simplified description."""
-        return tostring(self.root, encoding="unicode")
+    def text(self) -> tuple[str, list[str]]:
+        """The simplified description, and for each of its lines where that is in the file."""
+        return numbered_text(self.root)
 
     def _drop_loops(self) -> None:
         tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}

@@ -9,6 +9,8 @@ import numpy as np
 
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.model_files.base import ModelText
+from geodrake.model_files.checks import MJCF_NUMBERS
+from geodrake.model_files.includes import Includes
 from geodrake.model_files.values import (
     UPPER,
     drop,
@@ -31,8 +33,10 @@ class MjcfText(ModelText):
     """
 
     kind = "xml"
+    numeric = MJCF_NUMBERS
 
     def _read(self) -> None:
+        Includes(self.path).insert_elements(self.root)
         drop(self.root, *_IGNORED)
         if self.root.find("equality") is not None:
             drop(self.root, "equality")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.model_files.base import ModelText
+from geodrake.model_files.checks import SDF_NUMBERS
+from geodrake.model_files.includes import Includes
 from geodrake.model_files.values import (
     TENSOR,
     drop,
@@ -20,16 +21,18 @@ from geodrake.model_files.values import (
     tensor_words,
     words,
 )
-from geodrake.model_files.xml_text import parse_xml
 
 
 class SdfText(ModelText):
     """An SDF model or world."""
 
     kind = "sdf"
+    numeric = SDF_NUMBERS
 
     def _read(self) -> None:
-        _insert_includes(self.root, self.path.parent)
+        includes = Includes(self.path)
+        includes.insert(self.root, self.path.parent)
+        self.packages = includes.names
         for link in self.root.iter("link"):
             inertial = link.find("inertial")
             if inertial is None or inertial.get("auto") != "true":
@@ -54,7 +57,7 @@ class SdfText(ModelText):
         for dynamics in joint.iter("dynamics"):
             stiffness = numbers(dynamics.findtext("spring_stiffness", "0"), 1)[0]
             drop(dynamics, "spring_stiffness", "spring_reference")
-            if stiffness:
+            if stiffness and np.isfinite(stiffness):
                 self.notes.append(
                     f"{joint.get('name')}: the spring of the file ({stiffness:g} N·m/rad or N/m) "
                     "is no part of the rigid-body model; add joint_spring for it."
@@ -86,27 +89,3 @@ class SdfText(ModelText):
         tensor = SubElement(inertial, "inertia")
         for key, word in tensor_words(inertia).items():
             SubElement(tensor, key).text = word
-
-
-def _insert_includes(root: Element, folder: Path) -> None:
-    """Puts the models of included files, found by a relative path, in the place of the include."""
-    for parent in list(root.iter()):
-        for include in parent.findall("include"):
-            uri = include.findtext("uri", "").strip()
-            file = folder / uri
-            file = file / "model.sdf" if file.is_dir() else file
-            if "://" in uri or not file.is_file():
-                continue
-            included = parse_xml(file)
-            model = included.find("model")
-            if included.tag != "sdf" or model is None:
-                continue
-            _insert_includes(included, file.parent)
-            model.set("name", include.findtext("name", model.get("name", "")).strip())
-            for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
-                for old in model.findall(element.tag):
-                    model.remove(old)
-                model.append(element)
-            if include.get("placement_frame"):
-                model.set("placement_frame", include.get("placement_frame", ""))
-            parent[list(parent).index(include)] = model

@@ -7,6 +7,7 @@ from xml.etree.ElementTree import Element, SubElement
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.model_files.base import ModelText
+from geodrake.model_files.checks import URDF_NUMBERS
 from geodrake.model_files.values import (
     TENSOR,
     drop,
@@ -24,6 +25,7 @@ class UrdfText(ModelText):
     """A URDF file."""
 
     kind = "urdf"
+    numeric = URDF_NUMBERS
 
     def _read(self) -> None:
         if any(element.tag.startswith("xacro:") for element in self.root.iter()):

@@ -9,6 +9,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
+from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, from_mass_com_inertia
 
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
@@ -59,11 +60,14 @@ def rotation(values: Array) -> Array:
 def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
     """Parameters (10,) of a central inertia that is expressed in a frame turned by R.
 
-    They are NaN where a value is no number.
+    They are NaN where a value is no number, or too large for one.
     """
-    if not all(np.isfinite(values).all() for values in (mass, com, R, inertia)):
+    with np.errstate(over="ignore", invalid="ignore"):
+        turned = R @ inertia @ R.T
+    try:
+        return from_mass_com_inertia(mass, com, turned)
+    except ArgumentError:
         return np.full(PARAMETERS_PER_BODY, np.nan)
-    return from_mass_com_inertia(mass, com, R @ inertia @ R.T)
 
 
 def tensor_words(inertia: Array) -> dict[str, str]:

@@ -84,6 +84,16 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
     return notes
 
 
+def bound_notes(gamma: float) -> list[str]:
+    """That a residual bound leaves the model as it is, if it does."""
+    if np.isfinite(gamma):
+        return []
+    return [
+        "the residual bound holds for the model as it is: nothing limits gamma, and regularizers "
+        "are all alike"
+    ]
+
+
 def sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
     """That a weaker weight than one is let choose would fit better."""
     chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]

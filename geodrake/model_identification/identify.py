@@ -24,6 +24,7 @@ from geodrake.model import FittedEffect, RobotModel
 from geodrake.model_identification.bodies import (
     block_names,
     body_changes,
+    bound_notes,
     boundary_blocks,
     covariance_of,
     model_notes,
@@ -95,7 +96,7 @@ def identify_model(
         fits = replace(fits, dataset=case.dataset, unknowns=unknowns)
         result, folds = _solved(fits, settings, gamma)
     alternatives: tuple[Alternative, ...] = ()
-    if settings.compare:
+    if settings.compare and np.isfinite(result.gamma):
         tell("Comparing regularizers")
         alternatives = _alternatives(fits, settings.regularizer, result, folds)
     held_out = fits.held_out(folds)
@@ -113,7 +114,12 @@ def identify_model(
         result,
         comparison(case, unknowns, held_out),
         alternatives,
-        (*case.notes, *model_notes(fitted, body_changes(fits, result)), *sweep_notes(gamma, sweep)),
+        (
+            *case.notes,
+            *model_notes(fitted, body_changes(fits, result)),
+            *sweep_notes(gamma, sweep),
+            *bound_notes(result.gamma),
+        ),
     )
 
 

@@ -96,6 +96,9 @@ class ModelIdentification:
         return tuple(body.name for body in self.bodies if body.at_boundary)
 
 
+_LARGEST_RATIO = 1e6  # of residuals, beyond which a bound bounds nothing
+
+
 @dataclass(frozen=True, kw_only=True)
 class IdentificationSettings:
     """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself.
@@ -104,7 +107,7 @@ class IdentificationSettings:
         regularizer: Name of the regularizer: see `geodrake.identification.REGULARIZERS`.
         gamma: Weight γ > 0 of the regularizer against effective samples.
         residual_ratio: RMS of the training residual that is allowed, relative to the least that
-            any parameters reach; above 1.
+            any parameters reach; above 1, and up to a million.
         total_mass: Mass of all moving bodies together, payloads included, kg, if it is known.
         compare: Whether to solve with all regularizers at the same training residual too.
         bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
@@ -144,9 +147,9 @@ class IdentificationSettings:
         if mass is not None and not (np.isfinite(mass) and mass > 0):
             raise ArgumentError(f"The total mass must be positive, in kg; got {mass:g}.")
         ratio = self.residual_ratio
-        if ratio is not None and not 1.0 < ratio < np.inf:
+        if ratio is not None and not 1.0 < ratio <= _LARGEST_RATIO:
             raise ArgumentError(
                 f"The residual bound {ratio:g} is relative to the least RMS residual that any "
-                "parameters reach, so it must be above 1.",
+                f"parameters reach, so it must be above 1, and at most {_LARGEST_RATIO:g}.",
                 advice="Give 1.01 to allow one percent more.",
             )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.case import Case
 from geodrake.effects.effort_delay import delayed_by
-from geodrake.errors import LogError
+from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.reduce import peak_speeds
 from geodrake.motion import MEMORY, Segment, Stretch
 
@@ -53,6 +53,7 @@ def moving_passages(case: Case, seconds: float) -> list[Passage]:
 
     Raises:
         LogError: There is none.
+        ArgumentError: The length is less than that between two samples.
     """
     peak = peak_speeds(case.trajectories)
     found = [
@@ -74,6 +75,12 @@ def _moving(
 ) -> Iterator[tuple[int, Segment]]:
     """First samples of the passages of a stretch, and the passages."""
     count = round(seconds / stretch.period) + 1
+    if count < 2:
+        raise ArgumentError(
+            f"A horizon of {seconds:g} s is shorter than the {stretch.period:.4g} s between two "
+            "samples.",
+            advice="Give a longer one.",
+        )
     ahead = round(float(np.abs(delays).max()) / stretch.period) + 1
     for start in range(ahead, len(stretch) - count - ahead, count):
         near = stretch[start - ahead : start + count + ahead]

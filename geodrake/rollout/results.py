@@ -64,9 +64,10 @@ class Rollout:
         joints: Departures of every joint.
         windows: What was simulated.
         horizon: Length of the windows, s.
-        broken: Windows in which the simulation could not go on to the end.
+        broken: Windows in which the simulation could not go on to the end, or left all reason.
         left_out: Effects of the model that the simulation is without, as they are no forces on a
             robot whose state is that of its links: soft joints and play.
+        notes: What was done to the logs and noticed about the model.
     """
 
     joints: tuple[JointDeparture, ...]
@@ -74,6 +75,7 @@ class Rollout:
     horizon: float
     broken: int
     left_out: tuple[Effect, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def relative(self) -> float:

@@ -17,7 +17,7 @@ from geodrake.model import RobotModel
 from geodrake.motion import JointLog
 from geodrake.rollout.passages import moving_passages
 from geodrake.rollout.results import JointDeparture, Rollout, Window
-from geodrake.rollout.simulation import Simulation, left_out
+from geodrake.rollout.simulation import Simulation, allowed_steps, left_out
 
 HORIZON = 0.5
 """Length of a window, s."""
@@ -25,6 +25,7 @@ HORIZON = 0.5
 MOST_WINDOWS = 12
 """Windows that are simulated, spread evenly over the logs."""
 
+_SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
 _SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 
 Progress = Callable[[str, float], None]
@@ -58,24 +59,29 @@ def roll_out(
         progress: Told about each window: its log, and the share that is done.
 
     Raises:
-        ArgumentError: A setting is not positive.
+        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window.
     """
     real_array(horizon, "horizon", (), finite=False)
     integer(most, "most")
-    if not (0.0 < horizon < np.inf and most >= 1):
+    if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
         raise ArgumentError(
-            f"A rollout needs a horizon above 0 s and a window at least; it got {horizon} s and "
-            f"{most}."
+            f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "
+            f"it got a horizon of {horizon} s and {most} windows."
         )
     if progress is not None:
         function(progress, "progress")
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = moving_passages(case, horizon)
-    chosen = np.unique(np.linspace(0, len(passages) - 1, most).round().astype(int))
-    least = _SIGN_WIDTH * np.maximum(peak_speeds(case.trajectories), 1e-3)
+    count = min(most, len(passages))
+    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int)).tolist()
+    steps = allowed_steps([passages[k] for k in chosen])
+    fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
+    least = _SIGN_WIDTH * fastest
     width, held = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
-    simulation = cache(lambda log: Simulation(holding(model, held[log]), width, log))
+    simulation = cache(
+        lambda log: Simulation(holding(model, held[log]), width, log, fastest, steps)
+    )
     windows = []
     for count, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment
@@ -83,10 +89,12 @@ def roll_out(
             progress(f"{log} {segment.time[0]:.1f} s", count / len(chosen))
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
-    return _rollout(model, windows, horizon)
+    return _rollout(model, windows, horizon, case.notes)
 
 
-def _rollout(model: RobotModel, windows: Sequence[Window], horizon: float) -> Rollout:
+def _rollout(
+    model: RobotModel, windows: Sequence[Window], horizon: float, notes: tuple[str, ...]
+) -> Rollout:
     departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
     squares = np.array([np.mean(np.square(d), 0) for d in departures])
     moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
@@ -102,4 +110,4 @@ def _rollout(model: RobotModel, windows: Sequence[Window], horizon: float) -> Ro
             )
         )
     broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
-    return Rollout(tuple(joints), tuple(windows), horizon, broken, left_out(model))
+    return Rollout(tuple(joints), tuple(windows), horizon, broken, left_out(model), notes)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import Adder, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
@@ -20,6 +22,8 @@ Array = NDArray[np.float64]
 
 _LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
+_STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
+_FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
 
 
@@ -29,6 +33,20 @@ def left_out(model: RobotModel) -> tuple[Effect, ...]:
     return tuple(e for e in effects if not e.is_force and not isinstance(e, EffortDelay))
 
 
+def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
+    """One item for each step that the simulation of passages may take, all of them together.
+
+    A robot that flies apart, as under efforts in other units, takes ever smaller steps. Models
+    that lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e), and
+    256 times in the demo, some 74,000 for its twelve windows.
+    """
+    calm = sum(
+        max(len(passage.time), (passage.time[-1] - passage.time[0]) / _LARGEST_STEP)
+        for passage in passages
+    )
+    return iter(range(_STEPS + round(_TIMES * calm)))
+
+
 class Simulation:
     """The diagram: measured efforts, effects, and the plant, in the time of a log.
 
@@ -36,10 +54,20 @@ class Simulation:
         model: The model.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
         log: Name of the log.
+        fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
+        steps: One item for each step of the integrator that is left.
     """
 
-    def __init__(self, model: RobotModel, sign_width: Array, log: str) -> None:
+    def __init__(
+        self,
+        model: RobotModel,
+        sign_width: Array,
+        log: str,
+        fastest: Array,
+        steps: Iterator[int],
+    ) -> None:
         self._model, self._sign_width = model, sign_width
+        self._fastest, self._steps = fastest, steps
         builder = DiagramBuilder()
         self._plant = builder.AddSystem(load_plant(model.path, floating=model.floating).plant)
         effects = [(fitted.effect, fitted.parameters) for fitted in _forces(model)]
@@ -62,7 +90,11 @@ class Simulation:
         self._order = np.argsort(places)
 
     def positions(self, passage: Passage) -> Array:
-        """(K, nv) positions from a passage's first state on, under its efforts."""
+        """(K, nv) positions from a passage's first state on, under its efforts.
+
+        From where a joint is a million times as fast as it was measured, or no steps of the
+        integrator are left, they are NaN.
+        """
         segment, time = passage.segment, passage.time
         self._effort.UpdateTrajectory(
             PiecewisePolynomial.FirstOrderHold(time, np.asarray(segment.effort).T)
@@ -79,14 +111,25 @@ class Simulation:
         ResetIntegratorFromFlags(simulator, scheme, _LARGEST_STEP)
         simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
         simulator.Initialize()
+        simulator.set_monitor(self._limit)
         simulated = np.full(segment.position.shape, np.nan)
         for k, instant in enumerate(time):
             try:
-                simulator.AdvanceTo(instant)
+                status = simulator.AdvanceTo(instant)
             except RuntimeError:  # the integrator gives up: the robot flies apart
+                break
+            if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
                 break
             simulated[k] = self._plant.GetPositions(context)[self._order]
         return simulated
+
+    def _limit(self, root: Context) -> EventStatus:
+        """Ends a simulation that has no steps left, or whose robot is too fast for any."""
+        velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
+        inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
+        if inside and next(self._steps, None) is not None:
+            return EventStatus.DidNothing()
+        return EventStatus.ReachedTermination(self._diagram, "beyond all reason")
 
     def _remember(self, passage: Passage, root: Context) -> None:
         """Leaves the hidden states of effects as the measured motion before a passage does."""

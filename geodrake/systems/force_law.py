@@ -11,14 +11,16 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointIndex, MultibodyForces
 
+from geodrake.admissible import check_effect
 from geodrake.arguments import instances, one_or_each, real_array
 from geodrake.bodies import Member, check_plant, lumped_bodies
 from geodrake.effects import Effect, EffortDelay, EffortScale, RobotMotion
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.parameter import checked_parameters
+from geodrake.effects.columns import rows_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.kinematics import KinematicTree
+from geodrake.model import FittedEffect
 from geodrake.plant import joint_names, set_inertial_parameters
 from geodrake.regressor import inverse_dynamics_regressor
 from geodrake.systems.direct_effects import DirectEffects
@@ -116,7 +118,7 @@ class ForceLaw:
                     f"{effect.name} is no force on a robot whose state is that of its links.",
                     advice="Leave it out, or put a motor's body and a spring into the plant.",
                 )
-            mu = checked_parameters(effect, values)
+            mu = _admissible(effect, values)
             if isinstance(effect, EffortScale):
                 gain[self._motion(q, v, vd, load).index(effect.joint)] *= 1.0 + mu[0]
                 continue
@@ -247,6 +249,16 @@ class ForceLaw:
         )
 
 
+def _admissible(effect: Effect, values: ArrayLike) -> Array:
+    """Linear parameters (k,) that the effect can have."""
+    fitted = FittedEffect(effect, real_array(values, f"parameters of {effect.name}").copy())
+    try:
+        check_effect(fitted)
+    except ModelError as error:
+        raise ArgumentError(error.problem) from error
+    return fitted.parameters
+
+
 def _pairs(effects: Sequence[tuple[Effect, ArrayLike]]) -> tuple[tuple[Effect, ArrayLike], ...]:
     """Effects with what belongs to them, as pairs."""
     for pair in (given := instances(effects, "effects", tuple)):
@@ -259,6 +271,6 @@ def _sum(terms: _Terms, motion: RobotMotion) -> Array:
     """Summed effort (N, nv) of effects with parameters."""
     total = np.zeros_like(motion.v)
     for effect, mu in terms:
-        for joint, columns in effect.rows(motion).items():
+        for joint, columns in rows_of(effect, motion).items():
             total[:, motion.index(joint)] += columns @ mu
     return total

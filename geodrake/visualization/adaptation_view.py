@@ -20,11 +20,12 @@ from pydrake.systems.framework import (
 
 from geodrake.bodies import lumped_bodies
 from geodrake.errors import ArgumentError
+from geodrake.escaping import path_part
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.loops import AdaptiveLoop
-from geodrake.saved_model import write_whole
 from geodrake.visualization import style
 from geodrake.visualization.ellipsoids import BOUNDARY, IDENTIFIED, placed, skeleton
+from geodrake.whole_files import write_whole
 
 FRAME_PERIOD = 1.0 / 32.0
 """Time between two pictures, s: that of MeshCat's recordings, nearly."""
@@ -72,7 +73,7 @@ class AdaptationView(LeafSystem):
         LeafSystem.__init__(self)
         self._plant, self._meshcat, self._path = plant, meshcat, path
         self._scratch = plant.CreateDefaultContext()
-        self._bodies = [body.name.replace("/", "_") for body in lumped_bodies(plant)]
+        self._bodies = [path_part(body.name) for body in lumped_bodies(plant)]
         if parameters < PARAMETERS_PER_BODY * len(self._bodies):
             raise ArgumentError(
                 f"{len(self._bodies)} bodies have ten parameters each; the estimate has "
@@ -193,4 +194,4 @@ def save_recording(meshcat: Meshcat, path: str | Path) -> None:
     """
     meshcat.StopRecording()
     meshcat.PublishRecording()
-    write_whole(Path(path), meshcat.StaticHtml())
+    write_whole(path, meshcat.StaticHtml())

@@ -110,6 +110,7 @@ def draft_section(draft: Draft, units: Units) -> Section:
     return Section(title, (text,), (Table(head, tuple(rows), words=3),), items, figures)
 
 
+@style.own_look()
 def draft_figure(draft: Draft, *, units: Units | None = None) -> Figure:
     """What formulas explain: over time, and against what everything else leaves.
 

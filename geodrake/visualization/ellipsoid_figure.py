@@ -40,6 +40,7 @@ _FILLED = 0.76  # share of a panel's width for the box; tick labels need the res
 _ABOVE, _BELOW, _TITLE = 0.62, 0.3, 0.75  # inches for the legend, the note, a title and ticks
 
 
+@style.own_look()
 def ellipsoid_figure(
     plant: MultibodyPlant,
     sets: Sequence[EllipsoidSet],
@@ -85,6 +86,7 @@ def ellipsoid_figure(
     return figure
 
 
+@style.own_look()
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
     """A figure as the bytes of a file: "png", "pdf" or "svg"."""
     FigureCanvasAgg(figure)

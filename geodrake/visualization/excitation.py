@@ -149,6 +149,7 @@ def _notes(result: ExcitationResult) -> Section:
     return Section("Notes", items=result.notes)
 
 
+@style.own_look()
 def motion_figure(result: ExcitationResult, *, most: int = style.MOST_JOINTS) -> Figure:
     """Position, velocity, acceleration and effort of every joint, with their limits.
 
@@ -193,6 +194,7 @@ def _draw(ax: Axes, at: Array, values: Array, bounds: tuple[float, float], *, ti
             ax.axhline(bound, color=style.INK, linestyle=":", linewidth=1.0)
 
 
+@style.own_look()
 def eigenvalue_figure(result: ExcitationResult) -> Figure:
     """Deviations along the principal directions, from the most certain on."""
     figure = style.new_figure(2.8)

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from geodrake.diagnosis.results import Candidate, Diagnosis, ErrorTable, Explanation
 from geodrake.visualization import style
-from geodrake.visualization.numbers import number, shortened
+from geodrake.visualization.numbers import number
 from geodrake.visualization.units import effect_label, places_label
 
 _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
@@ -21,6 +21,7 @@ _MOST_WORDS = 62
 _MOST_UPRIGHT = 110  # letters under an axis
 
 
+@style.own_look()
 def joint_error_figure(
     start: ErrorTable,
     stages: Sequence[tuple[str, Sequence[float]]] = (),
@@ -77,11 +78,15 @@ def step_stages(explanation: Explanation) -> list[tuple[str, list[float]]]:
     """Words and RMS of every joint after each step, as `joint_error_figure` takes them."""
     joints = [joint.joint for joint in explanation.start.joints]
     return [
-        (f"+ {effect_label(step.effect)}", [step.rms_after.get(j, np.nan) for j in joints])
+        (
+            style.label(f"+ {effect_label(step.effect)}"),
+            [step.rms_after.get(j, np.nan) for j in joints],
+        )
         for step in explanation.steps
     ]
 
 
+@style.own_look()
 def step_figure(explanation: Explanation) -> Figure:
     """How the held-out nrms falls with each step, with the noise floor.
 
@@ -96,7 +101,7 @@ def step_figure(explanation: Explanation) -> Figure:
         rows.append(("its own parameters refitted", start.nrms, explanation.refitted.nrms))
     for step in explanation.steps:
         words = f"+ {effect_label(step.effect)}, {places_label(step.where, joints, most=3)}"
-        rows.append((shortened(words, _MOST_WORDS), step.error_before, step.error_after))
+        rows.append((style.label(words, _MOST_WORDS), step.error_before, step.error_after))
     figure = style.new_figure(1.0 + 0.36 * len(rows))
     ax = style.polish(figure.subplots(), grid="x")
     spans = np.maximum([row[1:] for row in rows], _LEAST)
@@ -125,6 +130,7 @@ def step_figure(explanation: Explanation) -> Figure:
     return figure
 
 
+@style.own_look()
 def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> Figure:
     """Held-out nrms that each candidate would leave, the chosen one first.
 
@@ -152,7 +158,7 @@ def candidate_figure(diagnosis: Diagnosis, *, most: int = _MOST_CANDIDATES) -> F
     ax.set_xlim(0, 1.12 * max([before, floor, *(c.error_after for c in shown)]))
     labels = [f"{effect_label(c.effect)}, {places_label(c.where, joints, most=3)}" for c in shown]
     ax.set_yticks(
-        range(len(shown)), [shortened(text, _MOST_WORDS) for text in labels],
+        range(len(shown)), [style.label(text, _MOST_WORDS) for text in labels],
         **style.plain(style.SMALL + 0.5),
     )  # fmt: skip
     ax.set_ylim(max(len(shown), 1) - 0.4, -0.6)

@@ -126,6 +126,7 @@ def _relative(combination: ToldCombination) -> str:
     return percent(relative) if relative < 1 else f"{number(relative)} times its size"
 
 
+@style.own_look()
 def identifiable_figure(found: LogIdentifiability) -> Figure:
     """Deviations along the principal directions, and what is told of every body."""
     figure = style.new_figure(max(3.2, 1.2 + 0.3 * len(found.bodies)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
 from geodrake.bodies import lumped_bodies
+from geodrake.escaping import html_text, path_part
 from geodrake.inertia import Array
 from geodrake.model_files.description import drake_messages
 from geodrake.visualization.ellipsoids import BOUNDARY, EllipsoidSet, placed, skeleton
@@ -51,9 +51,9 @@ class MeshcatEllipsoids:
     ) -> None:
         self._meshcat, self._plant, self._sets = meshcat, plant, tuple(sets)
         self._shifts = [np.array([0.0, k * spacing, 0.0]) for k in range(len(self._sets))]
-        names = [body.name.replace("/", "_") for body in lumped_bodies(plant)]
+        names = [path_part(body.name) for body in lumped_bodies(plant)]
         self._paths = [
-            [f"{path}/{one.name.replace('/', '_')}/{name}" for name in names] for one in self._sets
+            [f"{path}/{path_part(one.name)}/{name}" for name in names] for one in self._sets
         ]
         context = plant.CreateDefaultContext()
         meshcat.Delete(path)
@@ -97,7 +97,7 @@ def ellipsoid_page(
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
         MeshcatEllipsoids(meshcat, plant, sets, spacing=spacing).update(context)
         for k, one in enumerate(sets):
-            _draw_lines(meshcat, f"robot/{one.name.replace('/', '_')}", lines, k * spacing)
+            _draw_lines(meshcat, f"robot/{path_part(one.name)}", lines, k * spacing)
         shift = np.array([0.0, 0.5 * (len(sets) - 1) * spacing, 0.0])
         middle = lines.reshape(-1, 3).mean(0) + shift
         size = np.ptp(lines.reshape(-1, 3), axis=0).max()
@@ -136,7 +136,7 @@ def _legend(sets: Sequence[EllipsoidSet]) -> str:
         entries.append((BOUNDARY, "at the boundary of what a body can be"))
     spans = "".join(
         f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
-        f'border-radius:6px;background:{color}"></span>{html.escape(name)}</div>'
+        f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'
         for color, name in entries
     )
     return (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+from geodrake.escaping import printable
+
 UNKNOWN = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEAST_CHANCE = 1e-6
@@ -57,7 +59,8 @@ def chance(probability: float) -> str:
 
 
 def shortened(text: str, most: int) -> str:
-    """A text of at most so many characters, its middle left out where it is longer."""
+    """A printable text of at most so many characters, its middle left out where it is longer."""
+    text = printable(text)
     if len(text) <= most:
         return text
     tail = (most - 1) // 2

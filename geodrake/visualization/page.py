@@ -10,6 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
+from geodrake.escaping import printable
 from geodrake.visualization.style import png
 
 _TEMPLATE = "report.html.jinja"
@@ -145,12 +146,14 @@ def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
     return tuple(s for s in sections if s.text or s.tables or s.items or s.pictures)
 
 
-def _unbroken(value: Any) -> Any:
-    """Text whose numbers stay on one line with their per cent signs and deviations."""
-    if not isinstance(value, str):
+def _shown(value: Any) -> Any:
+    """Printable text whose numbers stay on one line with their per cent signs and deviations."""
+    if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
         return value
-    return value.replace(" %", "\N{NO-BREAK SPACE}%").replace(
-        " ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}"
+    return (
+        printable(value)
+        .replace(" %", "\N{NO-BREAK SPACE}%")
+        .replace(" ± ", "\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}")
     )
 
 
@@ -160,7 +163,7 @@ def render(page: Page) -> str:
         loader=PackageLoader("geodrake", "visualization"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_unbroken,
+        finalize=_shown,
         trim_blocks=True,
         lstrip_blocks=True,
     )

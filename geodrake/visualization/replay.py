@@ -9,10 +9,13 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, JointIndex
 from pydrake.systems.framework import DiagramBuilder
 
+from geodrake.errors import ModelError
 from geodrake.identification.unknowns import payload_reference
 from geodrake.inertia import Array, is_physical
 from geodrake.model import RobotModel
-from geodrake.model_files.description import add_packages, drake_messages
+from geodrake.model_files import read_description
+from geodrake.model_files.description import drake_errors, drake_messages
+from geodrake.model_files.packages import add_packages
 from geodrake.plant import free_roots
 from geodrake.visualization.ellipsoids import EllipsoidSet
 from geodrake.visualization.meshcat_ellipsoids import MeshcatEllipsoids
@@ -53,16 +56,18 @@ def _record_visuals(meshcat: Meshcat, model: RobotModel, times: Array, q: Array)
     builder = DiagramBuilder()
     plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
     try:
-        parser = Parser(plant)
-        add_packages(parser.package_map(), model.path)
-        parser.AddModels(str(model.path))
-        if not model.floating:
-            for body in free_roots(plant):
-                X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-                plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
-        plant.Finalize()
-        starts = _positions(model.plant, plant)
-    except RuntimeError:
+        with drake_errors(model.path):
+            parser = Parser(plant)
+            names = read_description(model.path).named_packages()
+            add_packages(parser.package_map(), model.path, names)
+            parser.AddModels(str(model.path))
+            if not model.floating:
+                for body in free_roots(plant):
+                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+            plant.Finalize()
+            starts = _positions(model.plant, plant)
+    except ModelError:
         return False
     if not scene.model_inspector().NumGeometriesWithRole(Role.kIllustration):
         return False

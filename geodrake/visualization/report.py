@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.metadata
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -13,6 +11,7 @@ from matplotlib.figure import Figure
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation
 from geodrake.errors import OutputError
+from geodrake.escaping import path_part
 from geodrake.visualization import sections, style, words
 from geodrake.visualization.figures import (
     candidate_figure,
@@ -24,6 +23,7 @@ from geodrake.visualization.numbers import number, percent
 from geodrake.visualization.page import Page, Section, Tile, pictures, render, without_empty
 from geodrake.visualization.series_figures import effort_figure, residual_figure
 from geodrake.visualization.units import Units
+from geodrake.whole_files import write_together
 
 _CAPTIONS = {
     "steps": "The error on held-out data falling with each step, on a logarithmic axis.",
@@ -206,7 +206,7 @@ def report_figures(explanation: Explanation) -> dict[str, Figure]:
 
 
 def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Path, ...]:
-    """Write figures as PNG files, each whole or not at all.
+    """Write figures as PNG files, all of them or none.
 
     Args:
         figures: Name -> figure, such as `report_figures` gives.
@@ -216,23 +216,17 @@ def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Pat
         OutputError: A file cannot be written.
     """
     folder = Path(folder)
-    paths = []
-    for name, figure in figures.items():
-        path = folder / f"{name}.png"
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-        image = style.png(figure)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(image)
-            temporary.replace(path)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            raise OutputError(
-                f"Cannot write {path}: {error.strerror}.", advice="Choose another place.", path=path
-            ) from error
-        paths.append(path)
-    return tuple(paths)
+    paths = {name: folder / f"{path_part(name)}.png" for name in figures}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"Cannot write to {folder}: {error.strerror}.",
+            advice="Choose another place.",
+            path=folder,
+        ) from error
+    write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
+    return tuple(paths.values())
 
 
 def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
@@ -273,7 +267,7 @@ def _footer(comparison: Comparison) -> str:
         version = "(not installed)"
     digest = hashlib.sha256()
     for series in comparison.series:
-        digest.update(f"{series.joint}\n{series.block}\n".encode())
+        digest.update(f"{series.joint}\n{series.block}\n".encode(errors="surrogateescape"))
         for values in (series.time, series.position, series.measured):
             digest.update(values.round(9).tobytes())
     samples = sum(len(series.time) for series in comparison.series)

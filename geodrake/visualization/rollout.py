@@ -95,6 +95,7 @@ def render_rollout(
     return render(page)
 
 
+@style.own_look()
 def rollout_figure(
     after: Rollout,
     before: Rollout | None = None,

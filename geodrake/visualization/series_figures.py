@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.results import Comparison, JointError, Series
 from geodrake.visualization import style
-from geodrake.visualization.numbers import number, shortened
+from geodrake.visualization.numbers import number
 from geodrake.visualization.units import Units
 
 Array = NDArray[np.float64]
@@ -92,11 +92,12 @@ class _Timeline:
             if fits >= 4:
                 at = low + self.shifts[log]
                 ax.annotate(
-                    shortened(log, fits), (at, 1.0), (2, -1), xycoords=("data", "axes fraction"),
+                    style.label(log, fits), (at, 1.0), (2, -1), xycoords=("data", "axes fraction"),
                     textcoords="offset points", va="top", **style.plain(7, style.QUIET),
                 )  # fmt: skip
 
 
+@style.own_look()
 def effort_figure(
     comparison: Comparison,
     *,
@@ -136,13 +137,13 @@ def effort_figure(
         timeline.label(residuals)
     timeline.name_logs(grid[0, 0])
     figure.align_ylabels()
-    note = style.of_worst(len(joints), len(comparison.errors.joints))
     grid[-1, 0].set_xlabel("time in the log, s", **style.plain(style.SMALL, style.QUIET))
-    style.note_below(figure, note)
+    style.note_below(figure, style.of_worst(len(joints), len(comparison.errors.joints)))
     style.legend_above(figure, _effort_legend(after is not None))
     return figure
 
 
+@style.own_look()
 def residual_figure(
     comparison: Comparison,
     *,
@@ -181,12 +182,9 @@ def residual_figure(
             label = f"{words}, {units.at(joint, unit)}"
             ax.set_xlabel(label, labelpad=2, **style.plain(7.5, style.QUIET))
         style.joint_title(row[0], joint)
-        label = f"residual, {units.effort([joint])}"
-        row[0].set_ylabel(label, **style.plain(style.SMALL, style.QUIET))
-        row[2].set_title(
-            f"RMS {number(entries[joint].rms)}", loc="right", pad=4,
-            **style.plain(style.SMALL, style.QUIET),
-        )  # fmt: skip
+        quiet = style.plain(style.SMALL, style.QUIET)
+        row[0].set_ylabel(f"residual, {units.effort([joint])}", **quiet)
+        row[2].set_title(f"RMS {number(entries[joint].rms)}", loc="right", pad=4, **quiet)
     style.note_below(figure, style.of_worst(len(joints), len(comparison.errors.joints)))
     style.legend_above(
         figure,
@@ -269,11 +267,11 @@ def _change(before: Comparison, after: Comparison | None, joint: str, unit: str)
 
 def _effort_legend(two: bool) -> list[Line2D]:
     handles = [Line2D([], [], color=style.MEASURED, linewidth=3.2, label="measured")]
-    words = "as it stands (residual cut off where large)" if two else "predicted, residual"
-    handles.append(Line2D([], [], color=style.BEFORE, linewidth=1.4, label=words))
+    first = "as it stands (residual cut off where large)" if two else "predicted, residual"
+    handles.append(Line2D([], [], color=style.BEFORE, linewidth=1.4, label=first))
     if two:
-        words = "final model, data held out"
-        handles.append(Line2D([], [], color=style.AFTER, linewidth=1.6, label=words))
+        last = "final model, data held out"
+        handles.append(Line2D([], [], color=style.AFTER, linewidth=1.6, label=last))
     return handles
 
 

@@ -1,16 +1,19 @@
-"""How figures look: palette, axes, and the way to PNG. No global state of matplotlib is touched."""
+"""How figures look: palette, axes, and the way to PNG. Nothing of matplotlib's state is changed."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.axis import XAxis, YAxis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, get_font
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 
@@ -32,6 +35,23 @@ DPI = 130
 SMALL, NORMAL = 8.0, 9.0
 MOST_JOINTS = 8
 _NAME_LENGTH = 30
+_MOST_LETTERS = 160
+_FONT = "DejaVu Sans"  # which comes with matplotlib
+_SETTINGS = {
+    **{name: value for name, value in rcParamsDefault.items() if not name.startswith("backend")},
+    "text.parse_math": False,
+    "font.family": _FONT,
+}
+
+
+@contextmanager
+def own_look() -> Iterator[None]:
+    """A figure is made or drawn: with matplotlib's own settings, not those of the user.
+
+    Dollars in names of joints are letters, not the signs of mathematics.
+    """
+    with rc_context(_SETTINGS):
+        yield
 
 
 def new_figure(height: float) -> Figure:
@@ -58,14 +78,20 @@ def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]
 
 def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
     """Puts a joint's name above its axes, and a detail at the right."""
-    ax.set_title(shortened(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
+    ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
     if detail:
-        ax.set_title(detail, loc="right", pad=4, **plain(SMALL, QUIET))
+        ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
 
 
 def joint_label(joint: str) -> str:
     """A joint's name, short enough for an axis."""
-    return shortened(joint, _NAME_LENGTH)
+    return label(joint, _NAME_LENGTH)
+
+
+def label(text: str, most: int = _MOST_LETTERS) -> str:
+    """Words for a figure: not too many letters, and those that the font does not have as �."""
+    font = get_font(findfont(_FONT))
+    return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
 
 
 def log_scale(ax: Axes, axis: str) -> None:
@@ -112,6 +138,7 @@ def of_worst(shown: int, joints: int) -> str:
     return f"The {shown} joints of largest nrms, of {joints}."
 
 
+@own_look()
 def png(figure: Figure) -> bytes:
     """A figure as PNG of 256 colours, a third of the size; the same figure gives the same bytes."""
     canvas = FigureCanvasAgg(figure)

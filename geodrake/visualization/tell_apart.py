@@ -67,6 +67,7 @@ def pairs_section(result: ExcitationResult) -> Section:
     return Section("What it tells apart", tuple(text), (Table(head, rows, words=3),), (), figures)
 
 
+@style.own_look()
 def imitation_figure(result: ExcitationResult, *, most: int = _MOST_SHOWN) -> Figure:
     """Efforts of effects, and the best that their rivals make of them.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from geodrake.effects import Effect, catalogue
 from geodrake.effects.shape_units import SHAPE_UNITS, when_sliding
+from geodrake.escaping import printable
 from geodrake.model import RobotModel
 
 _OTHER_SIGNATURES = {
@@ -61,7 +62,7 @@ class Units:
 
 def effect_label(name: str) -> str:
     """The name of an effect or a parameter in words, such as "Coulomb friction"."""
-    words = name.replace("load_dependent", "load-dependent").replace("_", " ").split(" ")
+    words = printable(name).replace("load_dependent", "load-dependent").replace("_", " ").split(" ")
     return " ".join(_PROPER_NAMES.get(word, word) for word in words)
 
 

@@ -150,19 +150,32 @@ def changed(before, after):
 def check_words(out, err):
     """No traceback, no excuse, no control character, no number that is none."""
     both = out + err
-    assert "Traceback" not in both, both
-    assert "Internal error" not in both, both
-    assert not _CONTROL.search(both), ascii(both)
-    assert not _NO_NUMBER.search(out), out
+    assert "Traceback" not in both, f"traceback: {both}"
+    assert "Internal error" not in both, f"internal error: {both}"
+    assert not _CONTROL.search(both), f"control character: {both!a}"
+    assert not _NO_NUMBER.search(out), f"no number: {out}"
 
 
 def read_json(path):
-    """A JSON file in which every number is finite."""
+    """A JSON file in which every number is finite, and every null has a reason."""
 
     def refuse(constant):
         raise AssertionError(f"{path} holds {constant}")
 
-    return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
+    found = json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=refuse)
+    nulls = found.get("nulls", {})
+    assert set(_nulls(found, "")) == set(nulls), f"nulls without a reason in {path}"
+    assert all(isinstance(reason, str) and reason for reason in nulls.values())
+    return found
+
+
+def _nulls(value, place):
+    """JSON pointers of all nulls."""
+    if value is None:
+        yield place
+    pairs = value.items() if isinstance(value, dict) else ()
+    for key, item in enumerate(value) if isinstance(value, list) else pairs:
+        yield from _nulls(item, f"{place}/{str(key).replace('~', '~0').replace('/', '~1')}")
 
 
 def run_here(arguments, environment=None):

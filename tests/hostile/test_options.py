@@ -1,14 +1,201 @@
 """Options with values that they cannot have."""
 
+from itertools import chain
+
 import pytest
-from hostile import Row
+from hostile import Row, fill
+
+from geodrake.diagnosis.compare import compare
+from geodrake.errors import ArgumentError
+from geodrake.excitation import FourierMotion, FreeSamples, SplineMotion
+from geodrake.filtering import design_filter
+from geodrake.saved_model import load_model
+
+DATA = "robot.urdf log.csv"
+NO_FLOATS = ("wide", "''", "1,5", "0x10")
+NO_INTEGERS = ("nan", "inf", "1.5", "many", "''")
+ODD = ("nan", "inf", "-inf", "0", "-1", "1e300", "1e-300")
+HUGE = ("1000000000", "1" * 30)
+
+
+def rows(command, option, values, *says, **settings):
+    """A row for each value of an option of a command."""
+    for value in values:
+        name = f"{command.split()[0]} {option} {value}"
+        yield Row(name, f"{command} {option} {value}", says, **settings)
+
 
 ROWS = [
     Row("no such effect", "add friction robot.urdf log.csv", ("no effect 'friction'",)),
     Row("all is well", "compare robot.urdf log.csv --json new.json", code=0, writes=("new.json",)),
 ]
 
+LOG_OPTIONS = [
+    *chain.from_iterable(
+        rows(f"{command} {DATA}", "--bandwidth", ODD, "bandwidth of", "Hz")
+        for command in ("compare", "identify", "identifiable", "rollout")
+    ),
+    *chain.from_iterable(
+        rows(f"{command} {DATA}", "--bandwidth", ("nan", "1e300", "1e-300"), "bandwidth of")
+        for command in ("diagnose", "add coulomb_friction", "explain")
+    ),
+    *chain.from_iterable(
+        rows(f"{command} {DATA}", "--bandwidth", ("0.05", "0.01"), "too short")
+        for command in ("compare", "diagnose", "add coulomb_friction", "explain", "identify",
+                        "identifiable", "rollout")
+    ),
+    *rows(f"compare {DATA}", "--bandwidth", ("0.001", "26", "1000"), "bandwidth of"),
+    *rows(f"compare {DATA}", "--bandwidth", NO_FLOATS, "'--bandwidth'"),
+    *rows(f"compare {DATA}", "--bandwidth", ("25", "5"), code=0),
+    *chain.from_iterable(
+        rows(f"{command} {DATA}", "--blocks", ("0", "-1", "1", "1001", *HUGE), "blocks")
+        for command in ("compare", "identify", "identifiable")
+    ),
+    *chain.from_iterable(
+        rows(f"{command} {DATA}", "--blocks", ("-1", "1000000000"), "blocks")
+        for command in ("diagnose", "add coulomb_friction", "explain")
+    ),
+    *rows(f"compare {DATA}", "--blocks", NO_INTEGERS, "'--blocks'"),
+    *rows(f"compare {DATA}", "--blocks", ("2", "1000"), code=0),
+    *rows(f"rollout {DATA}", "--horizon", (*ODD, "1e9", "0.0001"), "horizon"),
+    *rows(f"rollout {DATA}", "--horizon", ("0.002",), "between two samples"),
+    *rows(f"rollout {DATA}", "--horizon", ("30", "1000"), "In no log does the robot move for"),
+    *rows(f"rollout {DATA}", "--horizon", NO_FLOATS, "'--horizon'"),
+    *rows(f"rollout {DATA}", "--windows", ("0", "-1"), "window"),
+    *rows(f"rollout {DATA}", "--windows", NO_INTEGERS, "'--windows'"),
+    *rows(f"rollout {DATA}", "--windows", HUGE, "departs", code=0),
+    *rows(f"identify {DATA}", "--gamma", ("nan", "inf", "-inf", "0", "-1"), "gamma must be"),
+    *rows(f"identify {DATA}", "--gamma", ("1e-300",), "gamma 1e-300"),
+    *rows(f"identify {DATA}", "--gamma", ("1e300",), code=0),
+    *rows(f"identify {DATA}", "--gamma", NO_FLOATS, "'--gamma'"),
+    *rows(f"identify {DATA}", "--residual-bound", (*ODD, "1", "1e9"), "residual bound"),
+    *rows(f"identify {DATA}", "--residual-bound", (
+        "1000", "1000 --compare"), "nothing limits gamma", code=0),
+    *rows(f"identify {DATA}", "--residual-bound", NO_FLOATS, "'--residual-bound'"),
+    *rows(f"identify {DATA}", "--total-mass", ("nan", "inf", "-inf", "0", "-1"), "total mass"),
+    *rows(f"identify {DATA}", "--total-mass", ("1e300", "1e-300"), "leads to a solution"),
+    *rows(f"identify {DATA}", "--total-mass", NO_FLOATS, "'--total-mass'"),
+    *rows(f"identify {DATA}", "--regularizer", ("''", "nan", "0"), "no regularizer"),
+    *rows(f"identifiable {DATA}", "--threshold", ("nan", "inf", "-inf", "0", "-1"), "threshold"),
+    *rows(f"identifiable {DATA}", "--threshold", ("1e-300",)),
+    *rows(f"identifiable {DATA}", "--threshold", ("1e300",), code=0),
+    *rows(f"identifiable {DATA}", "--threshold", NO_FLOATS, "'--threshold'"),
+    *rows(f"identifiable {DATA}", "--noise", ODD, "noise of shoulder, elbow"),
+    *rows(f"identifiable {DATA}", "--noise", ("shoulder=1",), "--noise says nothing of elbow"),
+    *rows(f"identifiable {DATA}", "--noise", (
+        "shoulder=1,elbow=nan", "shoulder=1,elbow=1e300"), "noise of elbow"),
+    *rows(f"identifiable {DATA}", "--noise", ("wide", "''", "=1", ",", "elbow="), "--noise"),
+    *rows("demo", "--report", ("new.txt",), "does not end in .html"),
+]  # fmt: skip
+
+PAYLOADS = [
+    *rows(f"compare {DATA} other.csv", "--known-payload", [
+        f"log.csv:lower_link:{mass}" for mass in (*ODD, "1e30", "1e20")], "has a mass of"),
+    *rows(f"compare {DATA} other.csv", "--known-payload", [
+        f"log.csv:lower_link:1:{place}" for place in ("nan,0,0", "0,inf,0", "1e30,0,0", "0,0,1e200")
+    ], "has its centre at"),
+    *rows(f"compare {DATA} other.csv", "--known-payload", [
+        "log.csv::1", "log.csv:lower_link", "log.csv:lower_link:", "log.csv:lower_link:x",
+        "log.csv:lower_link:1:0,0", "log.csv:lower_link:1:0,0,0,0"], "cannot be read"),
+    *rows(f"compare {DATA} other.csv", "--known-payload", [
+        "''", "::::", "none.csv:lower_link:1", "lower_link:1"], "there is no such log"),
+    *rows(f"compare {DATA} other.csv", "--known-payload", [
+        "log.csv:nobody:1", "log.csv:world:1"], "no body"),
+]  # fmt: skip
+PAYLOADS = [row for row in PAYLOADS if not row.name.endswith(":1e-300")]  # light, but a mass
+
+QUICK = "--seeds 1 --iterations 2 --seconds 5"
+LIMITED = f"excite robot.urdf --limits acceleration=10 {QUICK}"
+DESIGN = f"{LIMITED} --samples 30"
+
+DESIGNS = [
+    *rows(DESIGN, "--duration", (*ODD, "1e9"), "motion needs a positive duration"),
+    *rows(DESIGN, "--duration", NO_FLOATS, "'--duration'"),
+    *rows(f"{DESIGN} --duration 1e5", "--frequency", ("1000",), "is too long"),
+    *rows(DESIGN, "--harmonics", ("0", "-1", *HUGE), "at least one mode"),
+    *rows(DESIGN, "--harmonics", NO_INTEGERS, "'--harmonics'"),
+    *rows(DESIGN, "--frequency", (*ODD, "1e9"), "frequency"),
+    *rows(DESIGN, "--frequency", NO_FLOATS, "'--frequency'"),
+    *rows(f"{DESIGN} --trajectory spline", "--points", ("0", "-1", *HUGE), "control points"),
+    *rows(f"{DESIGN} --trajectory spline", "--points", NO_INTEGERS, "'--points'"),
+    *rows(LIMITED, "--samples", ("0", "-1", *HUGE), "--samples is a positive number"),
+    *rows(f"{LIMITED} --trajectory free", "--samples", ("0", "-1", "5000", *HUGE), "sample"),
+    *rows(LIMITED, "--samples", NO_INTEGERS, "'--samples'"),
+    *rows(f"excite robot.urdf {QUICK}", "--limits", ("nan", "0", "-1", "wide", "nan%"), ""),
+    *rows(f"excite robot.urdf {QUICK}", "--limits", [
+        f"{what}={value}" for what in ("velocity", "acceleration", "effort")
+        for value in ("nan", "-1", "0")], ""),
+    *rows(f"excite robot.urdf {QUICK}", "--limits", [
+        f"position={span}" for span in ("1:0", "0:0", "nan:1", "-inf:inf", "1", ":")], ""),
+    *rows(f"excite robot.urdf {QUICK}", "--limits", (
+        "=1", "velocity", "nobody.velocity=1", "elbow.=1", "velocity="), "--limits"),
+    *rows(DESIGN, "--start", ("nan", "inf", "1e300"), ""),
+    *rows(DESIGN, "--start", ("wide", "shoulder=1"), "--start"),
+    *rows(DESIGN, "--clearance", ("nan", "inf", "-inf", "-1", "1e300"), "--clearance"),
+    *rows(DESIGN, "--clearance", NO_FLOATS, "'--clearance'"),
+    *rows(DESIGN, "--noise", ODD, "noise of shoulder, elbow"),
+    *rows(DESIGN, "--seeds", ("0", "-1", *HUGE), "--seeds is a positive number"),
+    *rows(DESIGN, "--seeds", NO_INTEGERS, "'--seeds'"),
+    *rows(DESIGN, "--seed", ("-1", "1" * 30), "--seed is not negative"),
+    *rows(DESIGN, "--seed", NO_INTEGERS, "'--seed'"),
+    *rows(DESIGN, "--seconds", ("nan", "inf", "-inf", "0", "-1", "1e300"), "--seconds is a"),
+    *rows(DESIGN, "--seconds", NO_FLOATS, "'--seconds'"),
+    *rows(DESIGN, "--iterations", ("0", "-1", *HUGE), "--iterations is a positive number"),
+    *rows(DESIGN, "--iterations", NO_INTEGERS, "'--iterations'"),
+    *rows(f"{DESIGN} --save new.csv", "--rate", (
+        "nan", "inf", "-inf", "0", "-1", "1e300"), "--rate is a positive number"),
+    *rows(f"{DESIGN} --save new.csv", "--rate", NO_FLOATS, "'--rate'"),
+    *rows(DESIGN, "--criterion", ("''", "nan"), "no criterion"),
+    *rows(DESIGN, "--normalization", ("''", "0"), "no normalization"),
+    *rows(DESIGN, "--solver", ("''", "simplex"), "solver"),
+    *rows(DESIGN, "--trajectory", ("''", "circle"), "no trajectory"),
+    *rows(DESIGN, "--tell-apart", ("''", ",", "drag", "coulomb_friction"), ""),
+]  # fmt: skip
+
 
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("row", LOG_OPTIONS, ids=str)
+def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("row", PAYLOADS, ids=str)
+def test_known_payloads(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("row", DESIGNS, ids=str)
+def test_options_of_designs(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("bandwidth", [float("nan"), 0.0, -1.0, 1e-300, 1e-9, 26.0, 1e300])
+def test_filters_have_a_bandwidth_that_fits(bandwidth):
+    with pytest.raises(ArgumentError, match=r"Choose a bandwidth from 0\.005 to 25 Hz"):
+        design_filter(0.01, bandwidth)
+
+
+@pytest.mark.parametrize("duration", [float("nan"), 0.0, -1.0, 1e-300, 1e6, 1e300])
+@pytest.mark.parametrize("family", [FourierMotion, SplineMotion])
+def test_motions_last_a_while(family, duration):
+    with pytest.raises(ArgumentError, match="duration"):
+        family(duration)
+
+
+@pytest.mark.parametrize("count", [0, -1, 10**5, 10**30])
+@pytest.mark.parametrize("family", [lambda n: FourierMotion(10.0, n),
+                                    lambda n: SplineMotion(10.0, n), FreeSamples])  # fmt: skip
+def test_motions_have_some_coefficients(family, count):
+    with pytest.raises(ArgumentError):
+        family(count)
+
+
+def test_a_library_call_has_the_bounds_of_the_command(tmp_path):
+    fill(tmp_path)
+    model = load_model(tmp_path / "robot.urdf")
+    with pytest.raises(ArgumentError, match="blocks"):
+        compare(model, [tmp_path / "log.csv"], blocks=10**9)

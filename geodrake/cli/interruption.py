@@ -1,0 +1,83 @@
+"""Ctrl-C, SIGTERM and a terminal that is closed: each ends a command in a word."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+_WORDS = {
+    signal.SIGINT: "Interrupted.",
+    signal.SIGTERM: "Terminated.",
+    signal.SIGHUP: "Hung up.",
+}
+_AGAIN = 0.05  # s after which an interrupt that came where nothing can be raised is raised again
+
+
+class Interruption(BaseException):
+    """A signal asks the command to end; no handler of errors may take it for one of its own."""
+
+
+class _Handler:
+    """Raises an interruption, and remembers that it did.
+
+    Attributes:
+        arrived: The signal that came last; None before any.
+    """
+
+    def __init__(self) -> None:
+        self.arrived: signal.Signals | None = None
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        self.arrived = signal.Signals(number)
+        raise Interruption(self.arrived.name)
+
+    def unraisable(self, lost: sys.UnraisableHookArgs) -> None:
+        """Raises an interruption again that came in a destructor or the like."""
+        if not issubclass(lost.exc_type, Interruption) or self.arrived is None:
+            sys.__unraisablehook__(lost)
+            return
+        main = threading.main_thread().ident
+        again = threading.Timer(_AGAIN, signal.pthread_kill, [main, self.arrived])
+        again.daemon = True
+        again.start()
+
+
+def was_interrupted() -> bool:
+    """Whether a signal came that `interruptible` looks after; errors after it are of its making."""
+    handlers = map(signal.getsignal, _WORDS)
+    return any(isinstance(h, _Handler) and h.arrived is not None for h in handlers)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """End the process with a word on stderr and 128 + the signal's number, as shells have it.
+
+    A signal that the process was told to ignore, as by `nohup`, stays ignored.
+    """
+    handler = _Handler()
+    numbers = [n for n in _WORDS if signal.getsignal(n) is not signal.SIG_IGN]
+    try:
+        for number in numbers:
+            signal.signal(number, handler)
+        sys.unraisablehook = handler.unraisable
+        yield
+    except BaseException as error:
+        arrived = handler.arrived
+        if arrived is None or isinstance(error, SystemExit):
+            raise
+        _end_quietly(numbers)
+        with suppress(OSError):
+            print(_WORDS[arrived], file=sys.stderr, flush=True)
+        raise SystemExit(128 + arrived) from None
+    finally:
+        _end_quietly(numbers)  # what is left takes no time and has nothing to lose
+
+
+def _end_quietly(numbers: list[signal.Signals]) -> None:
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)

@@ -1,0 +1,113 @@
+"""What a command finds around it: standard streams, a locale, a folder, settings of matplotlib."""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import locale
+import logging
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from geodrake.errors import GeodrakeError
+
+BAD_OUTPUT = 2
+PIPE_CLOSED = 141  # 128 + SIGPIPE, as shells have it
+
+
+@contextmanager
+def settled_surroundings() -> Iterator[None]:
+    """Surroundings in which nothing but the input decides what a command does.
+
+    Standard streams that are closed are opened to nothing, and take every letter. Figures look
+    alike whatever matplotlib is told elsewhere. What standard output still holds is written at the
+    end; it may be full, or a pipe that nobody reads any more.
+    """
+    _open_streams()
+    os.environ.update(MPLBACKEND="Agg", MATPLOTLIBRC=os.devnull)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its cache is no news
+    try:
+        try:
+            yield
+        finally:
+            sys.stdout.flush()
+    except OSError as error:  # errors of the work end in `guarded`; this is one of printing
+        _close_output()
+        if error.errno == errno.EPIPE:
+            raise SystemExit(PIPE_CLOSED) from None
+        with suppress(OSError):
+            print(f"Error: {_full(error)}", file=sys.stderr)
+        raise SystemExit(BAD_OUTPUT) from None
+
+
+def check_surroundings() -> None:
+    """Refuse surroundings in which nothing can be read.
+
+    Raises:
+        GeodrakeError: The working directory is gone, or Python takes files for ASCII.
+    """
+    try:
+        os.getcwd()  # noqa: PTH109
+    except OSError as error:
+        raise GeodrakeError(
+            f"The working directory cannot be used: {error.strerror}.",
+            advice="Change to one that exists.",
+        ) from error
+    encoding = locale.getpreferredencoding(False)
+    if codecs.lookup(encoding).name == "ascii":
+        raise GeodrakeError(
+            f"Python takes files for {encoding}, and model files and Drake's own are UTF-8.",
+            advice="Set PYTHONUTF8=1, or LC_ALL to a locale with UTF-8, such as C.UTF-8.",
+        )
+
+
+def print_whole(text: str) -> None:
+    """Print text that programs read: in UTF-8, whatever the terminal's letters are."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(encoding="utf-8", errors="backslashreplace")
+    print(text, end="")
+
+
+@contextmanager
+def printing() -> Iterator[None]:
+    """Results are being printed, and nothing else is done: what fails is standard output.
+
+    Raises:
+        GeodrakeError: It takes no more.
+        BrokenPipeError: Nobody reads it any more.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _close_output()
+        raise GeodrakeError(_full(error), advice="Files that were asked for are there.") from error
+
+
+def _open_streams() -> None:
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+    sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115, PTH123
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without ± is no reason to fail
+
+
+def _full(error: OSError) -> str:
+    return f"Standard output cannot be written: {error.strerror}."
+
+
+def _close_output() -> None:
+    """Send what is still to be written nowhere; Python would complain of it at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    with suppress(OSError, ValueError):
+        os.dup2(nowhere, sys.stdout.fileno())

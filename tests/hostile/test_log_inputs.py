@@ -1,0 +1,383 @@
+"""Logs that are no logs: files that are none, archives that lie, tables that nobody can read."""
+
+import bz2
+import gzip
+import io
+import os
+import shutil
+import socket
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hostile import HEADER, Row, table, write_log
+from numpy.lib import format as npy
+
+from geodrake.errors import LogError
+from geodrake.log_files import columns, read_log
+
+NAMES = HEADER.split(",")
+NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"
+MISSING = object()
+
+
+def arrays(**changes):
+    """The columns of a log in order, some of them others or missing."""
+    found = dict(zip(NAMES, table().T, strict=True)) | changes
+    return {name: array for name, array in found.items() if array is not MISSING}
+
+
+def archive(**changes):
+    """Makes an archive with other arrays."""
+    return lambda folder: np.savez(folder / "x.npz", **arrays(**changes))
+
+
+def bytes_of(array):
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def patched(change):
+    """Makes an archive whose bytes were changed."""
+
+    def make(folder):
+        file = io.BytesIO()
+        np.savez(file, **arrays())
+        (folder / "x.npz").write_bytes(change(file.getvalue()))
+
+    return make
+
+
+def members(change=lambda name, data: data, *, called="{}.npy", twice=False, **settings):
+    """Makes an archive of members with other contents or names."""
+
+    def make(folder):
+        with zipfile.ZipFile(folder / "x.npz", "w", **settings) as file:
+            for name, array in arrays().items():
+                file.writestr(called.format(name), change(name, bytes_of(array)))
+                if twice:
+                    file.writestr(f" {called.format(name)}", change(name, bytes_of(array)))
+
+    return make
+
+
+def claiming(shape, descr="<f8"):
+    """Another header for the elbow's effort."""
+
+    def change(name, data):
+        if name != "elbow.effort":
+            return data
+        file = io.BytesIO()
+        fields = {"descr": descr, "fortran_order": False, "shape": shape}
+        npy.write_array_header_1_0(file, fields)
+        return file.getvalue() + data[128:]
+
+    return members(change)
+
+
+def only(wanted, new):
+    """Other contents for one member."""
+    return members(lambda name, data: new(data) if name == wanted else data)
+
+
+def flagged(entry, flags, method):
+    """Entries of an archive's directory with other flags and compression."""
+
+    def change(data):
+        start = 0
+        while (start := data.find(entry, start)) >= 0:
+            data = data[: start + 8] + bytes([flags, 0, method, 0]) + data[start + 12 :]
+            start += 1
+        return data
+
+    return patched(change)
+
+
+def bomb(folder):
+    """Columns of zeros that unpack to a gigabyte each, and one that says it has six."""
+    zeros = bytes(1 << 24)
+    with zipfile.ZipFile(folder / "x.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as file:
+        for name in NAMES:
+            with file.open(f"{name}.npy", "w", force_zip64=True) as member:
+                rows = 750_000_000 if name == "elbow.effort" else 2**21 * 2
+                fields = {"descr": "<f8", "fortran_order": False, "shape": (rows,)}
+                npy.write_array_header_1_0(member, fields)
+                for _ in range(2):
+                    member.write(zeros)
+
+
+def damaged(data):
+    place = data.index(b"shoulder.effort") + 3000
+    return data[:place] + bytes([data[place] ^ 255]) + data[place + 1 :]
+
+
+def with_bytes(data, name="x.npz"):
+    return lambda folder: (folder / name).write_bytes(data)
+
+
+ENTRY = b"PK\x01\x02"
+effort = table()[:, 4]
+NO_ARCHIVE = "no NPZ archive"
+
+ARCHIVES = [
+    Row("npy", NPZ, (NO_ARCHIVE,), with_bytes(bytes_of(table()))),
+    Row("nothing", NPZ, ("is empty",), with_bytes(b"")),
+    Row("a sentence", NPZ, (NO_ARCHIVE,), with_bytes(b"hello world")),
+    Row("pickle", NPZ, (NO_ARCHIVE,), with_bytes(b"\x80\x04K\x01.")),
+    Row("csv", NPZ, (NO_ARCHIVE,), lambda f: shutil.copy(f / "log.csv", f / "x.npz")),
+    Row("cut off at the end", NPZ, (NO_ARCHIVE,), patched(lambda data: data[:-200])),
+    Row("cut in half", NPZ, (NO_ARCHIVE,), patched(lambda data: data[: len(data) // 2])),
+    Row("beginning gone", NPZ, (NO_ARCHIVE,), patched(lambda data: data[9000:])),
+    Row("checksum", NPZ, ("Bad CRC-32",), patched(damaged)),
+    Row("encrypted", NPZ, ("encrypted",), flagged(ENTRY, 1, 0)),
+    Row("compression 99", NPZ, ("compression method",), flagged(ENTRY, 0, 99)),
+    Row("7 PiB", NPZ, ("1000000000000000 numbers",), claiming((10**15,))),
+    Row("10^30 numbers", NPZ, ("takes 19200 bytes",), claiming((10**30,))),
+    Row("fewer than none", NPZ, ("-5 numbers",), claiming((-5,))),
+    Row("a boolean length", NPZ, ("takes 19200 bytes",), claiming((True,))),
+    Row("more than there are", NPZ, ("2401 numbers",), claiming((2401,))),
+    Row("fewer than there are", NPZ, ("2000 numbers",), claiming((2000,))),
+    Row("a matrix by header", NPZ, ("not 1-D",), claiming((1200, 2))),
+    Row("a number by header", NPZ, ("not 1-D",), claiming(())),
+    Row("objects by header", NPZ, ("holds object",), claiming((2400,), "|O")),
+    Row("bomb", NPZ, ("750000000 numbers",), bomb),
+    Row("member of text", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"hello")),
+    Row("empty member", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"")),
+    Row("members of text", NPZ, (NO_ARCHIVE,), members(lambda *_: b"1,2,3", called="{}")),
+    Row("nested", NPZ, ("no column 'time'",), members(called="a/b/{}.npy")),
+    Row("in the folder above", NPZ, ("no column 'time'",), members(called="../{}.npy")),
+    Row("absolute", NPZ, ("no column 'time'",), members(called="/{}.npy")),
+    Row("columns twice", NPZ, ("more than once",), members(twice=True)),
+    Row("format of the future", NPZ, ("version (9, 0)",), only(
+        "time", lambda data: data[:6] + b"\x09\x00" + data[8:])),
+    Row("header of rubbish", NPZ, (NO_ARCHIVE,), only(
+        "time", lambda data: data[:10] + b"x" * 118 + data[128:])),
+    Row("header that runs", NPZ, (NO_ARCHIVE,), only(
+        "time", lambda data: data[:10] + b"__import__('os').mkdir('x')".ljust(118) + data[128:])),
+    Row("header that is deep", NPZ, (NO_ARCHIVE,), only(
+        "time", lambda data: data[:10] + b"(" * 118 + data[128:])),
+    Row("objects", NPZ, ("holds object",), archive(time=np.array([0.1, None] * 1200, object))),
+    Row("structures", NPZ, ("holds",), archive(time=np.zeros(2400, [("a", float)]))),
+    Row("complex", NPZ, ("holds complex128",), archive(**{"elbow.effort": effort + 1j})),
+    Row("words", NPZ, ("not real numbers",), archive(time=effort.astype("U20"))),
+    Row("bytes", NPZ, ("not real numbers",), archive(time=effort.astype("S20"))),
+    Row("booleans", NPZ, ("holds bool",), archive(time=effort > 0)),
+    Row("dates", NPZ, ("datetime64",), archive(time=np.arange(2400).astype("M8[ms]"))),
+    Row("durations", NPZ, ("timedelta64",), archive(time=np.arange(2400).astype("m8[ms]"))),
+    Row("a number", NPZ, ("not 1-D",), archive(time=np.float64(1))),
+    Row("a matrix", NPZ, ("not 1-D",), archive(time=table())),
+    Row("a matrix of one column", NPZ, ("not 1-D",), archive(time=table()[:, :1])),
+    Row("one is short", NPZ, ("not of one length",), archive(time=effort[:5])),
+    Row("no numbers", NPZ, ("has 0 rows",), archive(**dict.fromkeys(NAMES, np.empty(0)))),
+    Row("no time", NPZ, ("no column 'time'",), archive(time=MISSING)),
+    Row("no arrays", NPZ, ("no column 'time'",), lambda f: np.savez(f / "x.npz")),
+    Row("time in ns", NPZ, ("ms, µs or ns",), archive(time=(np.arange(2400) * 10**7))),
+    Row("big-endian", NPZ, (), archive(**{"elbow.effort": effort.astype(">f8")}), code=0),
+    Row("every other number", NPZ, (), archive(**{
+        "elbow.effort": np.repeat(effort, 2)[::2]}), code=0),
+    Row("half precision", NPZ, (), archive(**{"elbow.effort": effort.astype("f2")}), code=0),
+    Row("long doubles", NPZ, (), archive(**{"elbow.effort": effort.astype("g")}), code=0),
+    Row("too long doubles", NPZ, ("split into 2 pieces",), archive(**{"elbow.effort": np.where(
+        np.arange(2400) == 1200, np.longdouble("1e4000"), effort)}), code=0),
+    Row("small integers", NPZ, (), archive(**{
+        "elbow.effort": (20 * effort).astype("i1")}), code=0),
+    Row("a note beside", NPZ, ("ignored: note",), archive(note=np.array("hi")), code=0),
+    Row("members without ending", NPZ, (), members(called="{}"), code=0),
+    Row("bzip2", NPZ, (), members(compression=zipfile.ZIP_BZIP2), code=0),
+    Row("lzma", NPZ, (), members(compression=zipfile.ZIP_LZMA), code=0),
+]  # fmt: skip
+
+LINES = [HEADER, *(",".join(map(repr, row)) for row in table().tolist())]
+BODY = "\n".join(LINES) + "\n"
+
+
+def text(content, encoding="utf-8"):
+    return with_bytes(content.encode(encoding), "x.csv")
+
+
+def cell(content):
+    """Makes a log that has something else in row 6."""
+    return text(BODY.replace("\n0.05,", f"\n{content},", 1))
+
+
+def header(content):
+    return text("\n".join([content, *LINES[1:]]))
+
+
+NO_TEXT = "no text in UTF-8"
+NO_NUMBER = "which is not a number"
+
+TABLES = [
+    Row("empty", CSV, ("is empty",), text("")),
+    Row("blank lines", CSV, ("no header",), text("\n\n\n")),
+    Row("header alone", CSV, ("has 0 rows",), text(HEADER)),
+    Row("header and a line end", CSV, ("has 0 rows",), text(HEADER + "\n")),
+    Row("one row", CSV, ("has 1 rows",), text("\n".join(LINES[:2]))),
+    Row("two rows", CSV, ("has 2 rows",), text("\n".join(LINES[:3]))),
+    Row("ten rows", CSV, ("32 samples in a row",), text("\n".join(LINES[:11]))),
+    Row("null in a cell", CSV, ("Row 6", NO_NUMBER), cell("0.0\x005")),
+    Row("null in front", CSV, (NO_TEXT, "null"), text("\x00" + BODY)),
+    Row("nulls behind", CSV, ("Row 2401",), text(BODY + "\x00" * 5000)),
+    Row("nulls alone", CSV, (NO_TEXT,), text("\x00" * 5000)),
+    Row("UTF-16", CSV, (NO_TEXT,), text(BODY, "utf-16")),
+    Row("UTF-16 without a mark", CSV, (NO_TEXT,), text(BODY, "utf-16-be")),
+    Row("UTF-32", CSV, (NO_TEXT,), text(BODY, "utf-32")),
+    Row("Latin-1 in the header", CSV, (NO_TEXT,), text("zähler," + BODY, "latin-1")),
+    Row("Latin-1 at the end", CSV, (NO_TEXT,), text(BODY + "ä", "latin-1")),
+    Row("gzip", CSV, (NO_TEXT,), with_bytes(gzip.compress(BODY.encode()), "x.csv")),
+    Row("bzip2 as csv", CSV, (NO_TEXT,), with_bytes(bz2.compress(BODY.encode()), "x.csv")),
+    Row("random bytes", CSV, (NO_TEXT,), with_bytes(np.random.default_rng(0).bytes(9999), "x.csv")),
+    Row("npz as csv", CSV, (NO_TEXT,), lambda f: (
+        archive()(f), (f / "x.npz").rename(f / "x.csv"))),
+    Row("a quote that opens the header", CSV, ("never closes",), text('"' + BODY)),
+    Row("a quote that never closes", CSV, ("Row 6", "never closes"), cell('"0.05')),
+    Row("a quote at the end", CSV, ("Row 2401",), text(BODY + '"')),
+    Row("a line of 100 MB", CSV, ("more than 8 MB",), text(HEADER + "\n" + "1," * 50_000_000)),
+    Row("a header of 100 MB", CSV, ("more than 8 MB",), text("x" * 100_000_000)),
+    Row("fifty million columns", CSV, ("more than 8 MB",), text("x," * 50_000_000)),
+    Row("a hundred thousand joints", CSV, ("no joint 'j0'",), text("\n".join(
+        ["time," + ",".join(f"j{k}.position,j{k}.effort" for k in range(50_000))]
+        + [f"{k}" + ",0" * 100_000 for k in range(12)]))),
+    Row("vertical tabs", CSV, ("without effort of elbow",), text(BODY.replace("\n", "\x0b"))),
+    Row("next lines", CSV, ("without effort of elbow",), text(BODY.replace("\n", "\x85"))),
+    Row("line separators", CSV, ("without effort of elbow",), text(BODY.replace("\n", "\u2028"))),
+    Row("a cell too many", CSV, ("Row 6", "has 6 cells"), cell("0.05,1")),
+    Row("a cell too few", CSV, ("Row 2401", "has 3 cells"), text(BODY + "24.0,1.0,1.0\n")),
+    Row("semicolons", CSV, ("columns by ';'",), text(BODY.replace(",", ";"))),
+    Row("tabs", CSV, ("separates its columns",), text(BODY.replace(",", "\t"))),
+    Row("decimal commas", CSV, ("no column 'time'",), text(
+        BODY.replace(",", ";").replace(".", ","))),
+    Row("hexadecimal", CSV, (NO_NUMBER,), cell("0x1p-4")),
+    Row("underscores", CSV, (NO_NUMBER,), cell("0.0_5")),
+    Row("a date", CSV, (NO_NUMBER,), cell("2024-01-01")),
+    Row("a word", CSV, (NO_NUMBER,), cell("error")),
+    Row("a formula", CSV, (NO_NUMBER,), cell("=1+1")),
+    Row("escapes in a cell", CSV, (NO_NUMBER,), cell("\x1b[2J")),
+    Row("text that turns round in a cell", CSV, (NO_NUMBER,), cell("\u202e")),
+    Row("a cell of 200 kB", CSV, ("Row 6",), cell("z" * 200_000)),
+    Row("a cell of 9 kB", CSV, ("Row 6", NO_NUMBER), cell("z" * 9000)),
+    Row("comments", CSV, ("no column 'time'",), text("# robot\n" + BODY)),
+    Row("a column twice", CSV, ("more than once: elbow.effort",), header(
+        HEADER.replace("shoulder.effort", "elbow.effort"))),
+    Row("a joint without a name", CSV, ("no joint ''",), header(HEADER.replace("elbow.", "."))),
+    Row("another joint", CSV, ("nearest: 'elbow'",), header(HEADER.replace("elbow", "elbwo"))),
+    Row("no efforts", CSV, ("both position and effort",), header(HEADER.replace("effort", "amps"))),
+    Row("no header", CSV, ("no header",), text("\n".join(LINES[1:]))),
+    Row("a byte order mark", CSV, (), text(BODY, "utf-8-sig"), code=0),
+    Row("quoted cells", CSV, (), text("\n".join(
+        ",".join(f'"{part}"' for part in line.split(",")) for line in LINES)), code=0),
+    Row("quoted line ends", CSV, (), cell('"0.05\n"'), code=0),
+    Row("CR", CSV, (), text(BODY.replace("\n", "\r")), code=0),
+    Row("CR LF", CSV, (), text(BODY.replace("\n", "\r\n")), code=0),
+    Row("CR CR LF", CSV, (), text(BODY.replace("\n", "\r\r\n")), code=0),
+    Row("LF CR", CSV, (), text(BODY.replace("\n", "\n\r")), code=0),
+    Row("no line end at the end", CSV, (), text(BODY[:-1]), code=0),
+    Row("commas at the ends of lines", CSV, (), text(BODY.replace("\n", ",\n")), code=0),
+    Row("Arabic digits", CSV, (), cell("٠.٠٥"), code=0),
+    Row("infinite time", CSV, ("split into 2 pieces",), text(
+        BODY.replace("\n12.0,", "\ninf,")), code=0),
+    Row("a hundred thousand columns", CSV, ("columns ignored",), text("\n".join(
+        line + f",{'x' if k == 0 else 0}" * 99_995 for k, line in enumerate(LINES[:101]))), code=0),
+]  # fmt: skip
+
+
+def bound_socket(folder):
+    here = Path.cwd()
+    os.chdir(folder)  # paths of sockets are short
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind("x.csv")
+    os.chdir(here)
+
+
+def link(target, name="x.csv"):
+    return lambda folder: (folder / name).symlink_to(target)
+
+
+PATHS = [
+    Row("pipe", CSV, ("log x.csv is a pipe",), lambda f: os.mkfifo(f / "x.csv")),
+    Row("pipe as npz", NPZ, ("log x.npz is a pipe",), lambda f: os.mkfifo(f / "x.npz")),
+    Row("zeros without end", "compare robot.urdf /dev/zero", ("is a device",)),
+    Row("full device", "compare robot.urdf /dev/full", ("is a device",)),
+    Row("null device", "compare robot.urdf /dev/null", ("is a device",)),
+    Row("standard input", "compare robot.urdf /dev/stdin", ("not a file",), apart=True),
+    Row("link to zeros", CSV, ("is a device",), link("/dev/zero")),
+    Row("link to zeros as npz", NPZ, ("is a device",), link("/dev/zero", "x.npz")),
+    Row("socket", CSV, ("is a socket",), bound_socket),
+    Row("link to itself", CSV, ("symbolic links",), link("x.csv")),
+    Row("links in a circle", CSV, ("symbolic links",), lambda f: (
+        link("y.csv")(f), link("x.csv", "y.csv")(f))),
+    Row("link to nothing", CSV, ("x.csv does not exist",), link("y.csv")),
+    Row("nothing", CSV, ("x.csv does not exist",)),
+    Row("long name", f"compare robot.urdf {'x' * 300}.csv", ("name too long",)),
+    Row("long path", f"compare robot.urdf {'x/' * 3000}x.csv", ("name too long",)),
+    Row("null in the name", "compare robot.urdf 'a\0b.csv'", ("null byte",)),
+    Row("no name", "compare robot.urdf ''", ("is a folder",)),
+    Row("folder", CSV, ("is a folder",), lambda f: (f / "x.csv").mkdir()),
+    Row("dash", "compare robot.urdf -", ("does not exist",)),
+    Row("in a file", "compare robot.urdf log.csv/x.csv", ("Not a directory",)),
+    Row("memory of the process", "compare robot.urdf /proc/self/mem", ("is empty",)),
+    Row("log as model", "compare log.csv other.csv", ("log.csv",)),
+    Row("model as log", "compare robot.urdf robot.urdf", ("ends in '.urdf'",)),
+    Row("the other way round", "compare log.csv robot.urdf", ("log.csv",)),
+    Row("saved model as log", "compare robot.urdf kept.yaml", ("ends in '.yaml'",)),
+    Row("page as log", "compare robot.urdf kept.html", ("ends in '.html'",)),
+    Row("another pipe", "rollout robot.urdf x.csv", ("is a pipe",), lambda f: os.mkfifo(
+        f / "x.csv")),
+    Row("pipe with a payload", f"{CSV} --known-payload x.csv:lower_link:1", ("is a pipe",),
+        lambda f: os.mkfifo(f / "x.csv")),
+    Row("twice", "compare robot.urdf log.csv log.csv", ("given twice",)),
+    Row("twice by a path", "compare robot.urdf log.csv ./log.csv", ("given twice",)),
+    Row("twice by a link", "compare robot.urdf log.csv x.csv", ("given twice",), link("log.csv")),
+    Row("twice by a hard link", "compare robot.urdf log.csv x.csv", ("given twice",),
+        lambda f: (f / "x.csv").hardlink_to(f / "log.csv")),
+    Row("a copy", "compare robot.urdf log.csv x.csv", ("given twice",),
+        lambda f: shutil.copy(f / "log.csv", f / "x.csv")),
+    Row("a copy as npz", "compare robot.urdf log.csv x.npz", ("given twice",), archive()),
+    Row("a copy at another time", "compare robot.urdf log.csv x.csv", ("given twice",),
+        lambda f: write_log(f / "x.csv", table() + np.array([3600.0, 0, 0, 0, 0]))),
+    Row("an excerpt", "compare robot.urdf log.csv x.csv", ("given twice",),
+        lambda f: write_log(f / "x.csv", table()[500:2000])),
+    Row("a copy of the last of three", "explain robot.urdf log.csv other.csv x.csv",
+        ("given twice", "'other'"), lambda f: shutil.copy(f / "other.csv", f / "x.csv")),
+    Row("two halves", "compare robot.urdf x.csv y.csv", (), lambda f: (
+        write_log(f / "x.csv", table()[:1200]), write_log(f / "y.csv", table()[1200:])), code=0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("row", ARCHIVES, ids=str)
+def test_archive(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("row", TABLES, ids=str)
+def test_table(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("row", PATHS, ids=str)
+def test_path(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root reads everything")
+def test_what_must_not_be_read(tmp_path, monkeypatch):
+    def closed(folder):
+        (folder / "closed").mkdir()
+        shutil.copy(folder / "log.csv", folder / "closed" / "x.csv")
+        (folder / "x.csv").write_text(BODY)
+        (folder / "x.csv").chmod(0)
+
+    Row("file", CSV, ("Permission denied",), closed).check(tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("name", ["x.npz", "x.csv"])
+def test_more_than_memory_is_refused_before_it_is_read(tmp_path, monkeypatch, name):
+    monkeypatch.setattr(columns, "_memory", lambda: 100_000)
+    if name == "x.npz":
+        archive()(tmp_path)
+    else:
+        text(BODY)(tmp_path)
+    with pytest.raises(LogError, match=r"of 5 numbers, 9\.6.*; this machine has 0\.0001 GB"):
+        read_log(tmp_path / name)

@@ -1,0 +1,356 @@
+"""Names that are code, markup, escape sequences or nothing that a language could hold."""
+
+import ast
+import json
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pytest
+from hostile import PENDULUM, Row, fill, read_json, run_here, table, write_log
+from rich.console import Console
+
+from geodrake import load_model
+from geodrake.cli.tables import make_console
+from geodrake.drafting import Draft, DraftedEffect, Factor, Formula, Term, source_of
+from geodrake.effects import load_effect_file
+from geodrake.escaping import (
+    docstring_text,
+    html_text,
+    identifiers,
+    json_text,
+    path_part,
+    printable,
+    quoted,
+)
+from geodrake.log_files import read_log
+from geodrake.log_files import write_log as write_joint_log
+from geodrake.motion import JointLog
+
+yaml = pytest.importorskip("yaml")
+
+PWNED = '__import__("os").system("touch PWNED")'
+IN_XML = {
+    "code": f'x""" + str({PWNED}) + """',
+    "code in single quotes": f"x''' + str({PWNED}) + '''",
+    "code in a format": f"{{{PWNED}!r}} %s %(x)d",
+    "a backslash": "run\\N1",
+    "a backslash last": "x\\",
+    "markup": "</script><img src=x onerror=alert(1)>\"'&amp;",
+    "markup of rich": "[bold red]x[/] :smile: [/]",
+    "mathematics": "$\\frac$",
+    "half of mathematics": "a_$b^{",
+    "YAML of a mapping": "a: b",
+    "YAML of a list": "- x",
+    "YAML of Python": '!!python/object/apply:os.system ["touch PWNED"]',
+    "YAML of an anchor": "&a *a #c",
+    "YAML of nothing": "null",
+    "YAML of truth": "true",
+    "YAML of a number": "1e3",
+    "YAML of a tilde": "~",
+    "a line end": "upper\nlower",
+    "a carriage return": "upper\rlower",
+    "a tab": "upper\tlower",
+    "C1 escapes": "\x9b31mred\x85",
+    "writing turned around": "a\u202eb\u2066c",
+    "line separators": "a\u2028b\u2029c",
+    "no width": "a\u200bb\ufeffc",
+    "Chinese": "关节",
+    "a letter beyond 16 bits": "a\U0001f916b",
+    "two letters in one": "\ufb01nger",
+    "a power": "x\u00b2",
+    "a path": "../../etc/x",
+    "a comma and a quote": 'a,b"c',
+    "a keyword": "class",
+    "a number": "1",
+    "a name of the code": "motion",
+    "a dot": "a.position",
+    "hundreds of letters": "j" * 300,
+}
+"""Names that a model file may have."""
+IN_FILES = {
+    **{what: name.replace("/", ":")[:200] for what, name in IN_XML.items()},
+    "colours": "\x1b[31mred\x1b[0m",
+    "a title of the terminal": "\x1b]0;owned\x07",
+    "a cleared terminal": "\x1b[2J\x1bc",
+    "a letter taken back": "good\x08\x08\x08\x08evil",
+    "deleted": "a\x7fb",
+    "not UTF-8": "a\udcffb",
+    "a dash": "-x",
+}
+"""Names that a file may have."""
+
+
+def rename(folder, *, shoulder="shoulder", elbow="elbow", link="upper_link"):
+    """Give joints and a link of the model other names, and the joints of both logs."""
+    text = PENDULUM.read_text(encoding="utf-8")
+    names = {"shoulder": shoulder, "elbow": elbow, "upper_link": link}
+    for old, new in names.items():
+        attribute = quoteattr(new, {"\n": "&#10;", "\r": "&#13;", "\t": "&#9;"})
+        text = text.replace(f'"{old}"', attribute)
+    (folder / "robot.urdf").write_text(text, encoding="utf-8")
+    columns = ["time", *(f"{j}.{q}" for q in ("position", "effort") for j in (shoulder, elbow))]
+    header = ",".join(f'"{c.replace(chr(34), 2 * chr(34))}"' for c in columns)
+    for name, seed in (("log.csv", 1), ("other.csv", 2)):
+        write_log(folder / name, table(seed=seed), header)
+
+
+def log_named(name):
+    """Puts a log of a name into a folder."""
+    return lambda folder: write_log(folder / f"{name}.csv", table())
+
+
+def quoted_in_shell(text):
+    return "'" + text.replace("'", "'\"'\"'") + "'"
+
+
+LOG_ROWS = [
+    Row(
+        f"a log called {what}",
+        f"compare robot.urdf {quoted_in_shell(f'./{name}.csv')} --json new.json",
+        make=log_named(name),
+        code=0,
+        writes=("new.json",),
+    )
+    for what, name in IN_FILES.items()
+]
+WRONG_ROWS = [
+    Row(
+        f"{option} with {what}",
+        f"{command} {quoted_in_shell(name)}",
+        (says,),
+        lambda folder: None,
+    )
+    for what, name in {
+        "colours": "\x1b[31mred",
+        "a line end": "red\nError: all is well",
+        "writing turned around": "a\u202eb",
+    }.items()
+    for option, command, says in (
+        ("a log", "compare robot.urdf", "does not exist"),
+        ("numbers", "compare robot.urdf log.csv --json", "does not end in"),
+        ("a place", "add coulomb_friction robot.urdf log.csv --where", "no joint or body"),
+        ("an effect", "identify robot.urdf log.csv --effects", "no effect"),
+        ("a report", "compare robot.urdf log.csv --report", "does not end in"),
+        ("another log", "compare robot.urdf log.csv --report new.html", "does not exist"),
+        ("a limit", "excite robot.urdf --limits", "not a number"),
+        ("a command", "", "No such command"),
+        ("a number", "compare robot.urdf log.csv --blocks", "Invalid value"),
+    )
+]
+
+
+@pytest.mark.parametrize("row", LOG_ROWS + WRONG_ROWS, ids=str)
+def test_row(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+    assert not (tmp_path / "PWNED").exists()
+
+
+@pytest.mark.parametrize("what", IN_XML)
+def test_a_joint_of_any_name_is_compared_saved_and_read_again(what, tmp_path, monkeypatch):
+    name = IN_XML[what]
+
+    def make(folder):
+        rename(folder, shoulder=name, link=name)
+
+    command = "compare robot.urdf log.csv --json new.json --save new.yaml"
+    row = Row(what, command, make=make, code=0, writes=("new.json", "new.yaml"))
+    row.check(tmp_path, monkeypatch)
+    assert list(read_json(tmp_path / "new.json")["joints"]) == [name, "elbow"]
+    again = load_model(tmp_path / "new.yaml")
+    assert again.joints == (name, "elbow")
+    assert name in again.bodies
+    assert not (tmp_path / "PWNED").exists()
+
+
+@pytest.mark.parametrize("what", ["code", "markup", "half of mathematics", "a line end", "Chinese"])
+def test_pages_of_any_names(what, tmp_path, monkeypatch):
+    name = IN_XML[what]
+
+    def make(folder):
+        rename(folder, shoulder=name, link=name)
+
+    command = "compare robot.urdf log.csv --report new.html"
+    row = Row(what, command, make=make, code=0, writes=("new.html",))
+    row.check(tmp_path, monkeypatch)
+    page = (tmp_path / "new.html").read_text(encoding="utf-8")
+    assert "<img src=x" not in page
+    assert html_text(name).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in page
+
+
+@pytest.mark.parametrize("names", [("code", "colours"), ("a backslash", "a line end")])
+def test_a_drafted_effect_of_any_name_runs_nothing(names, tmp_path, monkeypatch):
+    """The whole way: a formula is searched, written, and used in another run."""
+    joint, log = IN_XML[names[0]], f"{IN_FILES[names[1]]}.csv"
+    fill(tmp_path)
+    rename(tmp_path, shoulder=joint)
+    rows = table(seconds=40.0)
+    shoulder, elbow = rows[:, 1], rows[:, 2]
+    rows[:, 3] += 2.0 * np.sin(shoulder) * np.cos(2 * elbow) * np.abs(elbow)
+    header = (tmp_path / "log.csv").read_text(encoding="utf-8").split("\n0.0,")[0]
+    write_log(tmp_path / log, rows, header)
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run_here(["explain", "robot.urdf", log, "--draft-effect", "draft.py"])
+    assert code == 0, err
+    code, out, err = run_here(["compare", "robot.urdf", "log.csv", "--effects", "draft.py"])
+    assert code == 0, err + out
+    assert not (tmp_path / "PWNED").exists()
+    ast.parse((tmp_path / "draft.py").read_text(encoding="utf-8"))
+
+
+def drafted(joints, logs):
+    """A draft with a formula for each joint, in all of them."""
+    effects = tuple(
+        DraftedEffect(
+            formula=Formula(joint, (Term(tuple(Factor(j, "q") for j in joints)),)),
+            coefficients=np.array([1.0]),
+            deviations=np.array([0.1]),
+            rms_before=1.0,
+            rms_after=0.5,
+            floor=0.1,
+            false_alarm_probability=1e-6,
+            rivals=(),
+            time=np.arange(3.0),
+            residual=np.zeros(3),
+            effort=np.zeros(3),
+        )
+        for joint in joints
+    )
+    return Draft(effects, (), (), None, None, logs)
+
+
+@pytest.mark.parametrize("what", IN_XML)
+def test_a_draft_is_code_of_one_meaning(what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name = IN_XML[what]
+    joints, logs = (name, f"{name} ", f"-{name}-"), (name, *IN_FILES.values())
+    source = source_of(drafted(joints, logs))
+    (tmp_path / "draft.py").write_bytes(source.encode())
+    effects = load_effect_file(tmp_path / "draft.py")
+    assert [effect().joint for effect in effects] == list(joints)
+    assert len({effect.name for effect in effects}) == len(joints)
+    assert not (tmp_path / "PWNED").exists()
+    docstring = ast.get_docstring(ast.parse(source), clean=False)
+    assert printable(f"What is missing at {', '.join(joints)}.") in docstring
+    for log in logs:
+        assert printable(log) in docstring
+
+
+def test_joints_that_differ_in_punctuation_alone_have_drafts_of_their_own():
+    assert identifiers(["a-b", "a.b", "a_b_2", "a b", "A B"]) == {
+        "a-b": "a_b",
+        "a.b": "a_b_2",
+        "a_b_2": "a_b_2_2",
+        "a b": "a_b_3",
+        "A B": "a_b_4",
+    }
+    source = source_of(drafted(("a_1", "a1", "a-1"), ("log",)))
+    classes = [node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
+    assert len(set(classes)) == 3
+
+
+@pytest.mark.parametrize("what", IN_FILES)
+def test_each_kind_of_text_gives_the_name_back(what):
+    name = IN_FILES[what]
+    assert ast.literal_eval(quoted(name)) == name
+    assert quoted(name).isprintable()
+    assert printable(name).isprintable()
+    if "\udcff" not in name:
+        assert yaml.safe_load(quoted(name)) == name
+    assert ast.literal_eval(f'"""{docstring_text(name)}"""') == printable(name)
+    text = json.dumps(name, ensure_ascii=False)
+    assert json.loads(json_text(text)) == name
+    assert json_text(text).isprintable()
+    assert all(i.isidentifier() for i in identifiers([name]).values())
+    part = path_part(name)
+    assert part.isprintable()
+    assert not set(part) & {"/", "\\"}
+    assert part not in ("", ".", "..")
+
+
+def test_parts_of_paths_differ_where_names_do():
+    names = [".", "..", "a/b", "a%2Fb", "a_b", "a\\b", "a\nb"]
+    assert len({path_part(name) for name in names}) == len(names)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+@pytest.mark.parametrize("what", IN_XML)
+def test_a_written_log_has_the_names_that_it_was_given(what, suffix, tmp_path):
+    rows = table(seconds=2.0)
+    names = (IN_XML[what], "elbow")
+    log = JointLog("log", names, rows[:, 0], rows[:, 1:3], rows[:, 3:])
+    write_joint_log(log, tmp_path / f"log{suffix}")
+    again = read_log(tmp_path / f"log{suffix}", joints=names)
+    assert again.joints == names
+    np.testing.assert_array_equal(again.effort, log.effort)
+
+
+def test_a_motion_of_any_names_goes_to_ros_and_to_logs(tmp_path, monkeypatch):
+    names = [IN_XML[what] for what in ("a letter beyond 16 bits", "YAML of Python")]
+    fill(tmp_path)
+    rename(tmp_path, shoulder=names[0], elbow=names[1])
+    text = (tmp_path / "robot.urdf").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.urdf").write_text(text, encoding="utf-8")
+    given = ["excite", "robot.urdf", "--seeds", "1", "--iterations", "2", "--duration", "4"]
+    given += ["--limits", "velocity=2,acceleration=5,effort=50,position=-1:1", "--samples", "30"]
+    for file in ("motion.yaml", "motion.csv", "motion.drake.yaml"):
+        code, out, err = run_here([*given, "--save", file])
+        assert code == 0, out + err
+    ros = yaml.safe_load((tmp_path / "motion.yaml").read_text(encoding="utf-8"))
+    assert ros["joint_names"] == names
+    assert read_log(tmp_path / "motion.csv").joints == tuple(names)
+
+
+def test_an_effect_of_any_name_is_refused_by_a_name_that_can_be_read(tmp_path, monkeypatch):
+    fill(tmp_path)
+    name = 'x""" \\ \x1b[31m$\\frac$</b>\u2028: y'
+    (tmp_path / "own.py").write_text(
+        "from dataclasses import dataclass\nimport numpy as np\n"
+        "from geodrake.effects import JointEffect, Parameter\n"
+        "@dataclass(frozen=True)\nclass Own(JointEffect):\n"
+        f"    name = {name!a}\n    parameters = (Parameter('c', 'N·m'),)\n"
+        "    def columns(self, motion):\n        return [np.tanh(50 * motion.v)]\n",
+        encoding="utf-8",
+    )
+    monkeypatch.chdir(tmp_path)
+    given = ["add", name, "robot.urdf", "log.csv", "--effects", "own.py"]
+    code, out, err = run_here([*given, "--save", "new.yaml", "--report", "new.html"])
+    assert code == 2
+    assert "it needs words joined by underscores" in err
+    assert "\x1b" not in out + err and len(err.splitlines()) == 1
+    assert not (tmp_path / "new.yaml").exists() and not (tmp_path / "new.html").exists()
+
+
+@pytest.mark.parametrize("what", ["code", "markup", "YAML of a mapping", "a line end"])
+def test_an_exported_file_has_the_names_that_it_had(what, tmp_path, monkeypatch):
+    fill(tmp_path)
+    rename(tmp_path, shoulder=IN_XML[what], link=IN_XML[what])
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run_here(
+        ["identify", "robot.urdf", "log.csv", "--gamma", "100", "--export", "new.urdf"]
+    )
+    assert code == 0, out + err
+    assert load_model("new.urdf").bodies == load_model("robot.urdf").bodies
+    assert load_model("new.urdf").joints == load_model("robot.urdf").joints
+
+
+@pytest.mark.parametrize("what", IN_FILES)
+def test_a_terminal_shows_a_name_as_one_line(what, monkeypatch):
+    name = IN_FILES[what]
+    monkeypatch.setenv("TERM", "xterm-256color")
+    console = make_console()
+    assert isinstance(console, Console)
+    with console.capture() as captured:
+        console.print(name, soft_wrap=True)
+    assert captured.get() == f"{printable(name)}\n"
+
+
+def test_a_model_beside_a_path_that_yaml_cannot_hold_is_not_saved(tmp_path, monkeypatch):
+    folder = tmp_path / "a\udcffb"
+    folder.mkdir()
+    fill(folder)
+    Row(
+        "a folder that is not UTF-8",
+        "compare robot.urdf log.csv --save kept.yaml --json kept.json",
+        ("not UTF-8",),
+    ).check(folder, monkeypatch)

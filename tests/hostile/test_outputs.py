@@ -1,0 +1,354 @@
+"""Files that cannot be written, and what was there before."""
+
+import errno
+import fcntl
+import os
+import re
+import shlex
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json, run_here
+
+from geodrake.errors import OutputError
+from geodrake.log_files import write_log
+from geodrake.motion import JointLog
+from geodrake.whole_files import check_writable, write_together, write_whole
+
+ALL = "--save kept.yaml --json kept.json --report kept.html"
+GEODRAKE = f"{shlex.quote(sys.executable)} -m geodrake"
+IDENTIFY = "identify robot.urdf log.csv --gamma 100"
+EXCITE = "excite robot.urdf"
+
+
+ENDS = (".yaml", ".json", ".html", ".urdf", ".png", ".py", ".csv")
+
+
+def each(make):
+    """Makes something called f.yaml, f.json and so on, one for each kind of target."""
+    return lambda folder: [make(folder / f"f{end}") for end in ENDS]
+
+
+def nothing(folder):
+    """Makes nothing."""
+
+
+TARGETS = {
+    "a missing folder": ("none/x{}", nothing, "no folder"),
+    "a file for a folder": ("log.csv/x{}", nothing, "no folder"),
+    "a name too long": ("x" * 300 + "{}", nothing, "File name too long"),
+    "a folder of processes": ("/proc/x{}", nothing, "cannot be written"),
+    "a process": ("/proc/self/x{}", nothing, "cannot be written"),
+    "a folder in its place": ("f{}", each(Path.mkdir), "is no file"),
+    "a link to nothing": ("f{}", each(lambda p: p.symlink_to("none/x")), "cannot be written"),
+    "a link in a circle": ("f{}", each(lambda p: p.symlink_to(p.name)), "Too many levels"),
+    "a device": ("f{}", each(lambda p: p.symlink_to("/dev/full")), "is no file"),
+    "a pipe": ("f{}", each(os.mkfifo), "is no file"),
+    "an input": ("f{}", each(lambda p: p.symlink_to("log.csv")), "is an input"),
+    "standard output": ("-", nothing, "standard output"),
+    "another kind of file": ("x.txt", nothing, "does not end in"),
+    "no name": ("''", nothing, "does not end in"),
+}
+OPTIONS = {
+    "save": ("compare robot.urdf log.csv", ".yaml", "--json kept.json --report kept.html"),
+    "json": ("compare robot.urdf log.csv", ".json", "--save kept.yaml --report kept.html"),
+    "report": ("compare robot.urdf log.csv", ".html", "--save kept.yaml --json kept.json"),
+    "draft-effect": ("explain robot.urdf log.csv", ".py", ALL),
+    "export": (IDENTIFY, ".urdf", ALL),
+    "ellipsoids": (IDENTIFY, ".png", ALL),
+    "meshcat": (IDENTIFY, ".html", "--save kept.yaml --json kept.json"),
+}
+REFUSED = [
+    Row(f"--{option} {what}", f"{command} --{option} {target.format(end)} {rest}", (says,), make)
+    for option, (command, end, rest) in OPTIONS.items()
+    for what, (target, make, says) in TARGETS.items()
+    if not (option == "json" and target == "-")
+]
+MORE = [
+    Row("a motion to standard output", f"{EXCITE} --save -", ("standard output",)),
+    Row("a motion in a missing folder", f"{EXCITE} --save none/m.csv", ("no folder",)),
+    Row("a replay to standard output", f"{EXCITE} --meshcat -", ("standard output",)),
+    Row("one target twice", f"compare robot.urdf log.csv {ALL} --json kept.html", ("end in",)),
+    Row(
+        "one target by two names",
+        f"{IDENTIFY} --report kept.html --meshcat two.html",
+        ("already the target",),
+        lambda folder: (folder / "two.html").symlink_to("kept.html"),
+    ),
+    Row(
+        "numbers to standard output",
+        "compare robot.urdf log.csv --json - --save new.yaml",
+        ('"version"',),
+        code=0,
+        writes=("new.yaml",),
+    ),
+    Row(
+        "a longest name",
+        f"compare robot.urdf log.csv --json {'x' * 250}.json",
+        code=0,
+        writes=(f"{'x' * 250}.json",),
+    ),
+    Row(
+        "letters of two bytes",
+        f"compare robot.urdf log.csv --json {'ü' * 120}.json",
+        code=0,
+        writes=(f"{'ü' * 120}.json",),
+    ),
+    Row("all at once", f"compare robot.urdf log.csv {ALL}", code=0, writes=tuple(KEPT)),
+]
+
+
+@pytest.mark.parametrize("row", REFUSED + MORE, ids=str)
+def test_row(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    fill(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def in_shell(command):
+    """Run a line of shell."""
+    bash = shutil.which("bash")
+    if bash is None:
+        pytest.skip("no bash")
+    return subprocess.run(
+        [bash, "-o", "pipefail", "-c", command],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def fail_at(monkeypatch, number, error):
+    """Lets the renaming of files fail at one of them."""
+    count, rename = [0], Path.replace
+
+    def failing(self, target):
+        if not str(self).endswith(".part") or str(target).endswith(".part"):
+            return rename(self, target)
+        count[0] += 1
+        if count[0] == number:
+            raise error
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "replace", failing)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), KeyboardInterrupt()])
+def test_where_one_file_cannot_be_renamed_none_is_new(kept, monkeypatch, number, error):
+    before = contents(kept)
+    fail_at(monkeypatch, number, error)
+    code, out, err = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
+    if isinstance(error, KeyboardInterrupt):
+        assert (code, err) == (130, "Interrupted.\n")
+    else:
+        assert code == 2
+        assert "Input/output error" in err
+    assert out == ""
+    assert contents(kept) == before
+
+
+def test_without_links_what_was_there_is_copied(kept, monkeypatch):
+    def no_links(*_):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    before = contents(kept)
+    monkeypatch.setattr(Path, "hardlink_to", no_links)
+    fail_at(monkeypatch, 3, OSError(errno.EIO, "Input/output error"))
+    code, _, _ = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
+    assert code == 2
+    assert contents(kept) == before
+
+
+def test_a_file_that_was_not_there_is_not_there_after_a_failure(kept, monkeypatch):
+    before = contents(kept)
+    fail_at(monkeypatch, 2, OSError(errno.EIO, "Input/output error"))
+    with pytest.raises(OutputError, match="Input/output error"):
+        write_together({kept / "new.json": "1", kept / "kept.html": "2"})
+    assert contents(kept) == before
+
+
+def test_a_target_that_became_a_folder_during_the_work(kept, monkeypatch):
+    from geodrake.cli import session
+
+    to_json = session.to_json
+
+    def meanwhile(numbers):
+        (kept / "new.html").mkdir(exist_ok=True)
+        return to_json(numbers)
+
+    monkeypatch.setattr(session, "to_json", meanwhile)
+    options = ["--save", "kept.yaml", "--json", "kept.json", "--report", "new.html"]
+    before = contents(kept)
+    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *options])
+    assert code == 2
+    assert "is a folder" in err
+    assert changed(before, contents(kept)) == {"new.html"}
+
+
+def test_a_model_file_that_is_gone_before_it_is_saved(kept, monkeypatch):
+    from geodrake.cli import session
+
+    to_json = session.to_json
+
+    def meanwhile(numbers):
+        (kept / "robot.urdf").unlink()
+        return to_json(numbers)
+
+    monkeypatch.setattr(session, "to_json", meanwhile)
+    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
+    assert code == 2
+    assert "is gone" in err
+    for name, text in KEPT.items():
+        assert (kept / name).read_text(encoding="utf-8") == text
+
+
+def test_permissions_stay_and_links_are_written_through(kept):
+    (kept / "there").mkdir()
+    (kept / "kept.json").rename(kept / "there" / "real.json")
+    (kept / "kept.json").symlink_to("there/real.json")
+    (kept / "new.html").symlink_to("there/later.html")
+    modes = {"kept.yaml": 0o640, "there/real.json": 0o604}
+    for name, mode in modes.items():
+        (kept / name).chmod(mode)
+    options = ["--save", "kept.yaml", "--json", "kept.json", "--report", "new.html"]
+    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *options])
+    assert code == 0, err
+    for name, mode in modes.items():
+        assert stat.S_IMODE((kept / name).stat().st_mode) == mode
+    assert (kept / "kept.json").readlink() == Path("there/real.json")
+    assert read_json(kept / "there" / "real.json")["command"] == "compare"
+    assert (kept / "new.html").readlink() == Path("there/later.html")
+    assert (kept / "there" / "later.html").is_file()
+    assert sorted(p.name for p in (kept / "there").iterdir()) == ["later.html", "real.json"]
+
+
+def test_new_files_have_the_permissions_that_the_user_wants(kept):
+    before = os.umask(0o027)
+    try:
+        write_whole(kept / "new.json", "{}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((kept / "new.json").stat().st_mode) == 0o640
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_the_owner_stays(kept):
+    os.chown(kept / "kept.json", 12345, 23456)
+    write_whole(kept / "kept.json", "{}")
+    status = (kept / "kept.json").stat()
+    assert (status.st_uid, status.st_gid) == (12345, 23456)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write what is read-only")
+def test_read_only_files_and_folders_are_known_before_the_work(kept):
+    (kept / "kept.json").chmod(0o444)
+    code, _, err = run_here(["compare", "robot.urdf", "log.csv", *ALL.split()])
+    assert code == 2
+    assert "read-only" in err
+
+
+def test_left_overs_of_killed_runs_are_removed_and_nothing_else(kept):
+    ours = [".kept.json.123.part", ".kept.json.99999999.part"]
+    theirs = [".kept.json.part", ".kept.json.x1.part", ".kept.jsonl.1.part", "kept.json.1.part"]
+    theirs += [".kept.json.5.part.json", ".kept.yaml.77.part"]
+    for name in [*ours, *theirs]:
+        (kept / name).write_text("half", encoding="utf-8")
+    with (kept / ".kept.json.456.part").open("wb") as written:
+        fcntl.flock(written, fcntl.LOCK_EX)  # as whoever writes it does
+        code, _, err = run_here(["compare", "robot.urdf", "log.csv", "--json", "kept.json"])
+    assert code == 0, err
+    left = sorted(p.name for p in kept.iterdir() if ".part" in p.name)
+    assert left == sorted([*theirs, ".kept.json.456.part"])
+
+
+def test_a_target_whose_temporary_name_is_taken(kept):
+    taken = kept / f".kept.json.{os.getpid()}.part"
+    taken.mkdir()
+    write_whole(kept / "kept.json", "[]")
+    assert (kept / "kept.json").read_text(encoding="utf-8") == "[]"
+    assert taken.is_dir()
+
+
+LIBRARY = {
+    "a folder": (".", "is a folder"),
+    "a device": ("/dev/full", "is no file"),
+    "nothing": ("/dev/null", "is no file"),
+    "a missing folder": ("none/x.csv", "No such file"),
+    "a name with a zero": ("a\0b.csv", "null"),
+    "a name too long": ("x" * 300 + ".csv", "too long"),
+    "a process": ("/proc/self/x.csv", "No such file"),
+}
+
+
+@pytest.mark.parametrize("what", LIBRARY)
+def test_the_library_refuses_what_cannot_be_written(what, kept):
+    target, words = LIBRARY[what]
+    before = contents(kept)
+    for write in (lambda: write_whole(target, b"x"), lambda: check_writable(target)):
+        with pytest.raises(OutputError, match=words):
+            write()
+    log = JointLog("l", ("j",), np.arange(3.0), np.zeros((3, 1)), np.zeros((3, 1)))
+    if target.endswith(".csv"):
+        with pytest.raises(OutputError, match=words):
+            write_log(log, target)
+    assert contents(kept) == before
+    assert all(path.is_char_device() for path in (Path("/dev/full"), Path("/dev/null")))
+
+
+def test_content_that_cannot_be_made_leaves_nothing(kept):
+    def broken(file):
+        file.write(b"half")
+        raise ZeroDivisionError
+
+    before = contents(kept)
+    with pytest.raises(ZeroDivisionError):
+        write_together({kept / "kept.json": "all", kept / "kept.html": broken})
+    assert contents(kept) == before
+
+
+def test_a_file_that_there_is_no_room_for_leaves_what_was_there(kept):
+    before = contents(kept)
+    done = in_shell(f"ulimit -f 8; {GEODRAKE} compare robot.urdf log.csv {ALL}")
+    assert done.returncode == 2
+    assert done.stderr == "Error: Cannot write kept.html: File too large. Choose another place.\n"
+    assert contents(kept) == before
+
+
+OUTPUTS = {
+    "tables to a full disk": ("compare robot.urdf log.csv > /dev/full", 2, "No space left"),
+    "numbers to a full disk": ("compare robot.urdf log.csv --json - > /dev/full", 2, "No space"),
+    "help to a full disk": ("--help > /dev/full", 2, "No space left"),
+    "the version to a full disk": ("--version > /dev/full", 2, "No space left"),
+    "nobody to read tables": ("compare robot.urdf log.csv | true", 141, ""),
+    "nobody to read numbers": ("compare robot.urdf log.csv --json - 2> /dev/null | true", 141, ""),
+    "closed output": ("compare robot.urdf log.csv >&-", 0, ""),
+    "closed input": ("compare robot.urdf log.csv <&- > /dev/null", 0, ""),
+    "closed errors": ("compare robot.urdf log.csv 2>&- > /dev/null", 0, ""),
+    "closed errors and an error": ("compare robot.urdf none.csv 2>&-", 2, ""),
+    "a full disk for errors": ("compare robot.urdf none.csv 2> /dev/full", 2, ""),
+    "everything closed": ("compare robot.urdf log.csv --json new.json <&- >&- 2>&-", 0, ""),
+}
+
+
+@pytest.mark.parametrize("what", OUTPUTS)
+def test_standard_streams(what, kept):
+    command, code, says = OUTPUTS[what]
+    done = in_shell(f"{GEODRAKE} {command}")
+    assert done.returncode == code, done.stderr
+    assert len(done.stderr.splitlines()) == bool(says), done.stderr
+    assert says in done.stderr
+    if "new.json" in command:
+        assert read_json(kept / "new.json")["command"] == "compare"
+    assert not re.search("Traceback|Exception", done.stderr)

@@ -1,0 +1,303 @@
+"""Where a command runs: its locale, folders, settings and terminal, and what stops it."""
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import matplotlib
+import pytest
+from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json
+
+from geodrake import load_model
+from geodrake.diagnosis import compare
+from geodrake.visualization import render_comparison
+
+COMPARE = "compare robot.urdf log.csv --json new.json --report new.html"
+WRITES = ("new.json", "new.html")
+
+
+def settings(text):
+    """Writes settings of matplotlib, where it looks for them first, and where it is told to."""
+
+    def make(folder):
+        for name in ("matplotlibrc", "rc"):
+            (folder / name).write_bytes(text)
+
+    return make
+
+
+def without_home(folder):
+    (folder / "home").write_text("no folder", encoding="utf-8")
+
+
+ROWS = [
+    Row(
+        what,
+        COMPARE,
+        make=make,
+        code=0,
+        writes=WRITES,
+        environment=environment,
+    )
+    for what, environment, make in (
+        ("no such backend", {"MPLBACKEND": "nonsense"}, lambda folder: None),
+        ("a backend with windows", {"MPLBACKEND": "tkagg", "DISPLAY": None}, lambda folder: None),
+        ("no home", {"HOME": None}, lambda folder: None),
+        ("a home that cannot be written", {"HOME": "/proc/none"}, lambda folder: None),
+        ("a home that is no folder", {"HOME": "home", "XDG_CACHE_HOME": "home"}, without_home),
+        ("a poor terminal", {"TERM": "dumb", "COLUMNS": "10"}, lambda folder: None),
+        ("no terminal known", {"TERM": None, "COLUMNS": "0"}, lambda folder: None),
+        ("columns that are none", {"COLUMNS": "many", "LINES": "-1"}, lambda folder: None),
+        ("colours asked for", {"FORCE_COLOR": "", "NO_COLOR": "1"}, lambda folder: None),
+        ("streams in ASCII", {"PYTHONIOENCODING": "ascii"}, lambda folder: None),
+        ("streams in UTF-16", {"PYTHONIOENCODING": "ascii:strict"}, lambda folder: None),
+        ("the locale C", {"LC_ALL": "C", "LANG": None, "PYTHONUTF8": None}, lambda folder: None),
+        ("a locale that is not there", {"LC_ALL": "xx_YY.UTF-8"}, lambda folder: None),
+        ("a folder for passing files that is not there", {"TMPDIR": "/none"}, lambda folder: None),
+        ("typesetting by TeX", {"MATPLOTLIBRC": "rc"}, settings(b"text.usetex: True\n")),
+        ("settings that are none", {"MATPLOTLIBRC": "rc"}, settings(b"foo: bar\nfont.size: x\n")),
+    )
+]
+REFUSED = [
+    Row(
+        "files in ASCII",
+        "compare robot.urdf log.csv --save kept.yaml",
+        ("PYTHONUTF8=1",),
+        environment={"LC_ALL": "C", "PYTHONUTF8": "0"},
+    ),
+]
+
+
+@pytest.mark.parametrize("row", ROWS + REFUSED, ids=str)
+def test_row(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+def python(code, folder, **more):
+    """Runs code in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+        **more,
+    )
+
+
+def test_a_working_directory_that_is_gone(tmp_path):
+    fill(tmp_path)
+    code = (
+        "import os, sys\n"
+        "os.mkdir('gone'); os.chdir('gone'); os.rmdir('../gone')\n"
+        f"sys.argv[1:] = ['compare', {str(tmp_path / 'robot.urdf')!r}, 'log.csv']\n"
+        "from geodrake.cli import main\nmain()\n"
+    )
+    done = python(code, tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "Error: The working directory cannot be used: No such file or directory. "
+        "Change to one that exists.\n"
+    )
+
+
+def test_figures_are_the_same_whatever_matplotlib_is_told(tmp_path):
+    fill(tmp_path)
+    found = compare(load_model(tmp_path / "robot.urdf"), [tmp_path / "log.csv"])
+    words = {"title": "t", "model_name": "m", "log_names": ["l"]}
+    usual = render_comparison(found, **words)
+    told = {"text.usetex": True, "font.family": "monospace", "axes.grid": True, "font.size": 30}
+    with matplotlib.rc_context(told):
+        assert render_comparison(found, **words) == usual
+        assert matplotlib.rcParams["font.size"] == 30
+
+
+@pytest.mark.parametrize("columns", [10, 40, 200])
+def test_a_terminal_of_any_width_shows_no_name_raw(columns, tmp_path):
+    """A terminal gets the sequences of the progress bar and of bold letters, no others."""
+    fill(tmp_path)
+    log = "\x1b]0;owned\x07\x9bx.csv"
+    (tmp_path / "log.csv").rename(tmp_path / log)
+    status, shown = in_terminal(["compare", "robot.urdf", log], tmp_path, columns)
+    assert status == 0, shown
+    assert not re.search("[\x07\x9b]|\x1b[^\\[]", shown)
+    assert set(re.findall(r"\x1b\[[0-9;?]*(.)", shown)) <= set("mhlKAG")
+    assert "owned" in shown.replace("\r\n", "")
+
+
+def in_terminal(arguments, folder, columns):
+    """Exit status of a command in a terminal, and all that it sent there."""
+    child, terminal = pty.fork()
+    if child == 0:
+        os.chdir(folder)
+        variables = {"PYTHONPATH": str(ROOT), "COLUMNS": str(columns), "TERM": "xterm-256color"}
+        os.execve(
+            sys.executable,
+            [sys.executable, "-m", "geodrake", *arguments],
+            {**os.environ, **variables},
+        )
+    shown = b""
+    while select.select([terminal], [], [], 60)[0]:
+        try:
+            block = os.read(terminal, 65536)
+        except OSError:  # the other end is closed
+            break
+        if not block:
+            break
+        shown += block
+    os.close(terminal)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), shown.decode("utf-8", "replace")
+
+
+SIGNALS = {
+    signal.SIGINT: (130, "Interrupted.\n"),
+    signal.SIGTERM: (143, "Terminated.\n"),
+    signal.SIGHUP: (129, "Hung up.\n"),
+}
+EXPLAIN = ["explain", "robot.urdf", "log.csv"]
+ALL = ["--save", "kept.yaml", "--json", "kept.json", "--report", "kept.html"]
+
+
+def started(arguments, folder, code=""):
+    """A command in a process of its own, with temporary files in a folder of their own."""
+    (folder / "passing").mkdir(exist_ok=True)
+    # Jobs of a shell in the background ignore interrupts, and so do their children.
+    heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
+    run = "from geodrake.cli import main\nmain()"
+    return subprocess.Popen(
+        [sys.executable, "-c", f"{heard}\n{code}\n{run}", *arguments],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder / "passing")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("seconds", [0.4, 1.5])
+def test_a_signal_at_any_time_leaves_a_word_alone(number, seconds, tmp_path):
+    fill(tmp_path)
+    (tmp_path / "passing").mkdir()
+    before = contents(tmp_path)
+    run = started([*EXPLAIN, *ALL], tmp_path)
+    time.sleep(seconds)
+    run.send_signal(number)
+    out, err = run.communicate(timeout=60)
+    if run.returncode == 0:  # the machine was quick
+        assert changed(before, contents(tmp_path)) == set(KEPT)
+        return
+    assert (run.returncode, err) == SIGNALS[number]
+    assert out == ""
+    assert contents(tmp_path) == before
+
+
+HOOK = """
+import importlib.abc, os, signal, sys
+class Hook(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == {name!r}:
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.{signal})
+sys.meta_path.insert(0, Hook())
+"""
+
+
+@pytest.mark.parametrize("name", ["geodrake.cli.app", "typer", "numpy", "pydrake", "matplotlib"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_modules_load(name, number, tmp_path):
+    fill(tmp_path)
+    (tmp_path / "passing").mkdir()
+    before = contents(tmp_path)
+    hook = HOOK.format(name=name, signal=number.name)
+    run = started(["compare", "robot.urdf", "log.csv", *ALL], tmp_path, hook)
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, err) == SIGNALS[number]
+    assert out == ""
+    assert contents(tmp_path) == before
+
+
+WRITING = """
+import os, pathlib, signal
+count, rename = 0, pathlib.Path.replace
+def replace(self, target):
+    global count
+    count += 1
+    if count == {at}:
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+    return rename(self, target)
+pathlib.Path.replace = replace
+"""
+
+
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_a_signal_between_files_waits_until_all_are_there(at, tmp_path):
+    fill(tmp_path)
+    (tmp_path / "passing").mkdir()
+    before = contents(tmp_path)
+    run = started(["compare", "robot.urdf", "log.csv", *ALL], tmp_path, WRITING.format(at=at))
+    _, err = run.communicate(timeout=60)
+    assert (run.returncode, err) in SIGNALS.values()
+    assert changed(before, contents(tmp_path)) == set(KEPT)
+    assert read_json(tmp_path / "kept.json")["command"] == "compare"
+
+
+BEFORE_RENAMING = """
+import os, signal
+import geodrake.whole_files as files
+write = files._Part.write
+def stopped(self, content):
+    os.kill(os.getpid(), signal.SIGTERM)
+    return write(self, content)
+files._Part.write = stopped
+"""
+
+
+def test_a_signal_while_files_are_written_leaves_none_of_them(tmp_path):
+    fill(tmp_path)
+    (tmp_path / "passing").mkdir()
+    before = contents(tmp_path)
+    run = started(["compare", "robot.urdf", "log.csv", *ALL], tmp_path, BEFORE_RENAMING)
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, err, out) == (143, "Terminated.\n", "")
+    assert contents(tmp_path) == before
+
+
+DESTRUCTOR = """
+import os, signal, sys
+import geodrake.diagnosis.explain
+class Gone:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(1000):
+            pass
+def work(*given, **more):
+    Gone()
+    import time
+    time.sleep(60)
+sys.modules['geodrake.diagnosis.explain'].investigate = work
+"""
+
+
+def test_an_interrupt_that_nothing_can_raise_comes_again(tmp_path):
+    fill(tmp_path)
+    run = started(EXPLAIN, tmp_path, DESTRUCTOR)
+    out, err = run.communicate(timeout=30)
+    assert (run.returncode, err, out) == (130, "Interrupted.\n", "")
+
+
+def test_a_signal_that_is_to_be_ignored_is_ignored(tmp_path):
+    fill(tmp_path)
+    code = "import signal, os\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + HOOK.format(
+        name="numpy", signal="SIGHUP"
+    )
+    run = started(["compare", "robot.urdf", "log.csv"], tmp_path, code)
+    _, err = run.communicate(timeout=60)
+    assert (run.returncode, err) == (0, "")
