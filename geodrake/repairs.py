@@ -12,13 +12,13 @@ from geodrake.bodies import LumpedBody, lumped_bodies
 from geodrake.errors import ModelError
 from geodrake.inertia import (
     Array,
-    change_frame,
     from_pseudo_inertia,
     from_spatial_inertia,
     is_physical,
     pseudo_inertia,
     to_mass_com_inertia,
 )
+from geodrake.inertia.kernels import calc_change_frame
 from geodrake.model_files import ModelDescription
 
 TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
@@ -156,9 +156,7 @@ def _stated_parameters(
         phi = description.held_back.get(_scoped(plant, member.index))
         phi = from_spatial_inertia(spatial) if phi is None else phi
         X_RB = member.X_RB
-        if np.isfinite(phi).all():
-            phi = change_frame(phi, X_RB.rotation().matrix(), X_RB.translation())
-        rows.append(phi)
+        rows.append(calc_change_frame(phi, X_RB.rotation().matrix(), X_RB.translation()))
     return np.array(rows)
 
 

@@ -320,7 +320,7 @@ def test_what_does_not_fit_is_refused():
         passive(gains=FixedGains([1.0, 2.0, 3.0], 1.0))
     with pytest.raises(ArgumentError, match="Effort limits"):
         passive(safeguards=Safeguards(effort_limits=[1.0, -1.0]))
-    with pytest.raises(ArgumentError, match="rate must be a real number"):
+    with pytest.raises(ArgumentError, match="rate must be a finite real number"):
         passive(gains=VaryingGains([1.0, 9.0]))
     with pytest.raises(ArgumentError, match="VaryingGains or FixedGains"):
         passive(gains=8.0)

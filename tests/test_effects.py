@@ -456,7 +456,7 @@ class TestNames:
                 "stribeck_friction",
                 ("elbow",),
                 {"stribeck_velocity": "fast"},
-                "must be a real number",
+                "must be a finite real number",
             ),
             ("joint_spring", ("elbow",), {"exponent": 2}, "exponent 1 or 3"),
             ("torque_ripple", ("elbow",), {"order": -2.0}, "order of .* above 0"),

@@ -160,7 +160,7 @@ def _wrong(
 ) -> ArgumentError:
     """The error of an array that is not what it must be."""
     if shape == ():
-        return ArgumentError(f"{name} must be a real number; {but}.", name=name, **evidence)
+        return ArgumentError(f"{name} must be a finite real number; {but}.", name=name, **evidence)
     comma = "," if shape is not None and len(shape) == 1 else ""
     words = "" if shape is None else f"({', '.join(map(str, shape))}{comma}) "
     bound = {each: (sizes or {}).get(str(each)) for each in shape or ()}

@@ -52,7 +52,9 @@ def positive(value: Any, name: str) -> float:
     return number(value, name, lower=0.0, strict=True)
 
 
-def integer(value: Any, name: str, *, lower: int = -sys.maxsize, upper: int = sys.maxsize) -> int:
+def integer(
+    value: Any, name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
+) -> int:
     """A whole number from `lower` to `upper`.
 
     Raises:
@@ -63,9 +65,9 @@ def integer(value: Any, name: str, *, lower: int = -sys.maxsize, upper: int = sy
     except TypeError:
         found = None
     if found is None or isinstance(value, bool | np.bool_) or not lower <= found <= upper:
+        unlimited = found is None or abs(found) <= sys.maxsize
         limits = [
-            -np.inf if lower == -sys.maxsize else lower,
-            upper if upper < sys.maxsize else np.inf,
+            x if abs(x) < sys.maxsize or not unlimited else x * np.inf for x in (lower, upper)
         ]
         wanted = _range("a whole number", *limits, strict=False)
         raise ArgumentError(f"{name} must be {wanted}; it is {shown(value)}.", name=name)

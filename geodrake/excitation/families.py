@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from geodrake.arguments import integer, number, positive, real_array
+from geodrake.arguments import integer, positive, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -126,8 +126,8 @@ class FourierMotion(MotionFamily):
     name = "fourier"
 
     def __post_init__(self) -> None:
-        number(self.duration, "duration")
-        integer(self.modes, "modes")
+        real_array(self.duration, "duration", (), finite=False)
+        integer(self.modes, "modes", upper=np.inf)
         if self.frequency is not None:
             positive(self.frequency, "frequency")
         least, most = _DURATIONS
@@ -197,8 +197,8 @@ class SplineMotion(MotionFamily):
     name = "spline"
 
     def __post_init__(self) -> None:
-        number(self.duration, "duration")
-        integer(self.points, "points")
+        real_array(self.duration, "duration", (), finite=False)
+        integer(self.points, "points", upper=np.inf)
         integer(self.degree, "degree")
         least, most = _DURATIONS
         points = self.degree < self.points <= _MOST_COEFFICIENTS
@@ -254,7 +254,7 @@ class FreeSamples(MotionFamily):
     timed: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        integer(self.samples, "samples")
+        integer(self.samples, "samples", upper=np.inf)
         if not 1 <= self.samples <= _MOST_COEFFICIENTS:
             raise ArgumentError(
                 f"There must be at least one sample, and at most {_MOST_COEFFICIENTS} that need "

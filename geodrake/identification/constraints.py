@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import positive, real_array
+from geodrake.arguments import number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import LinearConstraints, checked
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, pseudo_inertia, pseudo_inertia_basis
@@ -109,7 +109,7 @@ def _ellipsoid_rows(ellipsoids: ArrayLike | None, prior: Array) -> LinearConstra
 def _total_mass_row(total_mass: float | None, prior: Array) -> LinearConstraints:
     if total_mass is None:
         return _none(prior)
-    positive(total_mass, "total_mass")
+    number(total_mass, "total_mass", lower=0.0, strict=True, finite=False)
     row = np.zeros((1, prior.size))
     row[0, ::PARAMETERS_PER_BODY] = 1.0
     total = np.array([float(total_mass)])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instance, one_of, positive
+from geodrake.arguments import instance, number, one_of
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
@@ -131,9 +131,9 @@ def identify(  # noqa: PLR0913 - the stable interface
             f"Exactly one of gamma and residual_bound is needed; got gamma={gamma}, "
             f"residual_bound={residual_bound}."
         )
-    gamma = None if gamma is None else positive(gamma, "gamma")
+    gamma = None if gamma is None else number(gamma, "gamma", lower=0.0, strict=True, finite=False)
     if residual_bound is not None:
-        positive(residual_bound, "residual_bound")
+        number(residual_bound, "residual_bound", lower=0.0, strict=True, finite=False)
     prior = physical_prior(prior)
     bodies = _merged(constraints, ellipsoids=ellipsoids, total_mass=total_mass)
     factor = whitened_factor(A, b, sigma=sigma)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instance, instances, integer, number, positive, real_array
+from geodrake.arguments import instance, instances, integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.reduction import triangular_factor
@@ -126,7 +126,7 @@ class FitProblem:
         if self.constraints is not None:
             _check_constraints(self.constraints, p)
         if self.residual_bound is not None:
-            positive(self.residual_bound, "residual_bound")
+            number(self.residual_bound, "residual_bound", lower=0.0, strict=True, finite=False)
         number(self.margin, "margin", lower=0.0, upper=1.0, strict=True)
 
     @property
@@ -215,7 +215,7 @@ def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:
     for start, pair in problem.entropic.items():
         if len(instances(pair, f"entropic[{start}]", object)) != 2:
             raise ArgumentError(f"entropic[{start}] must be a pair of φ⁰ and γ; got {pair!r}.")
-        gamma = positive(pair[1], f"gamma at column {start}")
+        gamma = number(pair[1], f"gamma at column {start}", lower=0.0, strict=True, finite=False)
         priors[start] = (checked(f"entropic[{start}]", pair[0], (10,)), gamma)
     return priors
 

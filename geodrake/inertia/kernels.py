@@ -48,3 +48,20 @@ DUAL_BASIS = np.einsum("ij,jab->iab", np.linalg.inv(np.einsum("iab,jab->ij", BAS
 def calc_dual(covector: Array) -> Array:
     """X(a) (..., 4, 4) of a (..., 10)."""
     return np.asarray(np.einsum("...i,iab->...ab", covector, DUAL_BASIS))
+
+
+def calc_from_mass_com_inertia(mass: Array, com: Array, inertia_com: Array) -> Array:
+    """φ (..., 10) of masses (...), centres (..., 3) and central inertias (..., 3, 3)."""
+    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
+        ..., None, :
+    ]
+    inertia = inertia_com + mass[..., None, None] * squared
+    moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
+    return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
+
+
+def calc_change_frame(phi: Array, R_AB: Array, p_AoBo_A: Array) -> Array:
+    """φ (..., 10) about Ao in A of φ about Bo in B."""
+    H_AB = np.zeros((*np.broadcast_shapes(R_AB.shape[:-2], p_AoBo_A.shape[:-1]), 4, 4))
+    H_AB[..., :3, :3], H_AB[..., :3, 3], H_AB[..., 3, 3] = R_AB, p_AoBo_A, 1.0
+    return calc_from_pseudo_inertia(H_AB @ calc_pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))

@@ -11,7 +11,9 @@ from geodrake.inertia.kernels import (
     BASIS,
     PARAMETERS_PER_BODY,
     Array,
+    calc_change_frame,
     calc_dual,
+    calc_from_mass_com_inertia,
     calc_from_pseudo_inertia,
     calc_pseudo_inertia,
     calc_rotational_inertia,
@@ -158,12 +160,7 @@ def from_mass_com_inertia(mass: ArrayLike, com: ArrayLike, inertia_com: ArrayLik
     inertia_com = real_array(inertia_com, "inertia_com", ("...", 3, 3), sizes)
     mass, leading = np.broadcast_to(mass, sizes["..."]), sizes["..."]
     com = np.broadcast_to(com, (*leading, 3))
-    squared = (com * com).sum(-1)[..., None, None] * _IDENTITY - com[..., :, None] * com[
-        ..., None, :
-    ]
-    inertia = inertia_com + mass[..., None, None] * squared
-    moments = [inertia[..., i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))]
-    return np.concatenate([mass[..., None], mass[..., None] * com, np.stack(moments, -1)], -1)
+    return calc_from_mass_com_inertia(mass, com, inertia_com)
 
 
 def to_mass_com_inertia(phi: ArrayLike) -> tuple[Array, Array, Array]:
@@ -207,9 +204,7 @@ def change_frame(phi: ArrayLike, R_AB: ArrayLike, p_AoBo_A: ArrayLike) -> Array:
     phi = checked_phi(phi, "phi", sizes)
     R_AB = real_array(R_AB, "R_AB", ("...", 3, 3), sizes)
     p_AoBo_A = real_array(p_AoBo_A, "p_AoBo_A", ("...", 3), sizes)
-    H_AB = np.zeros((*np.broadcast_shapes(R_AB.shape[:-2], p_AoBo_A.shape[:-1]), 4, 4))
-    H_AB[..., :3, :3], H_AB[..., :3, 3], H_AB[..., 3, 3] = R_AB, p_AoBo_A, 1.0
-    return from_pseudo_inertia(H_AB @ calc_pseudo_inertia(phi) @ np.swapaxes(H_AB, -1, -2))
+    return calc_change_frame(phi, R_AB, p_AoBo_A)
 
 
 def change_units(phi: ArrayLike, *, metre: float, kilogram: float) -> Array:

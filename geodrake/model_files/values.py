@@ -9,8 +9,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from geodrake.errors import ArgumentError
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, from_mass_com_inertia
+from geodrake.inertia.kernels import Array, calc_from_mass_com_inertia
 
 TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
@@ -58,16 +57,9 @@ def rotation(values: Array) -> Array:
 
 
 def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
-    """Parameters (10,) of a central inertia that is expressed in a frame turned by R.
-
-    They are NaN where a value is no number, or too large for one.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        turned = R @ inertia @ R.T
-    try:
-        return from_mass_com_inertia(mass, com, turned)
-    except ArgumentError:
-        return np.full(PARAMETERS_PER_BODY, np.nan)
+    """Parameters (10,) of a central inertia that is expressed in a frame turned by R."""
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no number stays none
+        return calc_from_mass_com_inertia(np.asarray(mass, float), com, R @ inertia @ R.T)
 
 
 def tensor_words(inertia: Array) -> dict[str, str]:

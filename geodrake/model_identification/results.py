@@ -131,7 +131,7 @@ class IdentificationSettings:
             if (given := getattr(self, name)) is not None:
                 real_array(given, name, (), finite=False)
         if self.bandwidth is not None:
-            real_array(self.bandwidth, "bandwidth", ())
+            real_array(self.bandwidth, "bandwidth", (), finite=False)
         if self.blocks is not None:
             integer(self.blocks, "blocks")
         if instance(self.regularizer, "regularizer", str) not in REGULARIZERS:

@@ -63,7 +63,7 @@ def roll_out(
         LogError: A log cannot be used, or none moves for as long as a window.
     """
     real_array(horizon, "horizon", (), finite=False)
-    integer(most, "most")
+    integer(most, "most", upper=np.inf)
     if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
         raise ArgumentError(
             f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "

@@ -50,7 +50,7 @@ def test_a_call_that_is_believed_is_noticed():
         (lambda: real_array([1e200], "q"), r"holds 1e\+200 at \[0\]"),
         (lambda: real_array(np.ones(3), "b", ("N",), {"N": (2,)}), "with N = 2"),
         (lambda: real_array(np.ones((3, 2)), "x", ("...", 2), {"...": (4,)}), r"axes \(4,\)"),
-        (lambda: number("1", "tolerance"), "tolerance must be a real number"),
+        (lambda: number("1", "tolerance"), "tolerance must be a finite real number"),
         (lambda: number(0.0, "tolerance", lower=0.0, strict=True), "above 0; it is 0"),
         (lambda: integer(1.0, "count"), "a whole number; it is 1.0"),
         (lambda: integer(True, "count", lower=0), "of at least 0; it is True"),
