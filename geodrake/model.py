@@ -264,7 +264,9 @@ class RobotModel:
         effects = instances(effects, "effects", FittedEffect)
         p = self.phi.size + sum(len(fitted.parameters) for fitted in effects)
         phi = real_array(phi, "phi", self.phi.shape)
-        information = real_array(information, "information", (p, p))
+        information = real_array(information, "information", (p, p), finite=False)
+        if not np.isfinite(information).all():
+            raise ArgumentError("information must be finite.")
         effort_noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
         return replace(
             self,

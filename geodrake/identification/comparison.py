@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instances
+from geodrake.arguments import instances, positive
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.identify import (
