@@ -81,6 +81,7 @@ def compare_regularizers(
         ArgumentError: An argument is wrong, or two regularizers have the same name.
         IdentificationError: A solver failed, or a residual differs by more than 1e-5.
     """
+    positive(gamma, "gamma")
     kinds = [
         regularizer_of(regularizer)
         for regularizer in instances(regularizers, "regularizers", object)

@@ -8,7 +8,7 @@ from math import isfinite
 
 import numpy as np
 
-from geodrake.arguments import instance, integer, positive
+from geodrake.arguments import integer, positive
 from geodrake.control_regressor import ControlModel, ControlSample
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
@@ -47,7 +47,9 @@ class FilteredRegressor:
     held_effort: bool = False
 
     def __post_init__(self) -> None:
-        instance(self.control, "control", ControlModel)
+        # (Anything that gives regressors as a ControlModel does is one here.)
+        if not all(hasattr(self.control, name) for name in ("at", "joints", "prior")):
+            raise ArgumentError(f"control must be a ControlModel; it is {self.control!r}.")
         positive(self.period, "period")
         positive(self.bandwidth, "bandwidth")
         integer(self.order, "order", lower=1, upper=_MOST_FILTERS)
