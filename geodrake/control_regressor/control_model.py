@@ -15,6 +15,7 @@ from geodrake.control_regressor.online_tree import OnlineTree
 from geodrake.control_regressor.rigid_bodies import RigidSample
 from geodrake.effects import Effect, EffortScale
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.kinematics import KinematicTree
 from geodrake.model import RobotModel
@@ -147,6 +148,17 @@ class ControlModel:
         Values are not checked: whatever is not finite comes out as such.
         """
         return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
+
+
+def checked_control(control: ControlModel) -> ControlModel:
+    """A robot as a controller sees it: a `ControlModel`, or what gives regressors as one does.
+
+    Raises:
+        ArgumentError: It is something else.
+    """
+    if not all(hasattr(control, name) for name in ("at", "joints", "prior", "single_joints")):
+        raise ArgumentError(f"control must be a ControlModel; it is {control!r}.")
+    return control
 
 
 def _parts(model: RobotModel) -> Iterator[tuple[Effect, slice]]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from geodrake.arguments import integer, positive
 from geodrake.control_regressor import ControlModel, ControlSample
+from geodrake.control_regressor.control_model import checked_control
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
 
@@ -47,9 +48,7 @@ class FilteredRegressor:
     held_effort: bool = False
 
     def __post_init__(self) -> None:
-        # (Anything that gives regressors as a ControlModel does is one here.)
-        if not all(hasattr(self.control, name) for name in ("at", "joints", "prior")):
-            raise ArgumentError(f"control must be a ControlModel; it is {self.control!r}.")
+        checked_control(self.control)
         positive(self.period, "period")
         positive(self.bandwidth, "bandwidth")
         integer(self.order, "order", lower=1, upper=_MOST_FILTERS)

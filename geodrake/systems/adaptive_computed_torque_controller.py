@@ -8,8 +8,8 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 
 from geodrake.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw, error_weight
 from geodrake.adaptation.covectors import calc_computed_torque_covector, calc_prediction_covector
-from geodrake.arguments import instance
 from geodrake.control_regressor import ControlModel
+from geodrake.control_regressor.control_model import checked_control
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.online_estimation import FilteredRegressor
@@ -85,7 +85,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
                 not fit.
         """
-        nv = len(instance(control, "control", ControlModel).joints)
+        nv = len(checked_control(control).joints)
         poles = checked_gains(rate, nv, "rates")
         self._K_p, self._K_v = poles**2, 2.0 * poles
         self._P = error_weight(self._K_p, self._K_v, np.eye(2 * nv))

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from geodrake.adaptation import UpdateLaw
 from geodrake.adaptation.covectors import calc_tracking_energy
-from geodrake.arguments import instance, positive, real_array
+from geodrake.arguments import positive, real_array
 from geodrake.control_regressor import ControlModel
+from geodrake.control_regressor.control_model import checked_control
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.systems.adaptive_controller import AdaptiveController
@@ -110,7 +111,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
                 not fit.
         """
-        nv = len(instance(control, "control", ControlModel).joints)
+        nv = len(checked_control(control).joints)
         if not isinstance(gains, VaryingGains | FixedGains):
             raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
         self._varying = isinstance(gains, VaryingGains)

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from geodrake.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw
 from geodrake.arguments import instance, number, one_or_each, real_array
 from geodrake.control_regressor import ControlModel
+from geodrake.control_regressor.control_model import checked_control
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.manifolds import Manifold
@@ -42,7 +43,7 @@ def require_single_joints(control: ControlModel) -> None:
     Raises:
         ArgumentError: They are not.
     """
-    if not instance(control, "control", ControlModel).single_joints:
+    if not checked_control(control).single_joints:
         raise ArgumentError(
             "Controllers and estimators need joints of one degree of freedom each; this robot has "
             "others.",
