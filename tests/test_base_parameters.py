@@ -211,7 +211,7 @@ def test_metric_of_further_parameters():
 def test_bad_regressors(arguments, message):
     with pytest.raises(ArgumentError, match=message):
         base_parameters(*arguments)
-    with pytest.raises(ArgumentError, match="between 0 and 1"):
+    with pytest.raises(ArgumentError, match=r"tolerance must be .* and 1"):
         base_parameters(np.ones((3, 10)), tolerance=0.0)
 
 

@@ -208,7 +208,7 @@ def test_rates():
     trajectory = trajectory_of(FourierMotion(1.05), arm())
     np.testing.assert_allclose(trajectory.instants(10.0), [*np.arange(11) / 10, 1.05])
     assert len(trajectory.instants(100.0)) == 106
-    with pytest.raises(ArgumentError, match="rate must be"):
+    with pytest.raises(ArgumentError, match="A rate is a positive"):
         trajectory.instants(0.0)
 
 

@@ -366,7 +366,7 @@ def test_bad_input():
         stuck.actuator_motion(Motion(np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1))))
     with pytest.raises(ArgumentError, match=r"start has the shape \(2,\)"):
         WRIST.actuator_motion(random_motion(width=2), start=[1.0, 2.0, 3.0])
-    with pytest.raises(ArgumentError, match=r"expected \(2, 2\)"):
+    with pytest.raises(ArgumentError, match="efforts must be"):
         WRIST.actuator_efforts(np.zeros((2, 2)), np.zeros((3, 2)))
     with pytest.raises(ArgumentError, match="2 finite offsets"):
         LinearTransmission.of(np.eye(2), [1.0, 2.0, 3.0])
