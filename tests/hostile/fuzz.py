@@ -155,26 +155,27 @@ def main():
     options = parser.parse_args()
     kinds = options.kind or list(FILES)
     each = -(-(80 if options.quick else options.cases) // len(kinds))
-    counts, broken, begin = {}, [], time.perf_counter()
+    counts, broken, begin = {}, 0, time.perf_counter()
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("fuzzing", total=each * len(kinds))
         for kind in kinds:
             counts[kind], own = run(
                 kind, each, seed=options.seed, tell=lambda: progress.advance(task)
             )
-            broken += own
+            broken += len(own)
             if options.keep:
                 keep(own, options.keep)
-    ends = sorted({end for own in counts.values() for end in own})
-    shown = Table("kind", *ends)
-    for kind, own in counts.items():
-        shown.add_row(kind, *(str(own[end]) for end in ends))
+            if options.json:  # of what is done, should the rest be interrupted
+                total = sum(ends.total() for ends in counts.values())
+                numbers = {"seed": options.seed, "cases": total, "broken": broken, "counts": counts}
+                options.json.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    endings = sorted({end for ends in counts.values() for end in ends})
+    shown = Table("kind", *endings)
+    for kind, ends in counts.items():
+        shown.add_row(kind, *(str(ends[end]) for end in endings))
     Console(width=160).print(shown)
-    total = sum(own.total() for own in counts.values())
-    print(f"{total} cases, {len(broken)} broken, {time.perf_counter() - begin:.0f} s")
-    if options.json:
-        numbers = {"seed": options.seed, "cases": total, "broken": len(broken), "counts": counts}
-        options.json.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    total = sum(ends.total() for ends in counts.values())
+    print(f"{total} cases, {broken} broken, {time.perf_counter() - begin:.0f} s")
     sys.exit(bool(broken))
 
 
