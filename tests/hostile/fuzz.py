@@ -22,8 +22,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import hypothesis
-from fuzz_cases import FILES, cases
-from hostile import SECONDS, changed, check_words, contents, fill, read_json
+from fuzz_cases import COMMANDS, FILES, cases, inside
+from hostile import SECONDS, changed, check_words, contents, fill, read_json, run_here
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -98,6 +98,15 @@ def _become(words, folder, out, err):
         os._exit(code)
 
 
+def warm_up():
+    """Run every command once, so that forked processes find all modules imported."""
+    with tempfile.TemporaryDirectory() as name, inside(Path(name)) as folder:
+        fill(folder)
+        for command in dict.fromkeys(COMMANDS):
+            code, _, err = run_here([*command.split(), "robot.urdf", "log.csv"])
+            assert code == 0, (command, err)
+
+
 def run(kind, count, *, seed, tell=lambda: None):
     """Draw so many cases of a kind of file and run them.
 
@@ -156,6 +165,7 @@ def main():
     kinds = options.kind or list(FILES)
     each = -(-(80 if options.quick else options.cases) // len(kinds))
     counts, broken, begin = {}, 0, time.perf_counter()
+    warm_up()
     with Progress(console=Console(stderr=True)) as progress:
         task = progress.add_task("fuzzing", total=each * len(kinds))
         for kind in kinds:

@@ -66,7 +66,7 @@ def good(kind):
         return texts[kind].encode()
     if kind.endswith("log"):
         return _good_log(kind)
-    with tempfile.TemporaryDirectory() as name, _inside(Path(name)) as folder:
+    with tempfile.TemporaryDirectory() as name, inside(Path(name)) as folder:
         fill(folder)
         if kind == "saved model":
             words = "add coulomb_friction robot.urdf log.csv --save robot.yaml"
@@ -86,7 +86,8 @@ def _good_log(kind):
 
 
 @contextmanager
-def _inside(folder):
+def inside(folder):
+    """With a folder as the working directory."""
     before = Path.cwd()
     os.chdir(folder)
     try:
