@@ -11,12 +11,12 @@ from itertools import combinations
 
 import numpy as np
 
+from geodrake.arguments.arrays import LARGEST
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETER_NAMES, Array, is_physical, pseudo_inertia
 from geodrake.manifolds import Interval
 from geodrake.model import FittedEffect, RobotModel
 
-GREATEST = 1e60
 """Largest number of a model: its fourth power, as in determinants, still is a number."""
 
 ROUNDING = 1e-6
@@ -47,9 +47,9 @@ def check_model(model: RobotModel) -> None:
         ("fading_speed", model.fading_speed),
     ):
         for joint, value in zip(model.joints, () if values is None else values, strict=False):
-            if not 0.0 <= value <= GREATEST:
+            if not 0.0 <= value <= LARGEST:
                 raise ModelError(
-                    f"{field} of {joint!r} is {value:g}, which is no number from 0 to {GREATEST:g}."
+                    f"{field} of {joint!r} is {value:g}, which is no number from 0 to {LARGEST:g}."
                 )
     if model.information is not None:
         _check_information(model.information)
@@ -57,7 +57,7 @@ def check_model(model: RobotModel) -> None:
 
 def _check_body(what: str, phi: Array) -> None:
     _check_finite(what, PARAMETER_NAMES, phi)
-    if phi[0] < 1.0 / GREATEST:
+    if phi[0] < 1.0 / LARGEST:
         raise ModelError(f"{what} have a mass of {phi[0]:g} kg.")
     if not is_physical(phi, tolerance=-ROUNDING):
         least, *_, most = np.linalg.eigvalsh(pseudo_inertia(phi))
@@ -76,7 +76,7 @@ def check_effect(fitted: FittedEffect) -> None:
     effect, what = fitted.effect, f"parameters of {_place_of(fitted)}"
     names = [parameter.name for parameter in effect.parameters]
     for key, value in effect.shape.items():
-        if isinstance(value, float) and not abs(value) <= GREATEST:
+        if isinstance(value, float) and not abs(value) <= LARGEST:
             raise ModelError(f"shape of {_place_of(fitted)} has {key} = {value:g}.")
     _check_finite(what, names, fitted.parameters)
     manifold, values = effect.manifold, fitted.parameters
@@ -94,20 +94,20 @@ def check_effect(fitted: FittedEffect) -> None:
     for name, value in zip(names, _none_as_empty(fitted.deviations), strict=False):
         if not value >= 0.0:
             raise ModelError(
-                f"deviations of {_place_of(fitted)} have {name} = {value:g}, which is not above 0."
+                f"deviations of {_place_of(fitted)} have {name} = {value:g}, which is less than 0."
             )
 
 
 def _check_information(information: Array) -> None:
     size = np.abs(information).max(initial=0.0)
-    if not size <= GREATEST:
+    if not np.isfinite(size):
         raise ModelError(f"information has an entry of {size:g}.")
     diagonal = np.diagonal(information)
     if diagonal.min(initial=0.0) < 0.0:
         at = int(diagonal.argmin())
         raise ModelError(f"information has {diagonal[at]:g} at {at}, {at} on its diagonal.")
     # On a unit diagonal, so that units do not matter.
-    scale = np.sqrt(np.maximum(diagonal, 1.0 / GREATEST))
+    scale = np.sqrt(np.maximum(diagonal, 1.0 / LARGEST))
     scaled = information / np.outer(scale, scale)
     wrong = np.abs(scaled - scaled.T)
     if wrong.max(initial=0.0) > ROUNDING:
@@ -126,7 +126,7 @@ def _check_information(information: Array) -> None:
 
 def _check_finite(what: str, names: Sequence[str], values: Array) -> None:
     for name, value in zip(names, values, strict=True):
-        if not abs(value) <= GREATEST:
+        if not abs(value) <= LARGEST:
             raise ModelError(f"{what} have {name} = {value:g}.")
 
 

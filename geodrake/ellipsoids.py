@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import Sizes, instance, instances, number, positive, real_array
+from geodrake.arguments import Sizes, instance, integers, number, positive, real_array
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia import (
     Array,
@@ -108,7 +108,7 @@ class Ellipsoid:
 
 def _checked_size(size: tuple[int, ...], leading: tuple[int, ...]) -> tuple[int, ...]:
     """A shape of points whose last axes are those of the ellipsoids."""
-    size = instances(size, "size", int)
+    size = integers(size, "size")
     if min(size, default=0) < 0 or len(size) < len(leading) or not _broadcast(size, leading):
         raise ArgumentError(
             f"size must be the shape of the points, the ellipsoids' {leading} last; it is {size}."

@@ -8,6 +8,7 @@ from typing import Any
 from geodrake.excitation import ExcitationResult
 from geodrake.excitation.verdict import directions_told, improvement, told_apart, verdict
 from geodrake.identifiability import LogIdentifiability, ToldBlock
+from geodrake.json_output import number_or
 
 
 def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
@@ -59,7 +60,11 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
             joint: {name: getattr(use, name)[j] for name in shares}
             for j, joint in enumerate(result.limits.joints)
         },
-        "distance": {"least": use.distance, "between": use.nearest, "clearance": use.clearance},
+        "distance": {
+            "least": number_or(use.distance, "collisions were not looked for"),
+            "between": use.nearest,
+            "clearance": use.clearance,
+        },
         "starts": [asdict(outcome) for outcome in result.outcomes],
         "notes": list(result.notes),
     }

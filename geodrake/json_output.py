@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from geodrake.diagnosis.results import Comparison, Diagnosis, ErrorTable, Explanation, Step
@@ -16,8 +16,20 @@ from geodrake.drafting import Correlate, Draft
 from geodrake.escaping import json_text
 from geodrake.rollout import Rollout
 
-_WHY_NAN = "was not determined"
-_WHY_INFINITE = "has no bound: the data say nothing of it"
+_APART = "the robot departs further than can be simulated"
+_UNTOLD = "the logs do not tell it"
+
+
+@dataclass(frozen=True)
+class NoNumber:
+    """What stands for a number that there is not: null in JSON, with the reason."""
+
+    reason: str
+
+
+def number_or(value: float | None, reason: str) -> float | NoNumber:
+    """A finite number, or why there is none."""
+    return NoNumber(reason) if value is None or not math.isfinite(value) else value
 
 
 def comparison_dict(comparison: Comparison) -> dict[str, Any]:
@@ -137,12 +149,12 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
         "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
         "broken": rollout.broken,
         "left_out": [{"effect": e.name, "where": e.where} for e in rollout.left_out],
-        "relative": rollout.relative,
+        "relative": number_or(rollout.relative, _APART),
         "joints": {
             joint.joint: {
-                "rms": joint.rms,
+                "rms": number_or(joint.rms, _APART),
                 "moved": joint.moved,
-                "relative": joint.relative,
+                "relative": number_or(joint.relative, _APART),
                 "worst": joint.worst,
             }
             for joint in rollout.joints
@@ -171,7 +183,10 @@ def _step(step: Step) -> dict[str, Any]:
         "error_before": step.error_before,
         "error_after": step.error_after,
         "parameters": step.parameters,
-        "deviations": step.deviations,
+        "deviations": {
+            place: {name: number_or(deviation, _UNTOLD) for name, deviation in own.items()}
+            for place, own in step.deviations.items()
+        },
         "indistinguishable_from": step.indistinguishable_from,
         "rivals": [asdict(rival) for rival in step.rivals],
         "false_alarm_probability": step.false_alarm_probability,
@@ -207,10 +222,12 @@ def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
         return _plain(value.tolist(), place, nulls)
     if isinstance(value, Iterable) and not isinstance(value, str):
         return [_plain(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
-    if value is None:
-        nulls[place] = "does not apply here"
-    elif isinstance(value, float) and not math.isfinite(value):
-        nulls[place] = _WHY_NAN if math.isnan(value) else _WHY_INFINITE
+    if isinstance(value, float) and not math.isfinite(value):
+        value = NoNumber("was not determined" if math.isnan(value) else "is infinite")
+    elif value is None:
+        value = NoNumber("does not apply here")
+    if isinstance(value, NoNumber):
+        nulls[place] = value.reason
         return None
     return value
 

@@ -56,8 +56,10 @@ def write_together(contents: Mapping[Path, Content]) -> None:
             with _refusing(path):
                 parts.append(stack.enter_context(_Part(path)))
                 parts[-1].write(content)
-        if not interrupted():
+        if goes_on := not interrupted():
             _rename(parts)
+    if not goes_on:  # the handler of the interrupt did not end the program
+        write_together(contents)
 
 
 def check_writable(path: str | Path) -> None:

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from geodrake.json_output import to_json
+from geodrake.json_output import number_or, to_json
 
 
 def test_a_number_that_is_none_is_null_with_a_reason():
@@ -14,9 +14,14 @@ def test_a_number_that_is_none_is_null_with_a_reason():
     assert found["c~"] == {"x": [None, 2.0]}
     assert found["nulls"] == {
         "/a~1b/1": "was not determined",
-        "/c~0/x/0": "has no bound: the data say nothing of it",
+        "/c~0/x/0": "is infinite",
         "/d": "does not apply here",
     }
+
+
+def test_a_reason_that_is_known_is_told():
+    found = json.loads(to_json({"x": number_or(np.inf, "nobody looked"), "y": number_or(1.0, "")}))
+    assert found == {"x": None, "y": 1.0, "nulls": {"/x": "nobody looked"}}
 
 
 def test_nothing_is_said_where_all_numbers_are_finite():

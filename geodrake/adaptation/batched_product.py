@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.arguments.arrays import LARGEST
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     dual,
@@ -26,7 +27,6 @@ _SERIES = np.array(
     [[1.0, 1 / 2, 1 / 6], [0.0, 1 / 24, 1 / 120]]
 )  # of z, z² and z³ in e^z − 1, and in what z² multiplies there
 _USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a direction of P by, on the fast way
-_GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _WELL_INSIDE = 1e-12  # det P over the product of its diagonal
 
 
@@ -266,7 +266,7 @@ def _positive_step(x: Array, b: Array, time: float, *, lower: Array) -> Array:
         stepped = np.expm1(growth)
         stepped *= slack
         stepped += x
-        if (stepped > lower).all() and np.vdot(stepped, stepped) < _GREATEST:
+        if (stepped > lower).all() and np.vdot(stepped, stepped) < LARGEST:
             return np.asarray(stepped)
     above = Interval(tuple(lower.tolist()), (np.inf,) * len(lower))
     return above.calc_retract(x, slack * growth)

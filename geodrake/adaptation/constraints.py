@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instance, instances, integer, number, real_array
+from geodrake.arguments import instance, integer, integers, number, real_array
 from geodrake.ellipsoids import realizability_row
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
@@ -165,9 +165,7 @@ def parameter_limits(
         ArgumentError: There is no such parameter, or shapes do not fit.
     """
     integer(size, "size", lower=1, upper=_MOST)
-    for index in (indices := instances(indices, "indices", int)):
-        integer(index, "an index", lower=0, upper=size - 1)
-    matrix = np.eye(size)[list(indices)]
+    matrix = np.eye(size)[list(integers(indices, "indices", lower=0, upper=size - 1))]
     return Polyhedron(matrix, _of_rows(lower, len(matrix)), _of_rows(upper, len(matrix)))
 
 

@@ -12,7 +12,7 @@ refused instead of being half believed.
 """
 
 from geodrake.arguments.arrays import Shape, Sizes, one_or_each, positive_definite, real_array
-from geodrake.arguments.numbers import integer, number, positive
+from geodrake.arguments.numbers import integer, integers, number, positive
 from geodrake.arguments.objects import file_path, function, instance, instances, one_of
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "instance",
     "instances",
     "integer",
+    "integers",
     "number",
     "one_of",
     "one_or_each",

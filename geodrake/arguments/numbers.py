@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import operator
 import sys
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from geodrake.arguments.arrays import LARGEST, real_array
+from geodrake.arguments.objects import instances
 from geodrake.arguments.words import shown
 from geodrake.errors import ArgumentError
 
@@ -85,3 +87,15 @@ def _range(what: str, lower: float, upper: float, *, strict: bool) -> str:
     if strict:
         return f"{what} between {lower:g} and {upper:g}, without both"
     return f"{what} from {lower:g} to {upper:g}"
+
+
+def integers(
+    value: Iterable[int], name: str, *, lower: float = -sys.maxsize, upper: float = sys.maxsize
+) -> tuple[int, ...]:
+    """Integers between bounds, in whatever holds them.
+
+    Raises:
+        ArgumentError: It holds something else, or nothing can be taken from it.
+    """
+    found = instances(value, name, object)
+    return tuple(integer(each, name, lower=lower, upper=upper) for each in found)

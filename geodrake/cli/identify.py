@@ -14,6 +14,7 @@ from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
 from geodrake.export import check_export, export_model
 from geodrake.inertia import PARAMETER_NAMES
+from geodrake.json_output import number_or
 from geodrake.model import RobotModel
 from geodrake.model_identification import (
     IdentificationSettings,
@@ -126,7 +127,7 @@ def identification_dict(found: ModelIdentification) -> dict[str, Any]:
     model = found.model
     return {
         "regularizer": found.regularizer,
-        "gamma": found.gamma,
+        "gamma": number_or(found.gamma, "any weight meets the bound on the residual"),
         "sweep": [asdict(tried) for tried in found.sweep],
         "residual": found.result.residual,
         "divergence": found.result.divergence,

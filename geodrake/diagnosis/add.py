@@ -90,7 +90,7 @@ def add(
         fit.model,
         before,
         after,
-        case.notes,
+        (*case.notes, *filter(None, [fit.result.note])),
     )
 
 

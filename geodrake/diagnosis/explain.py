@@ -155,7 +155,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     changed = bool(steps) or after_case.model.fading_speed is not model.fading_speed
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if changed else before.errors
-    companions = companion_notes(trail.end.unknowns, fit)
+    companions = [*companion_notes(trail.end.unknowns, fit), *filter(None, [fit.result.note])]
     found = (*fading_notes(model, fit.model), *stated_mass_notes(case, fit.model))
     told = (*companions, *found) if changed else ()
     explanation = Explanation(

@@ -62,7 +62,7 @@ class CheckedFields:
         effect: Any = self
         for field in fields(effect):
             value, name = getattr(self, field.name), f"{field.name} of {effect.name}"
-            kind = field.type if isinstance(field.type, str) else field.type.__name__
+            kind = _declared(field.type)
             if value is None and kind.endswith("| None"):
                 continue
             if kind.startswith("tuple[str"):
@@ -73,6 +73,12 @@ class CheckedFields:
                 number(value, name)
             elif kind.startswith("int"):
                 integer(value, name)
+
+
+def _declared(kind: Any) -> str:
+    """The type of a field as it is written: `float`, `float | None`, `tuple[str, str]`."""
+    words = kind.__name__ if type(kind) is type else str(kind).replace("typing.", "")
+    return f"{words[9:-1]} | None" if words.startswith("Optional[") else words
 
 
 def require_positive(effect: Any, *names: str) -> None:

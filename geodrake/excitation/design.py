@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.arguments import function, instance, instances, integer
+from geodrake.arguments import function, instance, integer, integers
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design_results import (
@@ -145,9 +145,9 @@ def design_objective(
 
 def _asked(seeds: int | Sequence[int]) -> Sequence[int]:
     """The seeds of random starts, from their number or as given."""
-    if isinstance(seeds, int):
+    if isinstance(seeds, int | np.integer):
         return range(integer(seeds, "seeds"))
-    return [integer(seed, "a seed", lower=0) for seed in instances(seeds, "seeds", int)]
+    return integers(seeds, "seeds", lower=0)
 
 
 def make_problem(

@@ -18,6 +18,7 @@ from typing import Any, NoReturn, TypeVar
 from geodrake.errors import GeodrakeError
 
 T = TypeVar("T")
+_INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class LostProcessError(Exception):
@@ -41,29 +42,32 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
         LostProcessError: It raised something else, or its process ended.
     """
     reader, writer = Pipe(duplex=False)
+    # An interrupt waits, so that it is not one of the copy's too.
+    waiting = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
     try:
         with warnings.catch_warnings():
-            # Other threads do not matter: the copy runs none, and waits for no lock of theirs.
+            # Python warns of other threads: the copy has none, and numerical libraries look after
+            # their own locks at a fork. One that waits all the same is lost when its time is over.
             warnings.simplefilter("ignore", DeprecationWarning)
             child = os.fork()
+        if not child:
+            _answer(work, writer)
     except OSError as error:
         raise LostProcessError(f"could not be started: {error.strerror}") from error
-    if not child:
-        _answer(work, writer)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, waiting)
     writer.close()
     answer: Any = None
     try:
         if not reader.poll(seconds):
             raise LateProcessError(f"gave no answer in {seconds:g} s")
         answer = reader.recv()
-    except EOFError:
-        pass  # it has ended
+    except (EOFError, OSError):
+        pass  # it has ended, perhaps amid its answer
     finally:
         reader.close()
-        os.kill(child, signal.SIGKILL)  # which does nothing to one that has ended
-        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        end = _ended(child)
     if answer is None:
-        end = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         raise LostProcessError(f"ended with {end}")
     result, failure = answer
     if failure is not None:
@@ -71,11 +75,22 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     return result
 
 
+def _ended(child: int) -> str:
+    """How a process has ended, which it has by now, or is made to."""
+    try:
+        os.kill(child, signal.SIGKILL)  # which does nothing to one that has ended
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    except (ProcessLookupError, ChildProcessError):
+        return "nobody knows what"  # where the program has its children reaped elsewhere
+    return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
 def _answer(work: Callable[[], Any], writer: Connection) -> NoReturn:
     """Send what `work` returns and raises as a pair, and end this process."""
     try:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _INTERRUPTS:
             signal.signal(number, signal.SIG_DFL)  # an interrupt is the first process's
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, _INTERRUPTS)
         faulthandler.disable()
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         silence = os.open(os.devnull, os.O_WRONLY)

@@ -78,7 +78,7 @@ class PointMasses:
                 f"Bodies {wrong} are not physical, so no point masses amount to them.",
                 bodies=wrong,
             )
-        if isinstance(counts, int):
+        if isinstance(counts, int | np.integer):
             counts = (counts,) * len(phi)
         elif real_array(counts, "counts").shape != (len(phi),):
             raise ArgumentError(f"counts must have shape ({len(phi)},); got {np.shape(counts)}.")

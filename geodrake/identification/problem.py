@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instance, instances, integer, number, real_array
+from geodrake.arguments import instance, instances, integers, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.reduction import triangular_factor
@@ -158,7 +158,7 @@ def _information(values: ArrayLike, p: int) -> Array:
 
 
 def _blocks(starts: tuple[int, ...], p: int) -> tuple[int, ...]:
-    starts = tuple(integer(s, "an inertia block") for s in instances(starts, "inertia_blocks", int))
+    starts = integers(starts, "inertia_blocks")
     ordered = sorted(starts)
     gaps = np.diff([*ordered, p]) if ordered else np.empty(0)
     if (ordered and ordered[0] < 0) or np.any(gaps < PARAMETERS_PER_BODY):

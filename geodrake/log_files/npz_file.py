@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from geodrake.errors import LogError
+from geodrake.errors import GeodrakeError, LogError
 from geodrake.log_files.columns import Columns, Recording
 from geodrake.motion import JointLog
 
@@ -43,7 +43,7 @@ def _reading(path: Path) -> Iterator[None]:
     """Whatever an archive raises that is damaged, or made to do harm, is an error of the log."""
     try:
         yield
-    except (LogError, MemoryError):
+    except (GeodrakeError, MemoryError):
         raise
     except Exception as error:  # of zipfile, its decompressors and numpy: no list would be whole
         raise LogError(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.arguments.arrays import LARGEST
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     is_physical,
@@ -31,7 +32,6 @@ _UNIT_TANGENTS = np.array(
 _TO_MATRIX = _BASIS.reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = calc_from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
-_GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 
 
@@ -114,9 +114,7 @@ class PhysicalInertia(Manifold):
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         size = np.abs(x).max(-1)
-        return (
-            is_physical(x, tolerance=_ROUNDING) & (size < _GREATEST) & (x[..., 0] > 1 / _GREATEST)
-        )
+        return is_physical(x, tolerance=_ROUNDING) & (size < LARGEST) & (x[..., 0] > 1 / LARGEST)
 
     @staticmethod
     def _rates(x: Array, v: Array) -> Array:

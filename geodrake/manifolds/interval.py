@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.arguments import Sizes, integer, real_array
+from geodrake.arguments.arrays import LARGEST
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
 from geodrake.manifolds.mirror import MirrorLine
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
-_GREATEST = 1e60
 _MOST = 10**6  # parameters
 _LEAST_SLACK = 1e-150  # whose inverse square is still a number
 
@@ -129,7 +129,7 @@ class Interval(Manifold):
         return MirrorLine(point, value, 1.0 / most if most > 0 else np.inf, 1.0 / speed)
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
-        return self.calc_contains(x) & (np.abs(x) < _GREATEST).all(-1)
+        return self.calc_contains(x) & (np.abs(x) < LARGEST).all(-1)
 
     def _retract(self, x: Array, v: Array) -> Array:
         """Each parameter by itself: geodesic with one bound, the slowed line with two."""

@@ -170,7 +170,7 @@ def drake_errors(
     """
     try:
         yield
-    except GeodrakeError:
+    except (GeodrakeError, OSError, MemoryError):
         raise
     except (Exception, SystemExit) as error:
         line = str(error).strip().partition("\n")[0]

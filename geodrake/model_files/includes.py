@@ -149,7 +149,8 @@ def _models_of(place: Path, by_url: bool) -> list[Path]:
     config = place / "model.config"
     if not by_url or not config.exists():
         return [place / "model.sdf"]
-    return [place / str(sdf.text).strip() for sdf in parse_xml(config).iter("sdf")]
+    stated = [place / str(sdf.text).strip() for sdf in parse_xml(config).iter("sdf")]
+    return [file for file in stated if file.is_file()] or stated  # one for each version of SDF
 
 
 def _replace(parent: Element, include: Element, model: Element) -> None:

@@ -119,6 +119,7 @@ def identify_model(
             *model_notes(fitted, body_changes(fits, result)),
             *sweep_notes(gamma, sweep),
             *bound_notes(result.gamma),
+            *filter(None, [result.note]),
         ),
     )
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.arguments.arrays import LARGEST
 from geodrake.errors import ArgumentError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -21,7 +22,6 @@ from geodrake.manifolds import Interval, Manifold, PhysicalInertia, Product
 _TO_MATRIX = pseudo_inertia_basis().reshape(PARAMETERS_PER_BODY, 16)
 _TO_DUAL = dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
 _FROM_MATRIX = from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
-_GREATEST = 1e60  # number whose fourth power, as in det P, still is one
 _CLEAR = 1e-9  # det P over the product of its diagonal
 
 
@@ -198,11 +198,11 @@ class MirrorMap:
 
     def clearly_inside(self, p: Array) -> bool:
         """Whether a parameter vector (n,) is inside for sure: a cheap test that may say no."""
-        if not np.vdot(p, p) < _GREATEST:
+        if not np.vdot(p, p) < LARGEST:
             return False
         point = self.point(p)
         diagonal = point.P.reshape(-1, 16)[:, ::5]
-        if not diagonal.min(initial=1.0) > 1 / _GREATEST:
+        if not diagonal.min(initial=1.0) > 1 / LARGEST:
             return False
         try:
             L = np.linalg.cholesky(point.P)
