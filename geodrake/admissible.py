@@ -14,10 +14,8 @@ import numpy as np
 from geodrake.arguments.arrays import LARGEST
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETER_NAMES, Array, is_physical, pseudo_inertia
-from geodrake.manifolds import Interval
+from geodrake.manifolds import Interval, PhysicalInertia
 from geodrake.model import FittedEffect, RobotModel
-
-"""Largest number of a model: its fourth power, as in determinants, still is a number."""
 
 ROUNDING = 1e-6
 """Of the largest eigenvalue, entry or parameter beside it: what may be beyond an edge."""
@@ -87,7 +85,7 @@ def check_effect(fitted: FittedEffect) -> None:
         ):
             if not low - margin <= value <= high + margin:
                 raise ModelError(f"{what} have {name} = {value:g}, outside [{low:g}, {high:g}].")
-    elif effect.name == "payload":
+    elif isinstance(manifold, PhysicalInertia):
         _check_body(what, values)
     elif not manifold.contains(values):
         raise ModelError(f"{what} are {values.tolist()}, outside of what the effect allows.")
