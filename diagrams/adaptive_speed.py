@@ -31,19 +31,22 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from rich.progress import track
 
-from geodrake.adaptation import BatchedProduct, UpdateLaw, natural_adaptation, parameter_manifold
-from geodrake.control_regressor import ControlModel
-from geodrake.effects import CoulombFriction, ViscousFriction
-from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
-from geodrake.loops import add_adaptive_loop
-from geodrake.model import FittedEffect, RobotModel, load_description
-from geodrake.online_estimation import SampleUpdate
-from geodrake.systems import (
+from geodrake.control import (
     AdaptiveComputedTorqueController,
-    AdaptiveController,
     BregmanProjectionEstimator,
+    ControlModel,
     PassivityBasedAdaptiveController,
+    SampleUpdate,
+    add_adaptive_loop,
+    natural_adaptation,
+    parameter_manifold,
 )
+from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.systems import AdaptiveController
+from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
+from geodrake.inertia import from_pseudo_inertia, pseudo_inertia
+from geodrake.manifolds import Product
+from geodrake.model import RobotModel, load_description
 
 Array = NDArray[np.float64]
 
@@ -86,7 +89,7 @@ class Arm:
         return ControlModel.of(self.model)
 
     @cached_property
-    def manifold(self) -> BatchedProduct:
+    def manifold(self) -> Product:
         """The manifold of its 84 parameters."""
         return parameter_manifold(self.model)
 

@@ -27,8 +27,8 @@ from adaptive.sandbag_loop import DURATION, identified, point_to_point, simulate
 from ambidex.arm import REDUCTION
 from rich.console import Console
 
+from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
 from geodrake.inertia import is_physical
-from geodrake.systems import PassivityBasedAdaptiveController, VaryingGains
 
 RATE = 3.0  # λ, 1/s, [Lee2019] §5.6
 MOTIONS = 14

@@ -1,4 +1,4 @@
-"""Atlas on one foot: what a force plate can tell of it, and identification of that alone.
+"""Atlas on one foot: what a force plate identifies of it, and identification of that alone.
 
 [Lee2019] §4.6.3, figure 4.7, tables 4.3 and 4.4. Of 20 random motions that keep the zero-moment
 point in the sole, 10 identify and 10 validate. Least squares of all base parameters drowns in the
@@ -28,7 +28,6 @@ from resumable.draws import results_of
 from rich.console import Console
 from rich.table import Table
 
-from geodrake.base_parameters import pushforward_metric
 from geodrake.excitation import (
     ExcitationTrajectory,
     ReducedIdentification,
@@ -38,11 +37,11 @@ from geodrake.excitation import (
     reduced_identification,
 )
 from geodrake.excitation.trajectory import joint_order
+from geodrake.inertia import perturb
+from geodrake.logs import Motion
 from geodrake.model import RobotModel
-from geodrake.motion import Motion
-from geodrake.perturbation import perturb
-from geodrake.regressor import inverse_dynamics_regressor
-from geodrake.visualization import style
+from geodrake.report import style
+from geodrake.robot import inverse_dynamics_regressor, pushforward_metric
 
 VERSION = 1
 """Of what a motion is; one more when kept motions of older versions must not be used."""
@@ -205,14 +204,14 @@ def draw(table: dict[str, Any], path: Path) -> None:
     left, right = figure.subplots(1, 2)
     variances, threshold = np.array(table["variances"]), table["plan"]["threshold"]
     index = np.arange(1, len(variances) + 1)
-    for told, color in (
+    for those, color in (
         (variances <= threshold, style.AFTER),
         (variances > threshold, style.BEFORE),
     ):
-        left.semilogy(index[told], variances[told], ".", color=color)
+        left.semilogy(index[those], variances[those], ".", color=color)
     left.axhline(threshold, color=style.INK, linewidth=1.0, linestyle="--")
     left.set_title(
-        f"Variances: {table['identifiable']} of {len(variances)} are told to {threshold:g}",
+        f"Variances: {table['identifiable']} of {len(variances)} are identifiable to {threshold:g}",
         loc="left",
         **style.plain(),
     )
@@ -235,7 +234,7 @@ def main() -> None:
     parser = study_parser(__doc__)
     add_folder_option(parser, "with Atlas")
     parser.add_argument("--motions", type=int, help="how many (20; 6 with --quick)")
-    parser.add_argument("--threshold", type=float, default=1e-2, help="of variances told")
+    parser.add_argument("--threshold", type=float, default=1e-2, help="of identifiable variances")
     parser.add_argument("--uncertainty", type=float, default=0.8, help="of the prior's masses")
     parser.add_argument("--workers", type=int, help="number of processes")
     options = parser.parse_args()

@@ -18,17 +18,20 @@ import numpy as np
 from matplotlib.patches import Ellipse
 from scipy.spatial.transform import Rotation
 
-from geodrake.body_distances import entropic_divergence, pullback_distance, riemannian_distance
-from geodrake.ellipsoids import Ellipsoid, equivalent_ellipsoid
 from geodrake.inertia import (
+    Ellipsoid,
     change_frame,
     change_units,
+    entropic_divergence,
+    equivalent_ellipsoid,
     from_pseudo_inertia,
+    perturb,
     pseudo_inertia,
+    pullback_distance,
+    riemannian_distance,
 )
-from geodrake.perturbation import perturb
-from geodrake.positive_definite import geodesic
-from geodrake.visualization import style
+from geodrake.inertia.positive_definite import geodesic
+from geodrake.report import style
 
 INCH_POUND = {"metre": 1 / 0.0254, "kilogram": 1 / 0.45359237}
 MASS = 5.0  # kg

@@ -26,10 +26,10 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from geodrake.base_parameters import base_parameters
-from geodrake.ellipsoids import ellipsoid_of_quadric, is_realizable
-from geodrake.perturbation import perturb
-from geodrake.visualization import style
+from geodrake.inertia import is_realizable, perturb
+from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
+from geodrake.report import style
+from geodrake.robot import base_parameters
 
 ALPHA = 1e-11
 """The Euclidean γ over tr(AᵀA)."""

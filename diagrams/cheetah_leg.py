@@ -29,9 +29,9 @@ from rich.progress import track
 from rich.table import Table
 
 from geodrake.identification import IdentificationResult
-from geodrake.visualization import style
-from geodrake.visualization.ellipsoid_figure import ellipsoid_figure
-from geodrake.visualization.ellipsoids import EllipsoidSet
+from geodrake.report import style
+from geodrake.report.ellipsoid_figure import ellipsoid_figure
+from geodrake.report.ellipsoids import EllipsoidSet
 
 SPACING = 5  # ms between the samples of a stretch
 SIZES, QUICK_SIZES = (10, 30, 60, 120, 240, 480, 960), (30, 240)

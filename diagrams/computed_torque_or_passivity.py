@@ -26,12 +26,12 @@ from adaptive.options import make_parser, positive_number, run_draws, show, writ
 from adaptive.wam import AMPLITUDE, PERIOD, RATE, first_estimate, load_wam, make_plant
 from rich.console import Console
 
-from geodrake.systems import (
+from geodrake.control import (
     AdaptiveComputedTorqueController,
-    AdaptiveController,
     PassivityBasedAdaptiveController,
     VaryingGains,
 )
+from geodrake.control.systems import AdaptiveController
 
 PASSIVITY, ACCELERATION, FILTERED = "passivity", "acceleration", "filtered"
 CONTROLLERS = (PASSIVITY, ACCELERATION, FILTERED)

@@ -4,8 +4,9 @@ One link with one-dimensional mass, [Lee2019] §4.2.3 and figure 4.2. Its motion
 
     q = A sin 2πt + q₀,   0 ≤ t ≤ 2,
 
-and two base parameters can be told, h − m L and I − m L², with the joint at L of the body's frame.
-Which A and q₀ are best depends on the frame and the units, unless the normalization is geometric.
+and two base parameters are identifiable, h − m L and I − m L², with the joint at L of the body's
+frame. Which A and q₀ are best depends on the frame and the units, unless the normalization is
+geometric.
 
     python diagrams/excitation_contours.py --json contours.json --figures figures
 """
@@ -23,7 +24,7 @@ from rich.table import Table
 
 from geodrake.excitation import NORMALIZATIONS, Criterion
 from geodrake.excitation.normalization import normalizing_map
-from geodrake.visualization import style
+from geodrake.report import style
 
 Array = np.ndarray
 

@@ -22,16 +22,10 @@ from public_data import add_folder_option
 from rich.console import Console
 from rich.table import Table
 
-from geodrake.excitation import (
-    Criterion,
-    DesignOptions,
-    Objective,
-    design_excitation,
-    make_target,
-)
+from geodrake.excitation import Criterion, DesignOptions, Objective, design_excitation, make_target
 from geodrake.excitation.design import make_problem
+from geodrake.logs import Motion
 from geodrake.model import RobotModel
-from geodrake.motion import Motion
 
 DESIGN_SAMPLES = 300  # of the design, as `geodrake excite` takes
 NAMES = {
@@ -80,7 +74,7 @@ def measure(model: RobotModel, *, samples: int, modes: int, seed: int, repeats: 
 
 def draw(row: dict[str, Any], path: Path) -> None:
     """The three times as bars."""
-    from geodrake.visualization import style
+    from geodrake.report import style
 
     figure = style.new_figure(2.2)
     ax = figure.subplots()

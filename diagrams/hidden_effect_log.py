@@ -32,14 +32,13 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 from pydrake.trajectories import PiecewisePolynomial
 
+from geodrake.control import DelayedEffort, EffectForce, add_tracking_drives
 from geodrake.effects import Effect, EffortDelay, make_effect
-from geodrake.effects.effort_delay import delays_of
+from geodrake.effects.delays import delays_of
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
-from geodrake.log_files import write_log
-from geodrake.motion import JointLog
-from geodrake.plant import joint_names, position_limits, velocity_limits
-from geodrake.systems import DelayedEffort, EffectForce, add_tracking_drives
+from geodrake.logs import JointLog, write_log
+from geodrake.robot import joint_names, position_limits, velocity_limits
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from rich.table import Table
 
 from geodrake.identification import RegularizerComparison, compare_regularizers
 from geodrake.inertia import central_second_moment, pseudo_inertia
-from geodrake.positive_definite import distance, relative_logarithms
-from geodrake.visualization import style
+from geodrake.inertia.positive_definite import distance, relative_logarithms
+from geodrake.report import style
 
 Array = NDArray[np.float64]
 

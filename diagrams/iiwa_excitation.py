@@ -50,7 +50,7 @@ from geodrake.excitation import (
 )
 from geodrake.excitation.design import make_problem
 from geodrake.excitation.guess import random_guess
-from geodrake.motion import Motion
+from geodrake.logs import Motion
 
 VERSION = 1
 """Of what a design is; one more when kept designs of older versions must not be used."""

@@ -23,10 +23,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.progress import track
 
-from geodrake.model import RobotModel
-from geodrake.motion import Motion
-from geodrake.saved_model import load_model
-from geodrake.visualization import style
+from geodrake.logs import Motion
+from geodrake.model import RobotModel, load_model
+from geodrake.report import style
 
 ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
 PERIOD = 1e-3  # s
@@ -38,7 +37,7 @@ _CHILD = """
 import resource, sys, time
 from pathlib import Path
 from geodrake import diagnosis
-from geodrake.saved_model import load_model
+from geodrake.model import load_model
 work, model, log = sys.argv[1:]
 begin = time.process_time()
 getattr(diagnosis, work)(load_model(model), [log])

@@ -3,7 +3,7 @@
 The logs of the arm without and with something at its wrist are played; they are no part of the
 project, and without them the script says where they go. The arm is learned from the first log in
 one of two ways: offline (`identify_model`, with friction by load), or online, by the estimator,
-from the model file and guesses of friction. Then its bodies and friction are held by large
+from the model file and guesses of friction. Then its bodies and friction are kept by large
 weights, and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of
 0.1 m), on logs without one and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg,
 offline. A filtered effort is believed to three times the RMS error of the arm's own log, or, while
@@ -26,22 +26,19 @@ from adaptive.stream import Array, Streamed, stream, without_standing
 from public_data import add_folder_option, require
 from rich.console import Console
 
-from geodrake.adaptation import parameter_manifold
-from geodrake.control_regressor import ControlModel
+from geodrake.control import ControlModel, SampleUpdate, parameter_manifold
 from geodrake.effects import (
     CoulombFriction,
+    FittedEffect,
     LoadDependentFriction,
     Payload,
     RotorInertia,
     ViscousFriction,
 )
+from geodrake.identification import IdentificationSettings, identify_model
 from geodrake.inertia import from_mass_com_inertia, pseudo_inertia
-from geodrake.log_files import read_log
-from geodrake.model import FittedEffect, RobotModel
-from geodrake.model_identification import IdentificationSettings, identify_model
-from geodrake.motion import JointLog
-from geodrake.online_estimation import SampleUpdate
-from geodrake.saved_model import load_model
+from geodrake.logs import JointLog, read_log
+from geodrake.model import RobotModel, load_model
 
 LEARNED, FREE, CHANGED = "ur10e_free_a", ("ur10e_free_b", "ur10e_free_c"), "ur10e_changed"
 OFFLINE_MASS = 3.08  # kg, by `geodrake explain`
@@ -50,7 +47,7 @@ GUESS = from_mass_com_inertia(1.0, np.zeros(3), 0.4 * 0.1**2 * np.eye(3))
 RELAXATION = 0.2
 BELIEVED = 3.0  # tolerance over the RMS error of the log without payload
 SHARE = 0.1  # tolerance over the standard deviation of the effort, while the arm is learned
-HELD, HEAVY = 1e6, 10.0  # weights of what is known, and of bodies over friction
+KNOWN, HEAVY = 1e6, 10.0  # weights of what is known, and of bodies over friction
 SETTLED = 5.0  # s after the first used sample
 CLOSE = 0.2  # of the mass
 LARGE = 1e9  # N·m
@@ -94,7 +91,9 @@ def run_draw(draw: Draw, *, seed: int) -> list[dict[str, Any]]:
     """Rows of the logs; nothing is random, whatever the seed."""
     arm = learn(draw)
     weights = {"payload": 1.0}
-    manifold = parameter_manifold(arm.model, body_weight=HELD, effect_weight=HELD, weights=weights)
+    manifold = parameter_manifold(
+        arm.model, body_weight=KNOWN, effect_weight=KNOWN, weights=weights
+    )
     update = SampleUpdate(manifold, BELIEVED * arm.error, relaxation=RELAXATION)
     rows = []
     for name in (*FREE, CHANGED) if draw.end is None else (FREE[0], CHANGED):
@@ -128,9 +127,9 @@ def learn(draw: Draw) -> Arm:
     model = replace(model, effects=(*fitted, last), information=None)
     control = ControlModel.of(model)
     deviation = np.nanstd(log.select(control.joints).effort, axis=0)
-    # Nothing is held yet: the payload is kept out, at next to nothing.
+    # Nothing is fixed yet: the payload is kept out, at next to nothing.
     start = np.concatenate([control.prior[: -len(GUESS)], 1e-9 * GUESS])
-    manifold = parameter_manifold(model, body_weight=HEAVY, weights={"payload": HELD})
+    manifold = parameter_manifold(model, body_weight=HEAVY, weights={"payload": KNOWN})
     tolerance = (SHARE if draw.way == "online" else LARGE) * deviation
     update = SampleUpdate(manifold, tolerance, relaxation=RELAXATION)
     found = stream(log, control, update, start, period=PERIOD)
@@ -164,7 +163,7 @@ def cut(log: JointLog, end: float | None) -> JointLog:
 
 
 def numbers(found: Streamed) -> dict[str, Any]:
-    """What is told of a streamed log."""
+    """What is known of a streamed log."""
     phi = found.parameters[:, -len(GUESS) :]
     eigenvalues = np.linalg.eigvalsh(pseudo_inertia(phi))
     first = float(found.time[found.used][0])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from geodrake import load_model
 from geodrake.diagnosis import Explanation, explain
-from geodrake.visualization import effort_figure, save_figures, step_figure
+from geodrake.report import effort_figure, save_figures, step_figure
 
 ROOT = Path(__file__).parents[1]
 

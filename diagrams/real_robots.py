@@ -201,8 +201,8 @@ def main() -> None:
                 worth = left_out(study, explanation, options.shared)
                 elsewhere[study.name] = dict(worth)
                 for effect, errors in worth:
-                    told = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
-                    console.print(f"{study.name}, left out {effect}: {told}")
+                    errors_there = ", ".join(f"{name} {nrms:.4f}" for name, nrms in errors.items())
+                    console.print(f"{study.name}, left out {effect}: {errors_there}")
             if options.figures:
                 write_figures(study, explanation, options.figures)
     show(rows, console)
@@ -213,7 +213,7 @@ def main() -> None:
 
 def write_figures(study: Study, explanation: Explanation, folder: Path) -> None:
     """Write the figures of a study's report."""
-    from geodrake.visualization import report_figures
+    from geodrake.report import report_figures
 
     folder.mkdir(parents=True, exist_ok=True)
     for name, figure in report_figures(explanation).items():

@@ -21,10 +21,9 @@ import numpy as np
 from rich.progress import track
 
 from geodrake.inertia import inertial_parameters
-from geodrake.kinematics import KinematicTree
-from geodrake.plant import load_plant
-from geodrake.reduction import triangular_factor
-from geodrake.regressor import inverse_dynamics, inverse_dynamics_regressor, regressor_pieces
+from geodrake.robot import KinematicTree, inverse_dynamics, inverse_dynamics_regressor, load_plant
+from geodrake.robot.reduction import triangular_factor
+from geodrake.robot.regressor import regressor_pieces
 
 ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
 CHUNK = 20_000

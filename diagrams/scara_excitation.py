@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from excitation.expected import parameter_error, root_covariance, told_by
+from excitation.expected import identified_by, parameter_error, root_covariance
 from excitation.options import cache_beside, study_parser, write_table
 from excitation.scara import (
     FRAMES,
@@ -45,7 +45,7 @@ from geodrake.excitation import (
     Objective,
     design_excitation,
 )
-from geodrake.visualization import style
+from geodrake.report import style
 
 VERSION = 2
 """Of what a design is; one more when kept designs of older versions must not be used."""
@@ -118,9 +118,9 @@ def values_by_frame(
 
 def errors(trajectory: ExcitationTrajectory) -> dict[str, float]:
     """Errors to be expected: those of table 4.1, in frame {3}, and the dimensionless one."""
-    told = told_by(payload_target("3"), trajectory, SAMPLES)
-    R, truth = root_covariance(told), scara("3", payload(*TRUTH)).phi[1:]
-    return {**errors_in_frame_3(R @ R.T), "error": parameter_error(told, truth)}
+    found = identified_by(payload_target("3"), trajectory, SAMPLES)
+    R, truth = root_covariance(found), scara("3", payload(*TRUTH)).phi[1:]
+    return {**errors_in_frame_3(R @ R.T), "error": parameter_error(found, truth)}
 
 
 def geometric_value(trajectory: ExcitationTrajectory, plan: Plan) -> dict[str, float]:

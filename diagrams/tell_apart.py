@@ -1,14 +1,14 @@
-"""Motions that tell effects apart: what a first log leaves ambiguous, a designed motion settles.
+"""Motions that distinguish effects: what a first log leaves ambiguous, a designed motion settles.
 
 A double pendulum has an effect that its model file lacks, in formulas of the study's own. Its first
-log is slow and small, and `diagnose` names the effect and its rival together: the log cannot tell
-them apart. Then the robot executes the motion that `geodrake excite --tell-apart` designs for the
-pair, within the same narrow limits, and the log of that alone is diagnosed; likewise, to compare, a
-random motion of the same family and limits, the one that the design starts from. A pair is told
-apart if the effect is among those that the log cannot tell from the best, and its rival is not.
-Robots whose first log is not ambiguous are counted and left aside. A motion that makes the two
-differ may still not be told by a diagnosis, which wants most blocks of a log to agree: a direction
-that few blocks have counts little. So motions repeat. Draws are kept beside the table,
+log is slow and small, and `diagnose` names the effect and its rival together: the log cannot
+distinguish them. Then the robot executes the motion that `geodrake excite --tell-apart` designs for
+the pair, within the same narrow limits, and the log of that alone is diagnosed; likewise, to
+compare, a random motion of the same family and limits, the one that the design starts from. A pair
+is distinguished if the effect is among those that are as good as the best, and its rival is not.
+Robots whose first log is not ambiguous are counted and left aside. A diagnosis, which wants most
+blocks of a log to agree, may still not distinguish two effects on a motion that makes them differ:
+a direction that few blocks have counts little. So motions repeat. Draws are kept beside the table,
 so that an interrupted run goes on.
 
     python diagrams/tell_apart.py --json tell_apart.json --figures figures
@@ -32,8 +32,8 @@ from rich.table import Table
 from rivals.cases import CASES, WORDS
 from rivals.trial import Draw, run
 
-from geodrake.visualization import style
-from geodrake.visualization.units import effect_label
+from geodrake.report import style
+from geodrake.report.words import effect_label
 
 VERSION = 1
 """Of what a draw is; one more when kept draws of older versions must not be used."""
@@ -79,7 +79,7 @@ def draws_of(plan: Plan, *, cache: Path | None, workers: int) -> list[dict[str, 
 
 
 def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """How many of a case's robots are ambiguous, and how many of these are told apart."""
+    """How many of a case's robots are ambiguous, and how many of these are distinguished."""
     own = [row for row in rows if row["case"] == case]
     ambiguous = [row for row in own if row["ambiguous"]]
     result: dict[str, Any] = {
@@ -102,26 +102,26 @@ def summary(case: int, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def show(rows: Sequence[dict[str, Any]], console: Console) -> None:
     """Print the table."""
     table = Table("robot has", "taken for", "first motion", "robots", "ambiguous")
-    for column in ("told by random", "by designed", "σ first", "σ random", "σ designed"):
+    for column in ("distinguished by random", "by designed", "σ first", "σ random", "σ designed"):
         table.add_column(column, justify="right")
     for row in rows:
         logs = [row[log] for log in LOGS]
-        told = (f"{log['told']} of {row['ambiguous']}" for log in logs[1:])
+        counts = (f"{log['told']} of {row['ambiguous']}" for log in logs[1:])
         deviations = ("-" if x["deviations"] is None else f"{x['deviations']:.2g}" for x in logs)
         names = effect_label(row["truth"]), effect_label(row["rival"]), row["first_motion"]
-        table.add_row(*names, str(row["robots"]), str(row["ambiguous"]), *told, *deviations)
+        table.add_row(*names, str(row["robots"]), str(row["ambiguous"]), *counts, *deviations)
     console.print(table)
 
 
 def draw(table: dict[str, Any], path: Path) -> None:
-    """How many pairs are told apart, and by how many deviations of the noise they differ."""
+    """How many pairs are distinguished, and by how many deviations of the noise they differ."""
     rows, plan = table["rows"], table["plan"]
     figure = style.new_figure(1.2 + 0.55 * len(rows))
     left, right = figure.subplots(1, 2, sharey=True, gridspec_kw={"width_ratios": [2, 3]})
     at = np.arange(len(rows))
     for shift, log in ((-0.17, "random"), (0.17, "designed")):
-        told = [row[log]["told"] for row in rows]
-        left.barh(at + shift, told, height=0.3, color=LOGS[log])
+        counts = [row[log]["told"] for row in rows]
+        left.barh(at + shift, counts, height=0.3, color=LOGS[log])
         for y, row in zip(at + shift, rows, strict=True):
             left.text(row[log]["told"] + 0.1, y, str(row[log]["told"]), va="center", fontsize=8)
     for k, case, (shift, log) in (
@@ -143,9 +143,11 @@ def draw(table: dict[str, Any], path: Path) -> None:
     style.log_scale(right, "x")
     left.set_xlim(0, 1.12 * max(row["ambiguous"] for row in rows) + 0.5)
     label = style.plain(style.SMALL, style.QUIET)
-    left.set_xlabel(f"told apart, of {plan['wanted']} that the first log left ambiguous", **label)
+    left.set_xlabel(
+        f"distinguished, of {plan['wanted']} that the first log left ambiguous", **label
+    )
     right.set_xlabel(
-        f"deviations of the noise, from {LEAST_SHOWN:g} on; hollow: not told apart", **label
+        f"deviations of the noise, from {LEAST_SHOWN:g} on; hollow: not distinguished", **label
     )
     handles = [
         Line2D([], [], color=color, marker="o", linewidth=0, label=f"{log} motion")
@@ -179,9 +181,9 @@ def main() -> None:
     console = Console(width=150)
     show(table["rows"], console)
     for log in ("random", "designed"):
-        told = sum(row[log]["told"] for row in table["rows"])
+        count = sum(row[log]["told"] for row in table["rows"])
         total = sum(row["ambiguous"] for row in table["rows"])
-        console.print(f"The {log} motions tell {told} of {total} ambiguous pairs apart.")
+        console.print(f"The {log} motions distinguish {count} of {total} ambiguous pairs.")
     write_table(options.json, table)
     if options.figures:
         draw(table, options.figures / "tell_apart.png")

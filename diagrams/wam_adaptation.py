@@ -38,7 +38,7 @@ from adaptive.options import (
 from adaptive.wam import AMPLITUDE, PERIOD, RATE, first_estimate, load_wam, make_plant
 from rich.console import Console
 
-from geodrake.systems import PassivityBasedAdaptiveController, VaryingGains
+from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
 
 SIGMAS = tuple(round(0.05 * k, 2) for k in range(1, 9))
 AMPLITUDES = (0.4, 0.6, 0.8, 1.0, 1.2)  # rad

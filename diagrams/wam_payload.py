@@ -23,9 +23,8 @@ from adaptive.options import add_gains, make_parser, run_draws, show, write_json
 from adaptive.wam import AMPLITUDE, PERIOD, RATE, make_plant
 from rich.console import Console
 
-from geodrake.body_distances import riemannian_distance
-from geodrake.inertia import is_physical
-from geodrake.systems import PassivityBasedAdaptiveController, VaryingGains
+from geodrake.control import PassivityBasedAdaptiveController, VaryingGains
+from geodrake.inertia import is_physical, riemannian_distance
 
 ROUNDS = 5
 SHOWN = 5  # logged samples between those of the time series

@@ -10,12 +10,12 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from geodrake.adaptation import natural_adaptation, parameter_manifold
-from geodrake.control_regressor import ControlModel
-from geodrake.effects import ViscousFriction
+from geodrake.control.adaptation import natural_adaptation, parameter_manifold
+from geodrake.control.loops import add_adaptive_loop
+from geodrake.control.regressor import ControlModel
+from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.inertia import from_pseudo_inertia, pseudo_inertia, to_spatial_inertia
-from geodrake.loops import add_adaptive_loop
-from geodrake.model import FittedEffect, load_description
+from geodrake.model.robot_model import load_description
 
 MODELS = Path(__file__).parents[1] / "models"
 DAMPING = 0.3

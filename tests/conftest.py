@@ -1,6 +1,9 @@
-"""What holds for all tests: one thread a process, and public measurements that may be absent."""
+"""What holds for all tests: threads, what is quick, and public measurements that may be absent."""
 
+import gc
 import os
+from functools import cache
+from pathlib import Path
 
 import pytest
 from measurements import MEASUREMENTS, absent
@@ -9,6 +12,38 @@ from measurements import MEASUREMENTS, absent
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# What is not quick: studies, files that mean harm, and modules that import what starts processes,
+# runs commands, simulates or searches.
+LONG_FOLDERS = {"diagrams", "hostile"}
+LONG_MODULES = {"subprocess", "typer.testing", "adaptive_loops", "effort_logs", "pinocchio_logs"}
+LONG_FUNCTIONS = {"explain", "diagnose", "add", "roll_out", "draft_effects"}
+LONG_MARKS = ("thorough", "measurements")
+
+
+def is_long(name, value):
+    """Whether a global of a test module is something that takes its time."""
+    return name in LONG_FUNCTIONS or not LONG_MODULES.isdisjoint(
+        (getattr(value, "__name__", None), getattr(value, "__module__", None))
+    )
+
+
+@cache
+def is_quick(module):
+    """Whether a test module has parts of geodrake to test, rather than a command's whole work."""
+    return Path(module.__file__).parent.name not in LONG_FOLDERS and not any(
+        is_long(name, value) for name, value in vars(module).items()
+    )
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if is_quick(item.module) and not any(map(item.get_closest_marker, LONG_MARKS)):
+            item.add_marker("quick")
+
+
+def pytest_collection_finish():
+    gc.freeze()  # what is imported and collected stays; no search for garbage needs to look there
 
 
 def pytest_runtest_setup(item):

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from pinocchio_logs import MODELS, Recording, perturbed, random_motion, robot
 
-from geodrake.motion import JointLog
+from geodrake.logs.motion import JointLog
 
 __all__ = ["MODELS", "Seen", "effort_log"]
 

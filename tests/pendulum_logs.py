@@ -7,7 +7,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces
 
-from geodrake.motion import JointLog
+from geodrake.logs.motion import JointLog
 
 PENDULUM = Path(__file__).parents[1] / "models" / "double_pendulum.urdf"
 JOINTS = ("shoulder", "elbow")

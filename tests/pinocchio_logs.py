@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg.lapack import dgesv
 
-from geodrake.motion import JointLog
+from geodrake.logs.motion import JointLog
 
 MODELS = Path(__file__).parents[1] / "models"
 STEP = 5e-4
@@ -134,6 +135,7 @@ def resistance(hidden, n) -> Callable:
     for joint, value in hidden.load_factor.items():
         factor[joint] = value
     belts = [(np.eye(n)[i] + np.eye(n)[j], F, c) for (i, j), (F, c) in hidden.belt.items()]
+    steps = 1e-5 * np.eye(n)
 
     def torque(q, v, load):
         height = dry + factor * np.abs(load)
@@ -141,11 +143,9 @@ def resistance(hidden, n) -> Callable:
         f = height * v / root + wet * v + constant + stiffness * (q - rest)
         slope = np.diag(height * BREAKAWAY_SPEED**2 / root**3 + wet)
         if hidden.law is not None:
-            f = f + hidden.law(q, v)
-            steps = 1e-5 * np.eye(n)
-            slope = slope + np.stack(
-                [(hidden.law(q, v + h) - hidden.law(q, v - h)) / 2e-5 for h in steps], 1
-            )
+            own = hidden.law(q, v)
+            slope = slope + np.stack([(hidden.law(q, v + h) - own) / 1e-5 for h in steps], 1)
+            f = f + own
         for row, F, c in belts:
             w = row @ v
             root_w = np.hypot(w, BREAKAWAY_SPEED)
@@ -180,7 +180,7 @@ def simulate(model, controller_model, motion, hidden, duration):
         f, slope = torque(q + ahead * v, v, load)
         mass = pin.crba(plant, data, q + ahead * v)
         bias = pin.nle(plant, data, q + ahead * v, v + ahead * a)
-        a = np.linalg.solve(mass + STEP * (slope + implicit), u - f - bias)
+        a = dgesv(mass + STEP * (slope + implicit), u - f - bias)[2]
         u -= STEP * implicit @ a
         load = u - f - STEP * slope @ a
         rows[:, k] = q, v, u

@@ -1,6 +1,8 @@
 """The source keeps its shape: imports go one way, functions stay small."""
 
 import ast
+import re
+from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -10,72 +12,18 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "geodrake"
 
 LAYERS = (
-    # What everything rests on: errors, rigid bodies, signals and logs.
     "errors",
-    "arguments",
-    "escaping",
-    "interrupts",
-    "whole_files",
-    "input_files",
-    "yaml_text",
-    "positive_definite",
-    "bodies",
+    "boundary",
     "inertia",
-    "body_distances",
-    "ellipsoids",
     "manifolds",
-    "projections",
-    "perturbation",
-    "filtering",
-    "white_noise",
-    "time_stamps",
-    "known_payload",
-    "motion",
-    "unit_hints",
-    "smoothing",
-    "sensor_faults",
-    "repeated_logs",
-    "uniform_log",
-    "preparation",
-    "folds",
-    "log_files",
-    # Models: files, the plant, its regressor, effects.
-    "model_files",
-    "repairs",
-    "plant",
-    "transmission",
-    "transmission_parts",
-    "joints",
-    "kinematics",
-    "recursion",
-    "regressor",
-    "effort_slopes",
-    "reduction",
-    "base_parameters",
-    "floating_base",
+    "logs",
+    "robot",
     "effects",
     "model",
-    "admissible",
-    "held_payloads",
-    "saved_model",
-    "export",
-    "control_regressor",
-    # What is done with models.
     "identification",
-    "excitation",
     "diagnosis",
-    "drafting",
-    "model_identification",
-    "identifiability",
-    "adaptation",
-    "online_estimation",
-    "systems",
-    "loops",
-    "rollout",
-    # What the user sees.
-    "visualization",
-    "json_output",
-    "excitation_json",
+    "excitation",
+    "control",
     "report",
     "demo",
     "cli",
@@ -185,15 +133,23 @@ def test_imports_go_one_way():
     assert not offenders(MODULES, lambda path: wrong_imports(module_name(path), parsed(path)))
 
 
+def test_design_names_every_package_in_this_order():
+    rooms = (ROOT / "docs" / "design.md").read_text(encoding="utf-8").split("## Rooms")[1]
+    rows = re.findall(r"^\| `(\w+)` \|", rooms.split("\n## ")[0], re.MULTILINE)
+    assert rows[::-1] == [name for name in LAYERS if not name.startswith("__")]
+
+
 def test_wrong_imports_are_noticed():
-    tree = ast.parse("def late():\n    from geodrake.diagnosis.compare import compare\n")
-    assert list(wrong_imports("geodrake.model", tree)) == [
-        "line 2 imports geodrake.diagnosis.compare, which is a higher layer"
+    tree = ast.parse("def late():\n    from geodrake.identification.logs.compare import compare\n")
+    assert list(wrong_imports("geodrake.model.robot_model", tree)) == [
+        "line 2 imports geodrake.identification.logs.compare, which is a higher layer"
     ]
     assert not list(wrong_imports("geodrake.diagnosis.explain", tree))
     assert list(wrong_imports("geodrake.cli.app", ast.parse("import geodrake.nothing")))
-    assert list(wrong_imports("geodrake.model", ast.parse("from geodrake import load_model")))
-    assert list(wrong_imports("geodrake.model", ast.parse("from . import saved_model")))
+    assert list(
+        wrong_imports("geodrake.model.robot_model", ast.parse("from geodrake import load_model"))
+    )
+    assert list(wrong_imports("geodrake.model.robot_model", ast.parse("from . import saved_model")))
 
 
 def test_no_import_cycles():
@@ -217,6 +173,15 @@ def test_modules_say_what_they_are():
     assert not offenders(SHIPPED, problems)
 
 
+def test_no_two_classes_share_a_name():
+    places = {}
+    for path in MODULES:
+        for node in ast.walk(parsed(path)):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(f"{named(path)}:{node.lineno}")
+    assert not {name: found for name, found in places.items() if len(found) > 1}
+
+
 def test_functions_stay_short():
     def problems(path):
         for function in functions(parsed(path)):
@@ -227,6 +192,66 @@ def test_functions_stay_short():
                 yield f"{function.name} has {count} arguments"
 
     assert not offenders(SHIPPED, problems)
+
+
+def public_functions(tree):
+    """Public functions, and public methods of public classes, each with its class or None."""
+    pending = [(None, tree)]
+    while pending:
+        owner, node = pending.pop()
+        for child in node.body:
+            if getattr(child, "name", "_").startswith("_"):
+                continue
+            if isinstance(child, ast.ClassDef):
+                pending.append((child, child))
+            else:
+                yield owner, child
+
+
+def documented_arguments(function):
+    """Names under Args in a docstring."""
+    text = ast.get_docstring(function) or ""
+    section = re.search(r"^Args:\n((?:(?:    .*)?\n)*(?:    .*)?)", text, re.MULTILINE)
+    names = re.findall(r"^    (\*{0,2}\w[\w, *]*):", section[1], re.MULTILINE) if section else []
+    return {name.strip(" *") for entry in names for name in entry.split(",")}
+
+
+def overridden(owner, name, classes):
+    """Methods of that name in the classes that a class derives from."""
+    for base in owner.bases if owner else ():
+        for parent in classes.get(getattr(base, "id", getattr(base, "attr", None)), ()):
+            yield from (f for _, f in public_functions(ast.Module([parent], [])) if f.name == name)
+            yield from overridden(parent, name, classes)
+
+
+def test_public_functions_say_what_they_take():
+    """Args with every argument, or "See `name`" for those of another function.
+
+    An override of a method of geodrake's that says so needs neither.
+    """
+    trees = {path: parsed(path) for path in MODULES}
+    classes, known = defaultdict(list), defaultdict(set)
+    for tree in trees.values():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                classes[node.name].append(node)
+        for _, function in public_functions(tree):
+            known[function.name] |= documented_arguments(function)
+
+    def is_documented(function):
+        text = ast.get_docstring(function) or ""
+        others = re.findall(r"(?:[Ss]ee|Kernel of) `(?:[\w.]+\.)?(\w+)`", text)
+        there = documented_arguments(function).union(*(known[name] for name in others))
+        return there.issuperset(arguments(function))
+
+    def problems(path):
+        for owner, function in public_functions(trees[path]):
+            if len(arguments(function)) < 2 or is_documented(function):
+                continue
+            if not any(is_documented(f) for f in overridden(owner, function.name, classes)):
+                yield f"line {function.lineno}: {function.name} lacks Args, or some of them"
+
+    assert not offenders(MODULES, problems)
 
 
 def test_no_asserts_for_users():

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from adaptive.laws import COLORS
 from adaptive.wam_figures import legend
-from geodrake.visualization import style
+from geodrake.report import style
 
 NAMES = {
     "passivity": "passivity-based",

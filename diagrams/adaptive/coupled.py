@@ -17,18 +17,19 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
 from adaptive.laws import PartialLaw, make_law
-from geodrake.adaptation import BatchedProduct, parameter_manifold
-from geodrake.control_regressor import ControlModel
-from geodrake.control_regressor.control_model import ControlSample
+from geodrake.control import ControlModel, parameter_manifold
+from geodrake.control.regressor.control_model import ControlSample
 from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
     Effect,
+    FittedEffect,
     RotorInertia,
     ViscousFriction,
 )
 from geodrake.inertia import from_mass_com_inertia, to_spatial_inertia
-from geodrake.model import FittedEffect, RobotModel, load_description
+from geodrake.manifolds import Product
+from geodrake.model import RobotModel, load_description
 
 FIRST = (0, 1, 2, 3, 5, 6, 8)
 """The joint that stands for each turn."""
@@ -180,7 +181,7 @@ class CoupledArm:
     """
 
     control: CoupledControl
-    manifold: BatchedProduct
+    manifold: Product
 
     @classmethod
     def of(cls, known: Known) -> CoupledArm:

@@ -7,12 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.adaptation import (
-    UpdateLaw,
-    euclidean_adaptation,
-    natural_adaptation,
-    pullback_adaptation,
-)
+from geodrake.control import euclidean_adaptation, natural_adaptation, pullback_adaptation
+from geodrake.control.adaptation import UpdateLaw
 from geodrake.manifolds import Manifold
 
 Array = NDArray[np.float64]

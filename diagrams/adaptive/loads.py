@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from adaptive.laws import PartialLaw, make_law
 from adaptive.wam import load_wam
-from geodrake.control_regressor import ControlModel
-from geodrake.effects import Payload
+from geodrake.control import ControlModel
+from geodrake.effects import FittedEffect, Payload
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.manifolds import PhysicalInertia
-from geodrake.model import FittedEffect
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, System
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
+from geodrake.control import add_adaptive_loop
+from geodrake.control.systems import AdaptiveController
 from geodrake.effects import Effect
-from geodrake.loops import add_adaptive_loop
-from geodrake.systems import AdaptiveController
 
 Array = NDArray[np.float64]
 

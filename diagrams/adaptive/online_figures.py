@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from geodrake.visualization import style
+from geodrake.report import style
 
 COLORS = {"ur10e_free_b": "#6b7683", "ur10e_free_c": "#a9b4c0", "ur10e_changed": "#1b6ca8"}
 TITLES = {"offline": "Arm identified offline", "online": "Arm learned online"}

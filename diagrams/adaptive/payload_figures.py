@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from adaptive.laws import COLORS
 from adaptive.wam_figures import SPREAD, legend, speed_note
-from geodrake.visualization import style
+from geodrake.report import style
 
 
 def write_payload_figure(folder: Path, rows: Sequence[dict[str, Any]], period: float) -> None:

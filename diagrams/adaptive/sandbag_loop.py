@@ -16,8 +16,9 @@ from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from adaptive.coupled import SIGN_WIDTH, Known, joint_map, make_coupled_plant
 from adaptive.loop import LOG_PERIOD, LOST, Record
+from geodrake.control import EffectForce
+from geodrake.control.systems import AdaptiveController
 from geodrake.identification import identify
-from geodrake.systems import AdaptiveController, EffectForce
 
 DURATION = 1.5  # s of a motion, [Lee2019] §5.6
 GAMMA, DELTA, HULL = 0.03, 0.4, 2.0  # of the identification, as in ambidex_arm.py

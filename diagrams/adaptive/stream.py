@@ -11,10 +11,14 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from geodrake.control_regressor import ControlModel
-from geodrake.motion import JointLog
-from geodrake.online_estimation import FilteredRegressor, SampleUpdate
-from geodrake.systems import BregmanProjectionEstimator, LogSource
+from geodrake.control import (
+    BregmanProjectionEstimator,
+    ControlModel,
+    FilteredRegressor,
+    LogSource,
+    SampleUpdate,
+)
+from geodrake.logs import JointLog
 
 Array = NDArray[np.float64]
 

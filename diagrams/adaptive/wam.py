@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.adaptation import BatchedProduct, parameter_manifold
-from geodrake.control_regressor import ControlModel
+from geodrake.control import ControlModel, parameter_manifold
 from geodrake.inertia import is_physical, to_spatial_inertia
+from geodrake.manifolds import Product
 from geodrake.model import RobotModel, load_description
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Wam:
 
     model: RobotModel
     control: ControlModel
-    manifold: BatchedProduct
+    manifold: Product
 
     @property
     def truth(self) -> Array:

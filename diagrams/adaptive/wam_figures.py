@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from adaptive.laws import COLORS, LABELS, NONE
-from geodrake.visualization import style
+from geodrake.report import style
 
 SPREAD = 0.16  # between the bars of laws, of the distance between groups
 

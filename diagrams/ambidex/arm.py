@@ -17,21 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.ellipsoids import Ellipsoid, equivalent_ellipsoid
-from geodrake.floating_base import base_wrench_regressor
-from geodrake.identification.point_mass import PointMasses
+from geodrake.identification import PointMasses
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
+    Ellipsoid,
+    equivalent_ellipsoid,
     from_mass_com_inertia,
     inertial_parameters,
+    perturb,
     pseudo_inertia,
 )
-from geodrake.motion import Motion
-from geodrake.perturbation import perturb
-from geodrake.plant import load_plant
-from geodrake.regressor import inverse_dynamics_regressor
-from geodrake.transmission import LinearTransmission, Transmission
-from geodrake.transmission_parts import InSequence, SideBySide, gears, rolling_joint
+from geodrake.logs import Motion
+from geodrake.robot import (
+    InSequence,
+    LinearTransmission,
+    SideBySide,
+    Transmission,
+    base_wrench_regressor,
+    gears,
+    inverse_dynamics_regressor,
+    load_plant,
+    rolling_joint,
+)
 
 Array = NDArray[np.float64]
 

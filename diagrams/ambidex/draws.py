@@ -9,12 +9,18 @@ import numpy as np
 
 from ambidex.arm import Array, perturbed, point_masses
 from ambidex.measurements import LINKS, Measurements, factor_of
-from geodrake.body_distances import riemannian_distance
-from geodrake.ellipsoids import ellipsoid_of_quadric
 from geodrake.errors import IdentificationError
-from geodrake.floating_base import zero_moment_point
-from geodrake.identification import IdentificationResult, Regularizer, Riemannian, identify
-from geodrake.identification.point_mass_fit import PointMassEuclidean, PointMassKL
+from geodrake.identification import (
+    IdentificationResult,
+    PointMassEuclidean,
+    PointMassKL,
+    Regularizer,
+    Riemannian,
+    identify,
+)
+from geodrake.inertia import riemannian_distance
+from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
+from geodrake.robot import zero_moment_point
 
 NAMES = (
     "euclidean",

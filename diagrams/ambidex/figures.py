@@ -18,9 +18,9 @@ from ambidex.draws import NAMES, Plan, compared, fit, full_friction, prior_of, t
 from ambidex.measurements import PERIOD, Measurements
 from geodrake.errors import IdentificationError
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.visualization import style
-from geodrake.visualization.ellipsoid_figure import ellipsoid_figure
-from geodrake.visualization.ellipsoids import EllipsoidSet
+from geodrake.report import style
+from geodrake.report.ellipsoid_figure import ellipsoid_figure
+from geodrake.report.ellipsoids import EllipsoidSet
 
 COLORS = {
     "euclidean": "#c8442f",

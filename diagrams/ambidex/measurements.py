@@ -8,9 +8,9 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from ambidex.arm import COULOMB, REACH, REDUCTION, VISCOUS, Arm, Array, friction_regressor
-from geodrake.ellipsoids import equivalent_ellipsoid
-from geodrake.motion import Motion
-from geodrake.reduction import triangular_factor
+from geodrake.inertia import equivalent_ellipsoid
+from geodrake.logs import Motion
+from geodrake.robot.reduction import triangular_factor
 
 MOTIONS, DURATION, PERIOD = 47, 1.3, 0.01  # s
 TRAINING, TESTING = 4100, 2000  # samples

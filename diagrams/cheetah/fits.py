@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from cheetah.leg import Array, Leg
 from geodrake.identification import IdentificationResult, identify
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
 COLORS = {

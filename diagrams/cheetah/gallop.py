@@ -12,13 +12,17 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from cheetah.leg import JOINTS, MODELS, Array
-from geodrake.floating_base import base_wrench_regressor, body_poses
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.kinematics import KinematicTree
-from geodrake.motion import Motion
-from geodrake.plant import joint_names, load_plant
-from geodrake.regressor import inverse_dynamics_regressor
-from geodrake.transmission import LinearTransmission
+from geodrake.logs import Motion
+from geodrake.robot import (
+    KinematicTree,
+    LinearTransmission,
+    base_wrench_regressor,
+    body_poses,
+    inverse_dynamics_regressor,
+    joint_names,
+    load_plant,
+)
 
 LEGS = ("front_left", "front_right", "rear_left", "rear_right")
 PHASES = {"front_left": 0.0, "front_right": 0.15, "rear_left": 0.55, "rear_right": 0.7}

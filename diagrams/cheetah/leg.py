@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.ellipsoids import Ellipsoid
-from geodrake.inertia import inertial_parameters
-from geodrake.kinematics import KinematicTree
-from geodrake.motion import Motion
-from geodrake.plant import joint_names, load_plant
-from geodrake.regressor import inverse_dynamics_regressor
-from geodrake.transmission import LinearTransmission
+from geodrake.inertia import Ellipsoid, inertial_parameters
+from geodrake.logs import Motion
+from geodrake.robot import (
+    KinematicTree,
+    LinearTransmission,
+    inverse_dynamics_regressor,
+    joint_names,
+    load_plant,
+)
 
 Array = NDArray[np.float64]
 

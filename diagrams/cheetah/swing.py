@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from cheetah.leg import MEASURED, Array, Leg
-from geodrake.motion import Motion
+from geodrake.logs import Motion
 
 VISCOUS, COULOMB = 0.1, 1.0  # N·m·s/rad and N·m, every joint
 TORQUE_NOISE, ENCODER_NOISE = 0.5, 2e-4  # N·m and rad, standard deviations

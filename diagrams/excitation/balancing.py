@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 from excitation.humanoid import HALF_SOLE, STANCE
 from geodrake.excitation import ExcitationTrajectory, SplineMotion
 from geodrake.excitation.trajectory import joint_order
-from geodrake.floating_base import base_wrench_regressor, zero_moment_point
 from geodrake.model import RobotModel
-from geodrake.plant import position_limits, velocity_limits
+from geodrake.robot import (
+    base_wrench_regressor,
+    position_limits,
+    velocity_limits,
+    zero_moment_point,
+)
 
 Array = NDArray[np.float64]
 

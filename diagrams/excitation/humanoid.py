@@ -17,7 +17,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 
 from geodrake.inertia import inertial_parameters
 from geodrake.model import RobotModel
-from geodrake.model_files.description import drake_messages
+from geodrake.robot.files.description import drake_messages
 
 ATLAS = Path("reference") / "atlas_v5.urdf"
 SOLE = "l_foot_sole"

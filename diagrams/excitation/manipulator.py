@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from excitation.expected import effort_errors, parameter_error, told_by
+from excitation.expected import effort_errors, identified_by, parameter_error
 from excitation.options import MODELS
-from geodrake.base_parameters import BaseParameters
 from geodrake.excitation import (
     ExcitationTrajectory,
     FourierMotion,
@@ -20,9 +19,9 @@ from geodrake.excitation import (
     make_target,
     motion_limits,
 )
+from geodrake.inertia import perturb
 from geodrake.model import RobotModel, load_description
-from geodrake.perturbation import perturb
-from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.robot import BaseParameters, inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
 
@@ -113,11 +112,11 @@ class Validation:
 
     def errors(self, target: Target, trajectory: ExcitationTrajectory) -> dict[str, object]:
         """Expected errors of what least squares make of a motion at 1 kHz, as in table 4.2."""
-        told = told_by(target, trajectory, round(DURATION * RATE))
-        effort, acceleration = effort_errors(told, self.regressor, self.mass)
+        found = identified_by(target, trajectory, round(DURATION * RATE))
+        effort, acceleration = effort_errors(found, self.regressor, self.mass)
         by_group = [
             {name: float(np.sqrt(np.mean(x[joints] ** 2))) for name, joints in GROUPS.items()}
             for x in (effort, acceleration)
         ]
-        error = parameter_error(told, self.model.phi)
+        error = parameter_error(found, self.model.phi)
         return {"error": error, "effort": by_group[0], "acceleration": by_group[1]}

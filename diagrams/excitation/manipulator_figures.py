@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from geodrake.visualization import style
+from geodrake.report import style
 
 _CRITERIA = {
     "a_optimality": "A",

@@ -11,13 +11,12 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 
-from geodrake.identification import FitProblem, identify, whitened_factor
-from geodrake.identification.constraints import BodyConstraints
+from geodrake.identification import BodyConstraints, FitProblem, identify
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.identify import build_problem
+from geodrake.identification.problem import whitened_factor
 from geodrake.inertia import inertial_parameters
-from geodrake.kinematics import KinematicTree
-from geodrake.regressor import inverse_dynamics_regressor
+from geodrake.robot import KinematicTree, inverse_dynamics_regressor
 
 ROLLING = (2, 5, 8)  # Joints that share their motor with the joint after them, half a turn each.
 NOISE = 0.02  # N·m

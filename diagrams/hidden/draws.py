@@ -116,7 +116,7 @@ def all_draws(
     pairs, empty = others or (4 * draws, 6 * draws)
     found = []
     for name in effects:
-        # Where every body is wrong, the one that is more so is no truth to be told.
+        # Where every body is wrong, the one that is more so is no truth to be found.
         sure = {"prior": EXACT} if name == WRONG_INERTIA else {}
         found += [draw(ONE, (name,), k, seed, **{**fixed, **sure}) for k in range(draws)]
     for name in outside:

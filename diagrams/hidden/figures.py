@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from geodrake.visualization import style
+from geodrake.report import style
 from hidden.bars import Line
 
 _REACHED, _MISSED, _OTHER = style.AFTER, style.BEFORE, style.MEASURED

@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from geodrake.motion import JointLog
+from geodrake.logs import JointLog
 from hidden.draws import COLOURED, OFF, OFF_BY, Draw
 from hidden.engines import Engine, congruent, make_engine
 from hidden.motions import make_motion

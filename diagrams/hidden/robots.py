@@ -76,7 +76,7 @@ def robot_file(name: str) -> RobotFile:
 
 @cache
 def robot_model(name: str) -> RobotModel:
-    """What geodrake is told about a robot: its model file."""
+    """What geodrake knows of a robot: its model file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}.urdf"
         path.write_text(robot_file(name).text, encoding="utf-8")

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.diagnosis.case import open_case
-from geodrake.diagnosis.compare import compare
-from geodrake.diagnosis.explain import Investigation, explain, investigate
-from geodrake.diagnosis.results import Step
-from geodrake.drafting import Correlate, draft_rest
-from geodrake.identification.model_fit import effects_of
+from geodrake.diagnosis import Step, explain
+from geodrake.diagnosis.drafting import Correlate
+from geodrake.diagnosis.drafting.draft import draft_rest
+from geodrake.diagnosis.explain import Investigation, investigate
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.compare import compare
+from geodrake.identification.logs.model_fit import effects_of
 from geodrake.model import RobotModel
+from geodrake.report.words import correlate_words
 from hidden.draws import OFF, UNKNOWN, WRONG_INERTIA, Draw
 from hidden.logs import Recording, Secret, make_recording
 from hidden.outside import ANY, TIME
@@ -114,8 +116,8 @@ def _judged(steps: Sequence[Step], secrets: Sequence[Secret], draw: Draw) -> dic
         row["first"] = first is not None and first.effect in _names(secret) and named[0]
         if secret.where:
             # What comes with the truth, a coupled rotor's own rotors, may come first.
-            told = next((s for s in steps if s.effect == secret.name and row["first"]), first)
-            row["placed"] = told is not None and set(told.where) == set(secret.where)
+            there = next((s for s in steps if s.effect == secret.name and row["first"]), first)
+            row["placed"] = there is not None and set(there.where) == set(secret.where)
         row["answer"] = None if first is None else first.effect
     return row
 
@@ -130,11 +132,11 @@ def _drafted(model: RobotModel, found: Investigation, secret: Secret) -> dict[st
     began = time.process_time()
     draft = draft_rest(found, fixed=effects_of(model))
     correlates = draft.correlates
-    told = [c for c in correlates if c.joint in secret.joints]
+    there = [c for c in correlates if c.joint in secret.joints]
     return {
-        "correlates": [str(c) for c in correlates],
+        "correlates": [correlate_words(c) for c in correlates],
         "right_joint": bool(correlates) and correlates[0].joint in secret.joints,
-        "right_correlate": any(_goes_with(c, secret) for c in told),
+        "right_correlate": any(_goes_with(c, secret) for c in there),
         "drafted_over_floor": draft.after.nrms / draft.after.floor_nrms,
         "draft_seconds": time.process_time() - began,
     }

@@ -1,1 +1,1 @@
-"""Parts of the study of motions that tell effects apart: a simulated robot, its hidden effects."""
+"""Parts of the study of motions that distinguish effects: a simulated robot, its hidden effects."""

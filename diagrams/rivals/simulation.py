@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.logs import JointLog
 from geodrake.model import RobotModel
-from geodrake.motion import JointLog
-from geodrake.regressor import inverse_dynamics
+from geodrake.robot import inverse_dynamics
 
 Array = NDArray[np.float64]
 Reference = Callable[[Array], tuple[Array, Array, Array]]

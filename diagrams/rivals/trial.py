@@ -29,10 +29,9 @@ from geodrake.excitation import (
 from geodrake.excitation.design import make_problem
 from geodrake.excitation.guess import random_guess
 from geodrake.excitation.postures import possible_postures
-from geodrake.identification.unknowns import pullback_information
-from geodrake.model import RobotModel
-from geodrake.motion import Motion
-from geodrake.saved_model import load_model
+from geodrake.identification.logs.unknowns import pullback_information
+from geodrake.logs import Motion
+from geodrake.model import RobotModel, load_model
 from rivals.cases import CASES, CENTER, QUADRATIC, Case
 from rivals.simulation import Hidden, Reference, record, simulate, tilted
 
@@ -104,7 +103,7 @@ def separation_of(case: Case) -> Separation:
 
 
 def run(draw: Draw, *, iterations: int) -> dict[str, Any]:
-    """What the first log leaves ambiguous, and, if that is the pair, what other motions tell.
+    """What the first log leaves ambiguous, and, if that is the pair, what other motions show.
 
     Args:
         draw: The robot.
@@ -181,7 +180,7 @@ def deviations(case: Case, size: float, motion: Reference, duration: float) -> f
 
 
 def stands(diagnosis: Diagnosis, name: str) -> bool:
-    """Whether an effect is among those that a log cannot tell from the best."""
+    """Whether an effect is among those that a log cannot distinguish from the best."""
     return any(c.tied and name in c.effect.split(" + ") for c in diagnosis.candidates)
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from geodrake.boundary.escaping import printable
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.options import (
     AddOptions,
@@ -22,7 +23,6 @@ from geodrake.cli.options import (
 )
 from geodrake.cli.surroundings import settled_surroundings
 from geodrake.cli.version import version
-from geodrake.escaping import printable
 
 if TYPE_CHECKING:
     from geodrake.cli.session import Input
@@ -76,9 +76,9 @@ def compare(options: Options) -> None:
     """How far the model is from the logs, at which joints, and in which circumstances."""
     from geodrake.cli.session import Command, run
     from geodrake.cli.tables import show_comparison
-    from geodrake.diagnosis.compare import compare as work
-    from geodrake.diagnosis.results import Comparison
-    from geodrake.json_output import comparison_dict
+    from geodrake.identification.logs.compare import compare as work
+    from geodrake.identification.logs.model_errors import Comparison
+    from geodrake.report.json_output import comparison_dict
 
     def compared(given: Input) -> Comparison:
         return work(given.model, given.logs, **given.settings)
@@ -97,7 +97,7 @@ def diagnose(options: Options) -> None:
     from geodrake.cli.tables import show_diagnosis
     from geodrake.diagnosis.diagnose import diagnose as work
     from geodrake.diagnosis.results import Diagnosis
-    from geodrake.json_output import diagnosis_dict
+    from geodrake.report.json_output import diagnosis_dict
 
     def diagnosed(given: Input) -> Diagnosis:
         return work(given.model, given.logs, extra=given.extra, **given.settings)
@@ -115,7 +115,7 @@ def add(options: AddOptions) -> None:
     from geodrake.cli.session import Command, run
     from geodrake.cli.tables import show_addition
     from geodrake.diagnosis.add import add as work
-    from geodrake.json_output import explanation_dict
+    from geodrake.report.json_output import explanation_dict
 
     def added(given: Input) -> Explanation:
         return work(
@@ -173,7 +173,7 @@ def identify(options: IdentifyOptions) -> None:
 @app.command()
 @taking(ExciteOptions)
 def excite(options: ExciteOptions) -> None:
-    """Design the motion that tells most of the robot, within limits it can execute."""
+    """Design the motion from which most is identifiable, within limits of the robot."""
     from geodrake.cli.excite import run_excite
 
     run_excite(options)
@@ -182,7 +182,7 @@ def excite(options: ExciteOptions) -> None:
 @app.command()
 @taking(IdentifiableOptions)
 def identifiable(options: IdentifiableOptions) -> None:
-    """Which parameters the logs can tell, to within a threshold, and which not."""
+    """Which parameters are identifiable from the logs, to within a threshold, and which not."""
     from geodrake.cli.identifiable import run_identifiable
 
     run_identifiable(options)

@@ -8,20 +8,29 @@ from typing import Annotated
 
 import typer
 
-from geodrake.cli.options import MODEL_HELP, Options
+from geodrake.cli.options import (
+    Debug,
+    EffectNames,
+    Floating,
+    JsonFile,
+    ModelFile,
+    ReportFile,
+    ValidationOptions,
+)
 
 _NOISE_HELP = "Deviation of the {what}, N·m or N: one number, or JOINT=NUMBER,…; {default}."
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifiableOptions(Options):
-    """What identifiable is told."""
+class IdentifiableOptions(ValidationOptions):
+    """Options of identifiable."""
 
     threshold: Annotated[
         float,
         typer.Option(
             metavar="VARIANCE",
-            help="Largest relative variance of what counts as told; 0.01 is a deviation of 10 %.",
+            help="Largest relative variance of what counts as identifiable; 0.01 is a deviation "
+            "of 10 %.",
         ),
     ] = 1e-2
     noise: Annotated[
@@ -34,14 +43,7 @@ class IdentifiableOptions(Options):
             ),
         ),
     ] = None
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="NAME,…|FILE.py",
-            help="Effects to tell beside the model's, such as viscous_friction,coulomb_friction "
-            "or payload@BODY; a FILE.py brings effects that may be named. Repeatable.",
-        ),
-    ] = None
+    effects: EffectNames = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +67,7 @@ class _Motion:
         typer.Option(
             metavar="HZ",
             help="Base frequency of a Fourier motion; once in its length if absent, and three "
-            "times with --tell-apart, so that every block of the log tells.",
+            "times with --tell-apart, so that every block of the log shows the difference.",
         ),
     ] = None
     points: Annotated[
@@ -150,23 +152,15 @@ class _Search:
 
 @dataclass(frozen=True, kw_only=True)
 class ExciteOptions(_Motion, _Robot, _Search):
-    """What excite is told."""
+    """Options of excite."""
 
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help=MODEL_HELP)]
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="NAME,…|FILE.py",
-            help="Effects to tell beside inertias and the model's, such as "
-            "viscous_friction,coulomb_friction; a FILE.py brings effects that may be named. "
-            "Repeatable.",
-        ),
-    ] = None
+    model: ModelFile
+    effects: EffectNames = None
     tell_apart: Annotated[
         str | None,
         typer.Option(
             metavar="EFFECT,EFFECT[@PLACE]",
-            help="Two effects that logs so far cannot tell apart, such as "
+            help="Two effects that logs so far cannot distinguish, such as "
             "coulomb_friction,load_dependent_friction@elbow: the motion on which their predictions "
             "differ most, once everything else is refitted.",
         ),
@@ -182,19 +176,11 @@ class ExciteOptions(_Motion, _Robot, _Search):
     rate: Annotated[
         float, typer.Option(metavar="HZ", help="Samples a second of what --save writes.")
     ] = 100.0
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
-    ] = None
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
-    ] = None
+    json: JsonFile = None
+    report: ReportFile = None
     meshcat: Annotated[
         Path | None,
         typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
     ] = None
-    floating: Annotated[
-        bool, typer.Option("--floating", help="Leave roots free that nothing holds to the world.")
-    ] = False
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
-    ] = False
+    floating: Floating = False
+    debug: Debug = False

@@ -1,4 +1,4 @@
-"""The command `geodrake excite`: the most telling motion that a robot can execute."""
+"""The command `geodrake excite`: the most informative motion that a robot can execute."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
-from geodrake.cli.progress import Tell, progress
+from geodrake.cli.progress import Update, progress
 from geodrake.cli.session import Maker, own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
@@ -27,7 +27,6 @@ from geodrake.excitation import (
     CollisionWorld,
     Criterion,
     DesignOptions,
-    DesignProgress,
     ExcitationResult,
     FourierMotion,
     FreeSamples,
@@ -36,25 +35,26 @@ from geodrake.excitation import (
     Objective,
     SplineMotion,
     Target,
-    design_objective,
     make_target,
-    trajectory_content,
 )
+from geodrake.excitation.design import design_objective
+from geodrake.excitation.design_results import DesignProgress
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
-from geodrake.excitation_json import excitation_dict
-from geodrake.identification.dataset import is_payload
-from geodrake.json_output import to_json
-from geodrake.model import RobotModel
-from geodrake.plant import effort_limits
-from geodrake.saved_model import load_model
+from geodrake.excitation.trajectory_files import trajectory_content
+from geodrake.identification.logs.dataset import is_payload
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.saved_model import load_model
+from geodrake.report.excitation_json import excitation_dict
+from geodrake.report.json_output import to_json
+from geodrake.robot.plant import effort_limits
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _NOISE_SHARE = 0.01  # of the limits of effort
-_TOLD_EVERY = 5  # evaluations
+_UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
 _FARTHEST, _LAST_SEED = 100.0, 1 << 32
-_REPEATS = 3  # of a motion that tells effects apart: a diagnosis holds out blocks of its log
+_REPEATS = 3  # of a motion that distinguishes effects: a diagnosis holds out blocks of its log
 
 
 def run_excite(options: ExciteOptions) -> None:
@@ -71,13 +71,13 @@ def run_excite(options: ExciteOptions) -> None:
     targets = Targets(None, options.json, options.report, more, {"save": _SAVE})
     targets.check([options.model, *files])
     # matplotlib is slow to import and only the page needs it
-    pages = importlib.import_module("geodrake.visualization") if options.report else None
-    with progress(f"Reading {options.model.name}") as tell:
+    pages = importlib.import_module("geodrake.report") if options.report else None
+    with progress(f"Reading {options.model.name}") as update:
         extra = own_effects(files)
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
-        result = _designed(options, model, _Effects(names, extra), family, tell)
-        tell("Writing")
+        result = _designed(options, model, _Effects(names, extra), family, update)
+        update("Writing")
         numbers = to_json({"version": version(), "command": "excite", **excitation_dict(result)})
 
         def page() -> str:
@@ -178,7 +178,7 @@ def _designed(
     model: RobotModel,
     effects: _Effects,
     family: MotionFamily,
-    tell: Tell,
+    update: Update,
 ) -> ExcitationResult:
     """The design that options ask for."""
     limits = limits_of(options.limits, model)
@@ -193,14 +193,14 @@ def _designed(
         iterations=options.iterations,
         seconds=options.seconds,
     )
-    tell("Designing")
+    update("Designing")
     result = design_objective(
         objective,
         limits,
         trajectory=family,
         options=design,
         seeds=range(options.seed, options.seed + options.seeds),
-        progress=_telling(tell),
+        progress=_updating(update),
     )
     return replace(result, notes=(*result.notes, *notes, *more))
 
@@ -208,7 +208,7 @@ def _designed(
 def _objective(
     options: ExciteOptions, model: RobotModel, limits: MotionLimits, effects: _Effects
 ) -> tuple[Objective, tuple[str, ...]]:
-    """What the motion is to tell, and what to say of that."""
+    """What the motion is for, and what to say of that."""
     if options.tell_apart is not None:
         noise, notes = noise_of(options.noise, model)
         separation, more = separation_of(
@@ -233,7 +233,12 @@ def _target(
 
 
 def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str, ...]]:
-    """(nv,) noise of the measured efforts, and where it comes from if nobody said so."""
+    """(nv,) noise of the measured efforts, and where it comes from if nobody said so.
+
+    Args:
+        text: What `--noise` says; None if it is not given.
+        model: The model.
+    """
     if text is not None:
         return joint_values(text, model, "--noise"), ()
     if model.effort_noise is not None:
@@ -269,19 +274,19 @@ def _collisions(
         ) from error
 
 
-def _telling(tell: Tell) -> Callable[[DesignProgress], None]:
-    def told(now: DesignProgress) -> None:
-        if now.evaluations % _TOLD_EVERY == 0:
-            tell(
+def _updating(update: Update) -> Callable[[DesignProgress], None]:
+    def updated(now: DesignProgress) -> None:
+        if now.evaluations % _UPDATED_EVERY == 0:
+            update(
                 f"Start {now.seed + 1} of {now.seeds}, evaluation {now.evaluations}, "
                 f"log criterion {now.value:.3f}"
             )
 
-    return told
+    return updated
 
 
 def _replay(result: ExcitationResult) -> str:
-    from geodrake.visualization.replay import FRAMES, replay_page
+    from geodrake.report.replay import FRAMES, replay_page
 
     times = result.trajectory.instants(FRAMES)
     motion = result.trajectory.motion(times)

@@ -9,13 +9,14 @@ from rich.console import Console
 from geodrake.cli.options import Options
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import show_explanation
-from geodrake.cli.wording import Wording, what_to_do
-from geodrake.diagnosis.case import open_case
+from geodrake.diagnosis.drafting import Correlate, rest_correlates
 from geodrake.diagnosis.explain import investigate
 from geodrake.diagnosis.results import Explanation
-from geodrake.drafting import Correlate, rest_correlates
-from geodrake.json_output import correlates_list, explanation_dict
-from geodrake.model import RobotModel
+from geodrake.identification.logs.case import open_case
+from geodrake.model.robot_model import RobotModel
+from geodrake.report.json_output import correlates_list, explanation_dict
+from geodrake.report.numbers import Units
+from geodrake.report.words import correlate_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ def run_explaining(options: Options) -> None:
     """Run the command.
 
     Args:
-        options: What it was told.
+        options: Its options.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
@@ -58,14 +59,14 @@ def run_explaining(options: Options) -> None:
 def _explained(given: Input) -> _Explained:
     case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
     found = investigate(
-        case, progress=lambda words, nrms: given.tell(f"Found {words}: nrms {nrms:.3f}")
+        case, progress=lambda words, nrms: given.progress(f"Found {words}: nrms {nrms:.3f}")
     )
     if found.explanation.verdict != "unexplained":
         return _Explained(found.explanation, ())
-    given.tell("Looking what the rest goes with")
+    given.progress("Looking what the rest goes with")
     return _Explained(found.explanation, rest_correlates(found))
 
 
-def _show(console: Console, found: _Explained, wording: Wording) -> None:
-    rest, advice = [str(c) for c in found.correlates], what_to_do(found.explanation)
-    show_explanation(console, found.explanation, wording, advice=advice, rest=rest)
+def _show(console: Console, found: _Explained, units: Units) -> None:
+    rest = [*map(correlate_words, found.correlates)]
+    show_explanation(console, found.explanation, units, rest=rest)

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import typer
 
+from geodrake.boundary.escaping import printable
+from geodrake.boundary.interrupts import deferred_interrupts
 from geodrake.cli.interruption import was_interrupted
 from geodrake.cli.surroundings import PIPE_CLOSED, check_surroundings
 from geodrake.errors import GeodrakeError
-from geodrake.escaping import printable
-from geodrake.interrupts import held_interrupts
 
 BAD_INPUT = 2
 INTERNAL_ERROR = 1
@@ -61,7 +61,7 @@ def guarded(*, debug: bool = False, effect_files: Sequence[Path] = ()) -> Iterat
 
 def _load_drake() -> None:
     """Import what every command needs, and what prints errors of its own if it is interrupted."""
-    with held_interrupts():
+    with deferred_interrupts():
         importlib.import_module("pydrake")
 
 

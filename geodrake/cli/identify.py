@@ -8,19 +8,20 @@ from pathlib import Path
 from typing import Any
 
 from geodrake.cli.identify_tables import show_identification
+from geodrake.cli.option_values import split_effects
 from geodrake.cli.options import IdentifyOptions
 from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.errors import ArgumentError
-from geodrake.export import check_export, export_model
-from geodrake.inertia import PARAMETER_NAMES
-from geodrake.json_output import number_or
-from geodrake.model import RobotModel
-from geodrake.model_identification import (
+from geodrake.identification.models import (
     IdentificationSettings,
     ModelIdentification,
     identify_model,
 )
+from geodrake.inertia import PARAMETER_NAMES
+from geodrake.model.export import check_export, export_model
+from geodrake.model.robot_model import RobotModel
+from geodrake.report.json_output import number_or
 
 
 def run_identify(options: IdentifyOptions) -> None:
@@ -29,9 +30,7 @@ def run_identify(options: IdentifyOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    given = options.effects or []
-    files = [path for path in given if path.suffix == ".py"]
-    names = [name for path in given if path not in files for name in str(path).split(",") if name]
+    files, names = split_effects(options.effects)
     settings = IdentificationSettings(
         regularizer=options.regularizer,
         gamma=options.gamma,
@@ -44,7 +43,9 @@ def run_identify(options: IdentifyOptions) -> None:
 
     def identified(given: Input) -> ModelIdentification:
         effects = named_effects(names, given.model, given.extra)
-        found = identify_model(given.model, given.logs, settings, effects=effects, tell=given.tell)
+        found = identify_model(
+            given.model, given.logs, settings, effects=effects, progress=given.progress
+        )
         if options.export is None:
             return found
         return replace(found, notes=(*found.notes, *export_model(found.model).notes))
@@ -200,16 +201,16 @@ def _makers(found: ModelIdentification, options: IdentifyOptions) -> Mapping[str
         return export_model(found.model).content
 
     def figure() -> bytes:
-        from geodrake.visualization.ellipsoid_figure import ellipsoid_figure, figure_bytes
-        from geodrake.visualization.ellipsoids import identification_sets
+        from geodrake.report.ellipsoid_figure import ellipsoid_figure, figure_bytes
+        from geodrake.report.ellipsoids import identification_sets
 
         sets = identification_sets(found)
         kind = (options.ellipsoids or Path("a.png")).suffix.lower().lstrip(".")
         return figure_bytes(ellipsoid_figure(found.model.plant, sets), kind)
 
     def page() -> str:
-        from geodrake.visualization.ellipsoids import identification_sets
-        from geodrake.visualization.meshcat_ellipsoids import ellipsoid_page
+        from geodrake.report.ellipsoids import identification_sets
+        from geodrake.report.meshcat_ellipsoids import ellipsoid_page
 
         return ellipsoid_page(found.model.plant, identification_sets(found))
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from geodrake.errors import ArgumentError
-from geodrake.held_payloads import held_phi
-from geodrake.known_payload import KnownPayload
-from geodrake.log_files import read_log
-from geodrake.model import RobotModel
-from geodrake.motion import JointLog
+from geodrake.logs.files import read_log
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog
+from geodrake.model.carried_payloads import carried_phi
+from geodrake.model.robot_model import RobotModel
 
 _FORM = (
     "Write LOG:BODY:MASS or LOG:BODY:MASS:X,Y,Z in kg and m, such as log_2.csv:flange:3:0,0,0.1."
@@ -34,15 +34,15 @@ def with_known_payloads(
         ArgumentError: One cannot be read, or names no log, no body or no mass.
         LogError: A log cannot be used.
     """
-    held: dict[Path, list[KnownPayload]] = defaultdict(list)
+    carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:
         log, payload = _parsed(text, logs)
-        held[log].append(payload)
-    for payloads in held.values():
-        held_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
+        carried[log].append(payload)
+    for payloads in carried.values():
+        carried_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
     return tuple(
-        replace(read_log(log, joints=model.joints), payloads=tuple(held[log]))
-        if log in held
+        replace(read_log(log, joints=model.joints), payloads=tuple(carried[log]))
+        if log in carried
         else log
         for log in logs
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.excitation import MotionLimits, motion_limits
-from geodrake.model import RobotModel
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -16,25 +16,49 @@ from geodrake.cli.guard import guarded
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-MODEL_HELP = "URDF, SDF, MJCF or Drake directives file, or a model saved with --save."
-LOG_HELP = "CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units."
+ModelFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MODEL",
+        help="URDF, SDF, MJCF or Drake directives file, or a model saved with --save.",
+    ),
+]
+LogFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="LOG...",
+        help="CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units.",
+    ),
+]
+JsonFile = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
+]
+ReportFile = Annotated[
+    Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
+]
+Floating = Annotated[
+    bool, typer.Option("--floating", help="Leave roots free that nothing fixes to the world.")
+]
+Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
+EffectNames = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="NAME,…|FILE.py",
+        help="Effects beside the model's, such as viscous_friction,coulomb_friction or "
+        "payload@BODY; a FILE.py brings effects that may be named. Repeatable.",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions:
-    """What all commands on a model and logs are told."""
+    """Options of all commands on a model and logs."""
 
-    model: Annotated[Path, typer.Argument(metavar="MODEL", help=MODEL_HELP)]
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=LOG_HELP)]
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
-    ] = None
-    report: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
-    ] = None
-    floating: Annotated[
-        bool, typer.Option("--floating", help="Leave roots free that nothing holds to the world.")
-    ] = False
+    model: ModelFile
+    logs: LogFiles
+    json: JsonFile = None
+    report: ReportFile = None
+    floating: Floating = False
     effects: Annotated[
         list[Path] | None,
         typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
@@ -47,13 +71,12 @@ class LogOptions:
         list[str] | None,
         typer.Option(
             metavar="LOG:BODY:MASS[:X,Y,Z]",
-            help="What the robot held throughout a log, of known mass, kg, and centre of mass in "
-            "the body's frame, m. Beside a log without it, it tells gains of efforts. Repeatable.",
+            help="What the robot carried throughout a log, of known mass, kg, and centre of mass "
+            "in the body's frame, m. With a log without it, gains of efforts are identifiable. "
+            "Repeatable.",
         ),
     ] = None
-    debug: Annotated[
-        bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")
-    ] = False
+    debug: Debug = False
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -67,12 +90,9 @@ class LogOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(LogOptions):
-    """What commands are told that validate a model on blocks of logs, and can save it."""
+class ValidationOptions(LogOptions):
+    """Options of commands that validate a model on blocks of logs."""
 
-    save: Annotated[
-        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
-    ] = None
     blocks: Annotated[
         int | None, typer.Option(metavar="N", help="Blocks that each log is validated on.")
     ] = None
@@ -82,6 +102,15 @@ class Options(LogOptions):
         """How logs are prepared, as keyword arguments."""
         return {"bandwidth": self.bandwidth, "blocks": self.blocks}
 
+
+@dataclass(frozen=True, kw_only=True)
+class Options(ValidationOptions):
+    """Options of commands that can save the model, too."""
+
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
+    ] = None
+
     @property
     def model_target(self) -> Path | None:
         """Where the model goes, if it is saved."""
@@ -90,7 +119,7 @@ class Options(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainOptions(Options):
-    """What explain is told."""
+    """Options of explain."""
 
     draft_effect: Annotated[
         Path | None,
@@ -104,7 +133,7 @@ class ExplainOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class RolloutOptions(LogOptions):
-    """What rollout is told."""
+    """Options of rollout."""
 
     before: Annotated[
         Path | None,
@@ -133,12 +162,12 @@ class _Addition:
 
 @dataclass(frozen=True, kw_only=True)
 class AddOptions(Options, _Addition):
-    """What add is told."""
+    """Options of add."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions(Options):
-    """What identify is told."""
+    """Options of identify."""
 
     regularizer: Annotated[
         str,
@@ -152,7 +181,7 @@ class IdentifyOptions(Options):
         float | None,
         typer.Option(
             metavar="GAMMA",
-            help="Weight of the regularizer: 100 holds inertias to about 1/√100 = 10 %. Chosen by "
+            help="Weight of the regularizer: 100 keeps inertias to about 1/√100 = 10 %. Chosen by "
             "held-out error if absent.",
         ),
     ] = None
@@ -168,14 +197,7 @@ class IdentifyOptions(Options):
         float | None,
         typer.Option(metavar="KG", help="Mass of all that moves, if it is known from a scale."),
     ] = None
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="NAME,…|FILE.py",
-            help="Effects to fit beside the model's, such as viscous_friction,coulomb_friction "
-            "or payload@BODY; a FILE.py brings effects that may be named. Repeatable.",
-        ),
-    ] = None
+    effects: EffectNames = None
     compare: Annotated[
         bool,
         typer.Option("--compare", help="All regularizers at the same training residual."),
@@ -200,15 +222,13 @@ class IdentifyOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """What demo is told."""
+    """Options of demo."""
 
     report: Annotated[
         Path, typer.Option(metavar="FILE.html", help="Where the page with the figures goes.")
     ] = Path("geodrake_demo.html")
-    json: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the numbers; - is standard output.")
-    ] = None
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False
+    json: JsonFile = None
+    debug: Debug = False
 
 
 T = TypeVar("T", bound="DataclassInstance")

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from geodrake.escaping import printable
+from geodrake.boundary.escaping import printable
 
-Tell = Callable[[str], None]
+Update = Callable[[str], None]
 
 
 @contextmanager
-def progress(words: str) -> Iterator[Tell]:
+def progress(words: str) -> Iterator[Update]:
     """A moving bar with words and the time so far, gone when the work is done.
 
     Args:

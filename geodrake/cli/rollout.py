@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from typing import Any
 
 from rich.console import Console
 
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
-from geodrake.cli.tables import head, number_columns, say, show_list, table_of
-from geodrake.cli.wording import Wording, number, percent
-from geodrake.json_output import rollout_dict
-from geodrake.model import RobotModel
-from geodrake.rollout import Rollout, roll_out
-from geodrake.saved_model import load_model
+from geodrake.cli.tables import head, say, show_list, show_table
+from geodrake.control.rollout import Rollout, roll_out
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.saved_model import load_model
+from geodrake.report.json_output import rollout_dict
+from geodrake.report.numbers import Units, percent
+from geodrake.report.tables import departures_table
+from geodrake.report.words import departure
 
 Pair = tuple[Rollout, Rollout | None]
 
@@ -42,7 +43,7 @@ def run_rollout(options: RolloutOptions) -> None:
             horizon=options.horizon,
             most=options.windows,
             **given.settings,
-            progress=lambda words, share: given.tell(f"{prefix}{words}: {percent(share)}"),
+            progress=lambda words, share: given.progress(f"{prefix}{words}: {percent(share)}"),
         )
 
     run(Command("rollout", "Simulating", simulated, _numbers, "render_rollout", _show), options)
@@ -54,32 +55,15 @@ def _numbers(found: Pair) -> dict[str, Any]:
     return numbers if before is None else {**numbers, "before": rollout_dict(before)}
 
 
-def _show(console: Console, found: Pair, wording: Wording) -> None:
+def _show(console: Console, found: Pair, units: Units) -> None:
     after, before = found
     count = len(after.windows)
-    head(
-        console,
-        f"Departure from the measured motion, RMS in {count} windows of {after.horizon:g} s; "
-        "rad (m at sliding joints)",
-    )
-    table = table_of(console, "joint")
-    ends = ("before", "after") if before else ("departure",)
-    number_columns(table, "moved", *ends, "share of motion", "worst at")
-    for j, joint in enumerate(after.joints):
-        start = [number(before.joints[j].rms)] if before else []
-        log, instant = joint.worst
-        table.add_row(
-            joint.joint,
-            number(joint.moved),
-            *start,
-            number(joint.rms),
-            _share(joint.relative),
-            f"{log} {instant:.1f} s",
-        )
-    console.print(table)
-    words = f"departs by {_share(after.relative)} of the motion within {after.horizon:g} s"
+    windows = f"{count} windows of {after.horizon:g} s"
+    head(console, f"Departure from the measured motion, RMS in {windows}")
+    show_table(console, departures_table(after, before, units))
+    words = f"departs by {departure(after.relative)} of the motion within {after.horizon:g} s"
     if before is not None:
-        words = f"{words}, where {_share(before.relative)} before"
+        words = f"{words}, where {departure(before.relative)} before"
     if after.broken:
         words = f"{words}; in {after.broken} of {count} windows the simulation breaks off"
     say(console, "Verdict", f"the simulated model {words}.")
@@ -89,9 +73,3 @@ def _show(console: Console, found: Pair, wording: Wording) -> None:
             console, f"Not simulated of the model before, {_NO_FORCES}", before.left_out_words
         )
     show_list(console, "Notes", after.notes)
-
-
-def _share(value: float) -> str:
-    if not isfinite(value):
-        return "more than can be simulated"
-    return percent(value) if value < 10 else f"{value:.3g} times the whole"

@@ -1,4 +1,4 @@
-"""One run of a command: read, refuse what cannot end well, work, write, tell."""
+"""One run of a command: read, refuse what cannot end well, work, write, print."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from typing import Any, Generic, TypeVar
 
 from rich.console import Console
 
+from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.whole_files import Content
 from geodrake.cli.known_payloads import with_known_payloads
 from geodrake.cli.options import LogOptions
-from geodrake.cli.progress import Tell, progress
+from geodrake.cli.progress import Update, progress
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
-from geodrake.cli.wording import Wording
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError, LogError
-from geodrake.input_files import regular_file
-from geodrake.json_output import to_json
-from geodrake.model import RobotModel
-from geodrake.motion import JointLog
-from geodrake.saved_model import load_model
-from geodrake.whole_files import Content
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.saved_model import load_model
+from geodrake.report.json_output import to_json
+from geodrake.report.numbers import Units
 
 R = TypeVar("R")
 
@@ -43,14 +43,14 @@ class Input:
         logs: The files of the logs, or what was read of them.
         extra: Effects of the user's own.
         settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
-        tell: Called with what is going on, in words.
+        progress: Called with what is going on, in words.
     """
 
     model: RobotModel
     logs: tuple[JointLog | Path, ...]
     extra: tuple[type[Effect], ...]
     settings: Mapping[str, Any]
-    tell: Tell
+    progress: Update
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Command(Generic[R]):
         working: What it does, for the progress bar.
         work: Does it.
         numbers: The result as a dictionary.
-        page: Name of the function of `geodrake.visualization` that makes the result HTML.
+        page: Name of the function of `geodrake.report` that makes the result HTML.
         show: Prints the result.
         paged: The part of the result that the page shows.
         more: Options of files that only this command writes, with their paths.
@@ -75,7 +75,7 @@ class Command(Generic[R]):
     work: Callable[[Input], R]
     numbers: Callable[[R], Mapping[str, Any]]
     page: str
-    show: Callable[[Console, R, Wording], None]
+    show: Callable[[Console, R, Units], None]
     paged: Callable[[R], Any] = lambda result: result
     more: Mapping[str, Path | None] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
@@ -85,6 +85,10 @@ class Command(Generic[R]):
 def run(command: Command[R], options: LogOptions) -> None:
     """Run a command.
 
+    Args:
+        command: The command.
+        options: Options that the user gave.
+
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
@@ -93,24 +97,24 @@ def run(command: Command[R], options: LogOptions) -> None:
     _check_logs(options.logs)
     targets.check(read)
     # matplotlib is slow to import and only the page needs it
-    pages = importlib.import_module("geodrake.visualization") if options.report else None
-    with progress(f"Reading {options.model.name}") as tell:
+    pages = importlib.import_module("geodrake.report") if options.report else None
+    with progress(f"Reading {options.model.name}") as update:
         extra = own_effects(options.effects or ())
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([*read, model.path])  # a saved model reads another one
         command.check(model)
-        tell(command.working)
+        update(command.working)
         logs = with_known_payloads(options.logs, options.known_payload or (), model)
-        result = command.work(Input(model, logs, extra, options.settings, tell))
+        result = command.work(Input(model, logs, extra, options.settings, update))
         fitted = getattr(result, "model", model)
-        tell("Writing")
+        update("Writing")
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result)}
         )
         names = [path.name for path in options.logs]
         units = {}
         if pages is not None and command.name not in _WITH_UNITS:
-            units["units"] = pages.Units.of(model)
+            units["units"] = Units.of(model, extra)
 
         def page() -> str:
             render = getattr(pages, command.page)
@@ -126,7 +130,7 @@ def run(command: Command[R], options: LogOptions) -> None:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
         console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
-        command.show(console, result, Wording(fitted, extra))
+        command.show(console, result, Units.of(fitted, extra))
         show_saved(console, written)
 
 

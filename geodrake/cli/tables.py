@@ -7,27 +7,35 @@ from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as Grid
 from rich.text import Text
 
-from geodrake.cli.wording import (
-    Wording,
+from geodrake.boundary.escaping import printable
+from geodrake.diagnosis.ambiguity import distinguishing_commands
+from geodrake.diagnosis.results import Diagnosis, Explanation
+from geodrake.identification.logs.model_errors import Comparison
+from geodrake.report.numbers import Units, number
+from geodrake.report.tables import (
+    Cell,
+    Table,
+    candidates_table,
+    error_stages,
+    errors_table,
+    short_steps_table,
+)
+from geodrake.report.words import (
     addition_verdict,
     comparison_verdict,
     diagnosis_verdict,
+    draft_advice,
     explanation_verdict,
-    number,
-    percent,
-    rivals_told,
+    failing_words,
 )
-from geodrake.diagnosis.ambiguity import telling_commands
-from geodrake.diagnosis.results import Comparison, Diagnosis, Explanation, JointError
-from geodrake.escaping import printable
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 _PLACES_WIDTH = 36
 REST = "What is left goes with"
-_TELLING = "Motions that would tell apart what the log cannot"
+_TELLING = "Motions that would distinguish what the logs cannot"
 _SAVED = {
     "save": "model",
     "json": "numbers",
@@ -57,59 +65,45 @@ def make_console(*, stderr: bool = False) -> Console:
     return console
 
 
-def show_comparison(console: Console, comparison: Comparison, wording: Wording) -> None:
-    """Errors per joint, and where they are concentrated."""
-    errors = comparison.errors
-    head(console, f"Error of the model as it stands, {wording.effort_unit}")
-    table = table_of(console, "joint")
-    number_columns(table, "std", "RMS", "nrms", "noise", "removable")
-    for joint in errors.joints:
-        table.add_row(
-            joint.joint,
-            number(joint.std),
-            number(joint.rms),
-            f"{joint.nrms:.3f}",
-            number(joint.floor),
-            _removable(joint),
-        )
-    console.print(table)
+def show_comparison(console: Console, comparison: Comparison, units: Units) -> None:
+    """Errors per joint, and where they are concentrated.
+
+    Args:
+        console: Where to print.
+        comparison: The result.
+        units: Units of the joints and effects of the model.
+    """
+    head(console, f"Error of the model as it stands, {units.effort()}")
+    show_table(console, errors_table({"RMS": comparison.errors}, units))
     say(console, "Verdict", comparison_verdict(comparison))
-    show_list(console, "Where it fails", [str(case) for case in comparison.failing])
+    show_list(console, "Where it fails", [*map(failing_words, comparison.failing)])
     show_list(console, "Notes", comparison.notes)
 
 
-def show_diagnosis(console: Console, diagnosis: Diagnosis, wording: Wording) -> None:
-    """Candidates from the best on, with the evidence."""
-    start, refitted = diagnosis.start, diagnosis.refitted
-    levels = f"nrms {start.nrms:.3f} as it stands, {refitted.nrms:.3f} with parameters refitted"
+def show_diagnosis(console: Console, diagnosis: Diagnosis, units: Units) -> None:
+    """Candidates from the best on, with the evidence.
+
+    Args:
+        console: Where to print.
+        diagnosis: The result.
+        units: Units of the joints and effects of the model.
+    """
+    start, refitted = number(diagnosis.start.nrms), number(diagnosis.refitted.nrms)
+    found = "Missing effects" if diagnosis.candidates else "No effect found"
+    head(console, f"{found}; nrms {start} as it stands, {refitted} with parameters refitted")
     if diagnosis.candidates:
-        head(console, f"Missing effects; {levels}")
-        table = table_of(console, "#", "effect", "where")
-        number_columns(table, "before", "after", "evidence", "chance")
-        for count, candidate in enumerate(diagnosis.candidates, 1):
-            table.add_row(
-                "=" if candidate.tied and count > 1 else str(count),
-                lines_of(console, candidate.effect.replace(" + ", "\n+ ").split("\n")),
-                wording.where(candidate.where),
-                f"{candidate.error_before:.3f}",
-                f"{candidate.error_after:.3f}",
-                number(candidate.evidence),
-                _chance(candidate.false_alarm_probability),
-            )
-        console.print(table)
-    else:
-        head(console, f"No effect found; {levels}")
-    say(console, "Verdict", diagnosis_verdict(diagnosis, wording))
-    show_list(console, _TELLING, telling_commands(diagnosis))
+        show_table(console, candidates_table(diagnosis, units))
+    say(console, "Verdict", diagnosis_verdict(diagnosis, units))
+    show_list(console, _TELLING, distinguishing_commands(diagnosis))
     show_list(console, "Notes", diagnosis.notes)
 
 
 def show_explanation(
     console: Console,
     explanation: Explanation,
-    wording: Wording,
+    units: Units,
     *,
-    advice: str = "",
+    advised: bool = True,
     rest: Sequence[str] = (),
 ) -> None:
     """The steps with the error falling, the verdict, what is left, and errors per joint.
@@ -117,45 +111,53 @@ def show_explanation(
     Args:
         console: Where to print.
         explanation: The explanation.
-        wording: How to speak about its model.
-        advice: What follows the verdict.
+        units: Units of its model.
+        advised: Whether to say what to do about an error that nothing explains.
         rest: What the error left goes with, in sentences.
     """
-    _show_steps(console, explanation, wording)
-    say(console, "Verdict", explanation_verdict(explanation, wording) + advice)
+    _show_steps(console, explanation, units)
+    advice = draft_advice(explanation) if advised else ""
+    say(console, "Verdict", f"{explanation_verdict(explanation, units)} {advice}".rstrip())
     show_list(console, REST, rest)
-    show_list(console, _TELLING, telling_commands(explanation))
-    _show_change(console, explanation, wording)
+    show_list(console, _TELLING, distinguishing_commands(explanation))
+    _show_change(console, explanation, units)
 
 
-def show_addition(console: Console, explanation: Explanation, wording: Wording) -> None:
-    """The same for an effect that was asked for, whatever the evidence for it."""
-    _show_steps(console, explanation, wording)
-    say(console, "Result", addition_verdict(explanation, wording))
-    _show_change(console, explanation, wording)
+def show_addition(console: Console, explanation: Explanation, units: Units) -> None:
+    """The same for an effect that was asked for, whatever the evidence for it.
+
+    Args:
+        console: Where to print.
+        explanation: The result of `add`.
+        units: Units of the joints and effects of the model.
+    """
+    _show_steps(console, explanation, units)
+    say(console, "Result", addition_verdict(explanation, units))
+    _show_change(console, explanation, units)
 
 
-def _show_change(console: Console, explanation: Explanation, wording: Wording) -> None:
+def _show_steps(console: Console, explanation: Explanation, units: Units) -> None:
+    head(console, "Steps; nrms on held-out data, everything refitted")
+    show_table(console, short_steps_table(explanation, units))
+
+
+def _show_change(console: Console, explanation: Explanation, units: Units) -> None:
     """Errors per joint from the start to the end, and the notes."""
-    start, refitted, end = explanation.start, explanation.refitted, explanation.end
-    head(console, f"Error of each joint, RMS in {wording.effort_unit}")
-    table = table_of(console, "joint")
-    number_columns(table, "std", "start", "refitted", "end", "noise", "removable")
-    for before, middle, after in zip(start.joints, refitted.joints, end.joints, strict=True):
-        values = (after.std, before.rms, middle.rms, after.rms, after.floor)
-        table.add_row(after.joint, *map(number, values), _removable(after))
-    table.add_section()
-    table.add_row(
-        "nrms", "", *(f"{e.nrms:.3f}" for e in (start, refitted, end)), f"{end.floor_nrms:.3f}", ""
-    )
-    console.print(table)
+    head(console, f"Error of each joint, RMS in {units.effort()}")
+    show_table(console, errors_table(error_stages(explanation), units))
     show_list(console, "Notes", explanation.notes)
 
 
 def show_saved(
     console: Console, files: Mapping[str, object], words: Mapping[str, str] | None = None
 ) -> None:
-    """Where files went; `words` says what they are where that is not the usual."""
+    """Where files went; `words` says what they are where that is not the usual.
+
+    Args:
+        console: Where to print.
+        files: Option -> the file that was written.
+        words: Option -> what the file is, where that is not the usual.
+    """
     if files:
         console.print()
     for option, path in files.items():
@@ -163,84 +165,77 @@ def show_saved(
         console.print(f"Saved the {what}: {path}", soft_wrap=True)
 
 
-def _show_steps(console: Console, explanation: Explanation, wording: Wording) -> None:
-    head(console, "Steps; nrms on held-out data, everything refitted")
-    table = table_of(console, "#", "effect", "where, how much")
-    number_columns(table, "before", "after", "blocks better")
-    start, refitted = explanation.start.nrms, explanation.refitted.nrms
-    table.add_row("", "as it stands", "", "", f"{start:.3f}")
-    if explanation.steps:
-        table.add_row("", "refitted", "its own parameters", f"{start:.3f}", f"{refitted:.3f}")
-    for count, step in enumerate(explanation.steps, 1):
-        lines = [wording.where(step.where), *wording.parameters(step)]
-        if step.indistinguishable_from:
-            lines.append(f"or: {', '.join(rivals_told(step))}")
-        table.add_row(
-            str(count),
-            step.effect,
-            lines_of(console, lines),
-            f"{step.error_before:.3f}",
-            f"{step.error_after:.3f}",
-            percent(step.agreement),
-        )
-    console.print(table)
+def show_table(console: Console, table: Table) -> None:
+    """A table with a rule under its head in a terminal, and without lines in a pipe.
 
-
-def table_of(console: Console, *columns: str) -> Table:
-    """A table with a rule under its head in a terminal, and without lines in a pipe."""
-    table = Table(
+    Args:
+        console: Where to print.
+        table: The table; its cells are read without markup.
+    """
+    grid = Grid(
         box=box.SIMPLE_HEAD if console.is_terminal else None,
         show_edge=False,
         pad_edge=False,
         padding=(0, 1, 0, 0) if console.is_terminal else (0, 2, 0, 0),
     )
-    for name in columns:
-        width = _PLACES_WIDTH if name.startswith("where") else None
-        table.add_column(name, overflow="fold", max_width=width, no_wrap=name == "effect")
-    return table
+    for k, name in enumerate(table.head):
+        if k < table.words:
+            width = _PLACES_WIDTH if name.startswith("where") else None
+            grid.add_column(name, overflow="fold", max_width=width, no_wrap=name == "effect")
+        else:
+            grid.add_column(name, justify="right", no_wrap=True)
+    for k, row in enumerate(table.rows):
+        if table.total and k == len(table.rows) - 1:
+            grid.add_section()
+        grid.add_row(*(_lines(console, cell) for cell in row))
+    console.print(grid)
 
 
-def lines_of(console: Console, lines: Sequence[str]) -> Text:
-    """An entry of a table in several lines."""
+def _lines(console: Console, cell: Cell) -> Text:
+    """An entry of a table, which may have several lines."""
+    lines = (cell.typed or cell.text).split("\n")
     return Text("\n").join(console.render_str(line) for line in lines)
 
 
-def number_columns(table: Table, *names: str) -> None:
-    """Adds columns of numbers to a table."""
-    for name in names:
-        table.add_column(name, justify="right", no_wrap=True)
-
-
 def head(console: Console, words: str) -> None:
-    """A heading after an empty line."""
+    """A heading after an empty line.
+
+    Args:
+        console: Where to print.
+        words: The heading.
+    """
     console.print()
     console.print(console.render_str(words, style="bold"), soft_wrap=True)
 
 
 def say(console: Console, head: str, sentence: str) -> None:
-    """A paragraph; in a pipe it stays one line."""
+    """A paragraph; in a pipe it stays one line.
+
+    Args:
+        console: Where to print.
+        head: Bold words before the sentence.
+        sentence: The paragraph.
+    """
     text = Text.assemble((f"{head}: ", "bold"), console.render_str(sentence))
     console.print()
     console.print(text, soft_wrap=not console.is_terminal)
 
 
 def show_list(console: Console, words: str, entries: Sequence[str]) -> None:
-    """A heading with a list under it, or nothing."""
+    """A heading with a list under it, or nothing.
+
+    Args:
+        console: Where to print.
+        words: The heading.
+        entries: The list; nothing is printed if it is empty.
+    """
     if not entries:
         return
     head(console, words)
     for entry in entries:
         if console.is_terminal:
-            grid = Table.grid(padding=(0, 1))
+            grid = Grid.grid(padding=(0, 1))
             grid.add_row("-", entry)
             console.print(grid)
         else:
             console.print(f"- {entry}", soft_wrap=True)
-
-
-def _removable(joint: JointError) -> str:
-    return percent(joint.removable)
-
-
-def _chance(probability: float) -> str:
-    return "< 1e-9" if probability < 1e-9 else f"{probability:.2g}"

@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geodrake.boundary.whole_files import Content, check_writable, write_together
 from geodrake.errors import OutputError
-from geodrake.whole_files import Content, check_writable, write_together
 
 if TYPE_CHECKING:
-    from geodrake.model import RobotModel
+    from geodrake.model.robot_model import RobotModel
 
 STDOUT = Path("-")
 _SUFFIXES = {
@@ -95,7 +95,7 @@ class Targets:
         Raises:
             OutputError: A file cannot be written after all.
         """
-        from geodrake.saved_model import saved_text
+        from geodrake.model.saved_model import saved_text
 
         if self.save is not None:
             makers = {**makers, "save": partial(saved_text, model, self.save)}

@@ -9,16 +9,17 @@ from numpy.typing import ArrayLike
 from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.effects import Effect, effect_class
 from geodrake.errors import ArgumentError
-from geodrake.excitation import MotionLimits, Rival, Separation, make_rival, make_separation
+from geodrake.excitation import MotionLimits, Separation, make_rival, make_separation
 from geodrake.excitation.effect_sizes import SIZE_WORDS
-from geodrake.model import RobotModel
+from geodrake.excitation.rivals import Rival
+from geodrake.model.robot_model import RobotModel
 
 _SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
 _EXAMPLE = "Write coulomb_friction,load_dependent_friction, or with a place after it: …@elbow."
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
-    """Refuses what says otherwise than --tell-apart what a motion is to tell.
+    """Refuses what says otherwise than --tell-apart what a motion is for.
 
     Args:
         options: All of them.
@@ -30,7 +31,7 @@ def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
     wrong = [name for name, value in usual.items() if getattr(options, name) != value]
     if wrong:
         raise ArgumentError(
-            f"--{wrong[0]} says by what all parameters are told, and --tell-apart has its own.",
+            f"--{wrong[0]} is a measure of all parameters, and --tell-apart has its own.",
             advice=f"Leave --{wrong[0]} out.",
         )
     if names:
@@ -90,7 +91,7 @@ def separation_of(
     noise: ArrayLike,
     extra: Sequence[type[Effect]] = (),
 ) -> tuple[Separation, tuple[str, ...]]:
-    """What telling two effects apart amounts to, and what to say of it.
+    """What distinguishing two effects amounts to, and what to say of it.
 
     Args:
         text: What the option was given, as for `placed_rivals`.
@@ -100,17 +101,18 @@ def separation_of(
         extra: Effects of the user's own.
 
     Raises:
-        ArgumentError: There are no such effects or places, or these cannot be told apart.
+        ArgumentError: There are no such effects or places, or these cannot be distinguished.
     """
     rivals = placed_rivals(text, model, limits, extra=extra)
     first, second = (rival.name for rival in rivals)
     width = _SIGN_SHARE * limits.velocity
     separation = make_separation(model, *rivals, noise=noise, sign_width=width)
-    told = {pair.truth.partition(" (")[0] for pair in separation.pairs}
+    named = {pair.truth.partition(" (")[0] for pair in separation.pairs}
     notes = [
-        f"{other} explains all that {name} does: only the other way around can they be told apart"
+        f"{other} explains all that {name} does: they can be distinguished the other way around "
+        "only"
         for name, other in ((first, second), (second, first))
-        if name not in told
+        if name not in named
     ]
     known = {fitted.effect for fitted in model.effects if fitted.parameters.any()}
     if any(known.intersection(rival.effects) for rival in rivals):

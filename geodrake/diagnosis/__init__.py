@@ -1,20 +1,18 @@
 """What a model is missing: compare it with measurements, diagnose, add, explain."""
 
 from geodrake.diagnosis.add import add
-from geodrake.diagnosis.compare import compare
 from geodrake.diagnosis.diagnose import diagnose
-from geodrake.diagnosis.evidence import Criteria
+from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import explain
-from geodrake.diagnosis.results import (
-    Candidate,
+from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, Step
+from geodrake.identification.logs.compare import compare
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.model_errors import (
     Comparison,
-    Diagnosis,
     ErrorTable,
-    Explanation,
     Failing,
     JointError,
     Series,
-    Step,
 )
 
 __all__ = [
@@ -31,5 +29,8 @@ __all__ = [
     "add",
     "compare",
     "diagnose",
+    "draft_effects",
     "explain",
+    "rest_correlates",
+    "source_of",
 ]

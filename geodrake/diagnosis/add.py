@@ -7,32 +7,28 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.arguments import instance, instances
-from geodrake.diagnosis.case import Case, error_table, open_case
-from geodrake.diagnosis.columns import with_columns, with_episodes
-from geodrake.diagnosis.compare import comparison
+from geodrake.boundary.arguments import instance, instances
+from geodrake.diagnosis.continuous_shapes import to_profile, with_continuous_shapes
 from geodrake.diagnosis.coupled import other_pairs
 from geodrake.diagnosis.delay import delayed_at
-from geodrake.diagnosis.exact_shapes import to_profile, with_exact_shapes
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
-from geodrake.diagnosis.forward import Trail, tuned
-from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+from geodrake.diagnosis.further_columns import with_columns, with_episodes
 from geodrake.diagnosis.proposals import suggested_of
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.search import LOOSER_PRIORS
 from geodrake.diagnosis.steps import steps_of
+from geodrake.diagnosis.stepwise_search import Trail, tuned
 from geodrake.diagnosis.trials import gain_of
-from geodrake.effects import Contact, EffortDelay, effect_class
-from geodrake.effects.base import Effect
+from geodrake.effects import Effect, FittedEffect, Role, effect_class
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
-from geodrake.identification.model_fit import model_unknowns
-from geodrake.model import FittedEffect, RobotModel
-from geodrake.motion import JointLog
-
-WHOLE = ("wrong_inertia", "effort_delay")
-"""Effects of the whole robot, which are no entries of the catalogue with columns."""
+from geodrake.identification.logs.case import Case, error_table, open_case
+from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
+from geodrake.identification.logs.model_fit import model_unknowns
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
 
 
 def add(
@@ -64,7 +60,7 @@ def add(
 
     Raises:
         ArgumentError: There is no such effect or place, the effect takes no place, the model has it
-            there already, or it cannot be told by these logs or this model.
+            there already, or it is not identifiable from these logs with this model.
         LogError: A log cannot be used.
     """
     instance(model, "model", RobotModel)
@@ -74,12 +70,13 @@ def add(
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     if model.information is None:
         start = tuned(start)
-    if effect == Contact.name:
-        case, trail = _with_contacts(case, start)
+    kind = effect_class(effect, extra)
+    if kind.role is Role.EPISODE:
+        case, trail = _with_episodes(kind, case, start)
     else:
-        case, trail = _with_shapes(effect, case, start, where, extra)
+        case, trail = _with_shapes(kind, case, start, where)
     after_case, fit, _ = final_fit(case, trail.end)
-    _refuse_untold(fit.model, set(trail.end.unknowns.effects) - set(start.unknowns.effects))
+    _refuse_unidentifiable(fit.model, set(trail.end.unknowns.effects) - set(start.unknowns.effects))
     before, after = comparison(case), comparison(after_case, fit.unknowns, fit.held_out)
     return Explanation(
         verdict_of(after.errors, found=True),
@@ -101,10 +98,11 @@ def _refuse_what_cannot_be(
     extra: Sequence[type[Effect]],
 ) -> None:
     """Raises an ArgumentError for what no log could add."""
-    cls = None if effect in WHOLE else effect_class(effect, extra)
-    late = effect == EffortDelay.name
-    if where and not late and (cls is None or cls is Contact):
-        whose = "where the residual shows it" if cls is Contact else "one of the whole robot"
+    role = effect_class(effect, extra).role
+    late = role is Role.DELAY
+    if where and role in (Role.INERTIA, Role.EPISODE):
+        shown = role is Role.EPISODE
+        whose = "where the residual shows it" if shown else "one of the whole robot"
         raise ArgumentError(f"{effect} is {whose} and takes no place.")
     known = model.joints if late else (*model.joints, *model.bodies)
     for name in where or ():
@@ -115,56 +113,51 @@ def _refuse_what_cannot_be(
             )
 
 
-def _refuse_untold(fitted: RobotModel, added: set[Effect]) -> None:
-    """Raises an ArgumentError for an effect of whose parameters the logs tell none."""
-    untold = [f.effect for f in fitted.effects if f.effect in added and _is_untold(f)]
-    if untold and len(untold) == len(added):
+def _refuse_unidentifiable(fitted: RobotModel, added: set[Effect]) -> None:
+    """Raises an ArgumentError for an effect of which no parameter is identifiable."""
+    missing = [f.effect for f in fitted.effects if f.effect in added and _is_unidentifiable(f)]
+    if missing and len(missing) == len(added):
         raise ArgumentError(
-            f"{untold[0].name} at {', '.join(effect.place for effect in untold)} is not told by "
-            "these logs, in which its columns are zero.",
+            f"{missing[0].name} at {', '.join(effect.place for effect in missing)} is not "
+            "identifiable from these logs, in which its columns are zero.",
             advice="Check its columns, or record a motion in which it acts.",
         )
 
 
-def _is_untold(fitted: FittedEffect) -> bool:
+def _is_unidentifiable(fitted: FittedEffect) -> bool:
     return fitted.deviations is not None and not np.isfinite(fitted.deviations).any()
 
 
-def _with_contacts(case: Case, start: Hypothesis) -> tuple[Case, Trail]:
-    """The contacts that the residual shows."""
+def _with_episodes(kind: type[Effect], case: Case, start: Hypothesis) -> tuple[Case, Trail]:
+    """The episodes that the residual shows."""
     case, trail, found = with_episodes(case, Trail(start, start, {}))
     if not found:
         raise ArgumentError(
-            f"No {Contact.name} stands out of what the model gets wrong in these logs.",
+            f"No {kind.name} stands out of what the model gets wrong in these logs.",
             advice="Friction may cover it up: explain the logs, or add what else is missing first.",
         )
     return case, trail
 
 
 def _with_shapes(
-    effect: str,
-    case: Case,
-    start: Hypothesis,
-    where: Sequence[str] | None,
-    extra: Sequence[type[Effect]],
+    kind: type[Effect], case: Case, start: Hypothesis, where: Sequence[str] | None
 ) -> tuple[Case, Trail]:
-    """An effect where it is told or helps most, in the shape that explains most."""
-    kind = None if effect in WHOLE else effect_class(effect, extra)
+    """An effect where it is asked for or helps most, in the shape that explains most."""
     offered = {candidate.name for candidate in case.dataset.effects}
-    if kind is not None and kind.needs_known_inertia and effect not in offered:
+    if kind.needs_known_inertia and kind.name not in offered:
         raise ArgumentError(
-            f"{effect} can be told only by inertias or payloads that are known; here none are.",
+            f"{kind.name} is identifiable only if inertias or payloads are known; here none are.",
             advice="Take a model that was fitted to other logs (explain those, with --save), or a "
             "log with a known payload beside one without.",
         )
-    more = () if kind is None else _without_columns(kind, case, start, where)
+    more = _without_columns(kind, case, start, where)
     if more:
         case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *more])
         start = trail.start
-    end = _with(effect, start, case, where)
+    end = _with(kind, start, case, where)
     trail, present = Trail(start, end, {}), set(start.unknowns.effects)
     if to_profile(end, case.dataset.effects, present):
-        case, trail = with_exact_shapes(case, trail, case.dataset.effects, present)
+        case, trail = with_continuous_shapes(case, trail, case.dataset.effects, present)
     return case, trail
 
 
@@ -172,27 +165,27 @@ def _without_columns(
     kind: type[Effect], case: Case, start: Hypothesis, where: Sequence[str] | None
 ) -> tuple[Effect, ...]:
     """What may be added of a kind that a case has no columns for: by the residual, or as asked."""
-    if kind.from_residual:
-        return suggested_of(case, start, kind.name)
     if kind.places != "joint_pair":
-        return ()
+        return suggested_of(case, start, kind.name) if kind.proposer else ()
     pairs = other_pairs(case.model, case.model.single_joints)
     asked = [pair for pair in pairs if sorted(pair) == sorted(where or ())]
     found = [effect for pair in asked for effect in candidates_of(kind, pair)]
     return tuple(effect for effect in found if effect not in case.dataset.effects)
 
 
-def _with(effect: str, start: Hypothesis, case: Case, where: Sequence[str] | None) -> Hypothesis:
-    if effect == "effort_delay":
+def _with(
+    kind: type[Effect], start: Hypothesis, case: Case, where: Sequence[str] | None
+) -> Hypothesis:
+    if kind.role is Role.DELAY:
         return _late(start, case, where)
-    if effect == "wrong_inertia":
+    if kind.role is Role.INERTIA:
         looser = [start.loosened(factor / start.looseness) for factor in LOOSER_PRIORS]
         return max(looser, key=lambda h: gain_of(start, h))
     options: dict[tuple[str, ...], list[Effect]] = {}
     for candidate in case.dataset.effects:
-        if candidate.name == effect and candidate not in start.unknowns.effects:
+        if candidate.name == kind.name and candidate not in start.unknowns.effects:
             options.setdefault(candidate.where, []).append(candidate)
-    places = _places(effect, options, where)
+    places = _places(kind.name, options, where)
     best = [
         max((start.with_effects([c]) for c in options[place]), key=lambda h: gain_of(start, h))
         for place in places

@@ -1,4 +1,4 @@
-"""Which motion would tell apart the effects that logs cannot: what to ask `geodrake excite` for."""
+"""Which motion would distinguish effects that logs cannot: what to ask `geodrake excite`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from geodrake.diagnosis.rival_places import place_of_rival
 from geodrake.effects import effect_class, make_effect
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
-from geodrake.model import RobotModel
+from geodrake.model.robot_model import RobotModel
 
 _MOST = 4
 
@@ -17,11 +17,12 @@ Finding = tuple[str, Sequence[str]]
 """Name of an effect, two joined by " + ", and its joints or bodies."""
 
 
-def telling_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
+def distinguishing_commands(found: Diagnosis | Explanation) -> tuple[str, ...]:
     """Commands that design the motions by which ambiguous findings would be settled.
 
     Args:
-        found: What logs told. Its findings may have rivals that the logs cannot tell from them.
+        found: What logs showed. Its findings may have rivals from which the logs cannot
+            distinguish them.
 
     Returns:
         `geodrake excite MODEL --tell-apart A,B[@PLACE]`, one for each pair that a motion can tell
@@ -118,6 +119,6 @@ def _class(name: str) -> type[Effect] | None:
     """The effect that a motion can be designed for; None if it cannot, whatever the place."""
     try:
         cls = effect_class(name)
-    except ArgumentError:  # wrong_inertia, or an effect of the user's own
+    except ArgumentError:  # an effect of the user's own
         return None
     return cls if getattr(cls, "parameters", ()) and cls.places != "log" else None

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geodrake.diagnosis.case import Case
-from geodrake.diagnosis.evidence import Criteria, log_likelihood_gain
-from geodrake.diagnosis.hypothesis import HELD, Hypothesis, settle
-from geodrake.identification.cross_validation import HeldOut
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.evidence import Criteria, log_likelihood_gain
+from geodrake.identification.logs.hypothesis import FIXED, Hypothesis, settle
 from geodrake.inertia import PARAMETERS_PER_BODY
 
 
@@ -31,7 +31,7 @@ class BodyGains:
 def gains_of_bodies(
     case: Case, refitted: Hypothesis, standing: HeldOut, criteria: Criteria
 ) -> BodyGains:
-    """Refit one body after the other, all others held where the model has them.
+    """Refit one body after the other, all others fixed where the model has them.
 
     Args:
         case: The case.
@@ -50,9 +50,9 @@ def gains_of_bodies(
 
 
 def _alone(refitted: Hypothesis, index: int, bodies: int) -> Hypothesis:
-    """The hypothesis with the inertial parameters of all bodies but one held."""
+    """The hypothesis with the inertial parameters of all bodies but one fixed."""
     scale = np.ones(len(refitted.unknowns.columns))
-    scale[: bodies * PARAMETERS_PER_BODY] = 1.0 / HELD
+    scale[: bodies * PARAMETERS_PER_BODY] = 1.0 / FIXED
     scale[index * PARAMETERS_PER_BODY : (index + 1) * PARAMETERS_PER_BODY] = 1.0
     information = refitted.unknowns.information * scale[:, None] * scale
     return settle(replace(refitted, unknowns=replace(refitted.unknowns, information=information)))

@@ -3,42 +3,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
 from geodrake.effects.base import Effect
 
-COMPLEXITY: Mapping[str, int] = {
-    "viscous_friction": 0,
-    "coulomb_friction": 0,
-    "effort_offset": 0,
-    "rotor_inertia": 0,
-    "payload": 1,
-    "asymmetric_friction": 1,
-    "load_dependent_friction": 1,
-    "joint_spring": 1,
-    "gravity_compensator": 1,
-    "coupled_friction": 1,
-    "coupled_rotor_inertia": 1,
-    "effort_delay": 1,
-    "stribeck_friction": 2,
-    "nonlinear_viscous_friction": 2,
-    "torque_ripple": 2,
-    "friction_drift": 2,
-    "hysteresis": 2,
-    "gravity_tilt": 1,
-    "effort_scale": 1,
-    "aerodynamic_drag": 2,
-    "joint_elasticity": 1,
-    "backlash": 2,
-    "contact": 3,
-    "wrong_inertia": 3,
-}
-"""Of candidates that the data cannot tell apart, the one of least complexity is named."""
-
-DRY_AND_VISCOUS = ("coulomb_friction", "viscous_friction")
-_WITHIN_ASYMMETRIC = (*DRY_AND_VISCOUS, "effort_offset")
+Places = frozenset[tuple[str, tuple[str, ...]]]
+"""Names of effects, each with the joints or bodies where it is."""
 
 
 @dataclass(frozen=True)
@@ -64,24 +36,24 @@ class Kind:
     """Packages that bear one name: per place, the shapes to choose from.
 
     Attributes:
-        names: Effect names, two for a pair that is found together or not at all.
+        classes: Classes of the effects, two for a pair that is found together or not at all.
         options: Place -> packages to choose one from.
         unite: Whether several places may be named at once (joints), or one only (bodies, pairs).
     """
 
-    names: tuple[str, ...]
+    classes: tuple[type[Effect], ...]
     options: Mapping[tuple[str, ...], tuple[Package, ...]]
     unite: bool
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its effects."""
+        return tuple(kind.name for kind in self.classes)
+
+    @property
     def complexity(self) -> int:
         """Complexity of the most complex of its effects."""
-        return kind_complexity(self.names)
-
-
-def kind_complexity(names: Sequence[str]) -> int:
-    """Complexity of the most complex effect; a user's own effect counts like the complex ones."""
-    return max(COMPLEXITY.get(name, 2) for name in names)
+        return max(kind.complexity for kind in self.classes)
 
 
 def kinds_at(
@@ -106,41 +78,49 @@ def kinds(effects: Sequence[Effect], present: Sequence[Effect]) -> list[Kind]:
         effects: Every effect that has columns in the dataset, the shapes of a grid included.
         present: Effects of the hypothesis; what they already say is not offered again.
     """
-    taken = {(effect.name, effect.where) for effect in present}
-    options: dict[tuple[str, ...], dict[tuple[str, ...], list[Package]]] = defaultdict(
+    said = said_by(present)
+    options: dict[tuple[type[Effect], ...], dict[tuple[str, ...], list[Package]]] = defaultdict(
         lambda: defaultdict(list)
     )
-    joint_kinds: set[tuple[str, ...]] = set()
-    by_place: dict[tuple[str, ...], dict[str, Effect]] = defaultdict(dict)
+    united: set[tuple[type[Effect], ...]] = set()
+    by_place: dict[tuple[str, ...], dict[type[Effect], Effect]] = defaultdict(dict)
     for effect in effects:
-        own = (effect.name, effect.where)
-        if own in taken or not has_base(effect, taken) or _is_within(effect, taken):
+        if (effect.name, effect.where) in said or not has_base(effect, said):
             continue
-        options[(effect.name,)][effect.where].append(Package((effect,), effect.where))
-        by_place[effect.where][effect.name] = effect
-        if effect.places == "joint" and not effect.sees_bodies:  # felt at its joint alone
-            joint_kinds.add((effect.name,))
-    for place, named in by_place.items():
-        pair = tuple(named[name] for name in DRY_AND_VISCOUS if name in named)
-        if len(pair) == len(DRY_AND_VISCOUS):
-            singles = [Package((effect,), place) for effect in pair]
-            options[DRY_AND_VISCOUS][place] = [Package(pair, place), *singles]
-            joint_kinds.add(DRY_AND_VISCOUS)
-    for place, alone in options.get(("coupled_rotor_inertia",), {}).items():
-        rotors = [by_place[joint,].get("rotor_inertia") for joint in place]
-        more = tuple(rotor for rotor in rotors if rotor is not None)
-        if more:  # the rotor that couples two joints turns with each of them too
-            alone += [Package((*each.effects, *more), place) for each in alone]
+        alone = (type(effect),)
+        options[alone][effect.where].append(Package((effect,), effect.where))
+        by_place[effect.where][type(effect)] = effect
+        if effect.places == "joint" and "bodies" not in effect.depends_on:  # felt there alone
+            united.add(alone)
+    for place, here in by_place.items():
+        for kind, effect in here.items():
+            if kind.companion in here:
+                pair = (effect, here[kind.companion])
+                singles = [Package((each,), place) for each in pair]
+                options[kind, kind.companion][place] = [Package(pair, place), *singles]
+                united.add((kind, kind.companion))
+    for (kind, *_), places in options.items():
+        for place, packages in places.items() if kind.at_each_joint else ():
+            found = [by_place[joint,].get(own) for own in kind.at_each_joint for joint in place]
+            more = tuple(effect for effect in found if effect is not None)
+            if more:  # the actuator that couples two joints turns with each of them too
+                packages += [Package((*each.effects, *more), place) for each in packages]
     return [
-        Kind(names, {p: tuple(packages) for p, packages in places.items()}, names in joint_kinds)
-        for names, places in options.items()
+        Kind(classes, {p: tuple(packages) for p, packages in places.items()}, classes in united)
+        for classes, places in options.items()
     ]
 
 
 def pairs_at(
     effects: Sequence[Effect], present: Sequence[Effect], place: tuple[str, ...]
 ) -> tuple[Package, ...]:
-    """All pairs of the simple effects at a place: each may hide the other; see `simple_at`."""
+    """All pairs of the simple effects at a place: each may hide the other; see `simple_at`.
+
+    Args:
+        effects: Effects that are tried.
+        present: Effects that the hypothesis has.
+        place: Joint or body names.
+    """
     return tuple(
         Package(pair, place) for pair in combinations(simple_at(effects, present, place), 2)
     )
@@ -158,7 +138,7 @@ def hidden_pairs(
     """
     place = (joint,)
     offered = kinds_at(effects, present, place)
-    singles = [kind.options[place] for kind in offered if kind.unite and len(kind.names) == 1]
+    singles = [kind.options[place] for kind in offered if kind.unite and len(kind.classes) == 1]
     return tuple(
         Package((*one.effects, *other.effects), place)
         for ones, others in combinations(singles, 2)
@@ -181,36 +161,25 @@ def simple_at(
         for effect in effects
         if effect.where == place
         and effect not in present
-        and kind_complexity((effect.name,)) <= 1
+        and effect.complexity <= 1
         and Package((effect,), place).parameters == 1
     ]
 
 
-def _is_within(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
-    """Whether asymmetric friction is there, which with other heights and slopes has the effect."""
-    return effect.name in _WITHIN_ASYMMETRIC and ("asymmetric_friction", effect.where) in taken
+def said_by(effects: Iterable[Effect]) -> Places:
+    """Names and places of some effects, and of those that they contain."""
+    return frozenset(
+        (kind.name, effect.where) for effect in effects for kind in (type(effect), *effect.contains)
+    )
 
 
-def is_refinement(effect: Effect) -> bool:
-    """Whether an effect refines dry and viscous friction, and alone is a compromise of the two.
+def has_base(effect: Effect, said: Places) -> bool:
+    """Whether all that an effect refines, if it does, is among what is said by others.
 
-    Stribeck friction is one, drift of friction, and |v|^α with α < 1; drag that grows faster than
-    the speed is not.
+    Args:
+        effect: The effect.
+        said: Names and places of the other effects, as `said_by` gives them.
     """
-    if effect.name == "nonlinear_viscous_friction":
-        return float(effect.shape["exponent"]) < 1.0
-    return effect.name in ("stribeck_friction", "friction_drift")
-
-
-def has_base(effect: Effect, taken: Collection[tuple[str, tuple[str, ...]]]) -> bool:
-    """Whether the frictions that an effect refines are among those taken, by name and place.
-
-    Stribeck friction refines dry friction, with viscous friction or without; drift either of them;
-    |v|^α both, which it stands between.
-    """
-    if not is_refinement(effect) or ("asymmetric_friction", effect.where) in taken:
-        return True
-    dry, viscous = ((name, effect.where) in taken for name in DRY_AND_VISCOUS)
-    if effect.name == "friction_drift":
-        return dry or viscous
-    return dry and (viscous or effect.name == "stribeck_friction")
+    return not effect.refines or any(
+        all((base.name, effect.where) in said for base in bases) for bases in effect.refines
+    )

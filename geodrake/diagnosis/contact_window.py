@@ -9,21 +9,21 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from geodrake.diagnosis.evidence import effective_samples
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.contact import Contact
-from geodrake.filtering import ZeroPhaseFilter
+from geodrake.effects.episode import Episode
+from geodrake.identification.logs.evidence import effective_samples
+from geodrake.logs.filtering import ZeroPhaseFilter
 
 Array = NDArray[np.float64]
 
 PIECES = 4
-"""Pieces into which a window is cut; every other one predicts the rest."""
+"""A window is cut into so many pieces; every other one predicts the rest."""
 
 SHORTEST = 0.2
-"""Shortest contact that is looked for, s."""
+"""No contact shorter than this is looked for, s."""
 
 FEW, ENOUGH = 120, 240
-"""Steps of the search for a contact's times and point: for one of many bodies, and for the last."""
+"""Steps of the search for a contact's times and point: on one of many bodies, and on the last."""
 
 _LEVER = 0.2  # m, by which forces and moments are made alike
 _SINGULAR = 0.05  # over the residuals' RMS in noise, of the direction that is felt most
@@ -34,7 +34,7 @@ _STEPS = np.array([0.05, 0.05, 0.5, 0.1, 0.1, 0.1])  # first: s, s, logarithm, m
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class ResidualWindow:
     """A window of a log, with the residual and the motion around it.
 
     Attributes:
@@ -60,8 +60,13 @@ class Window:
     filter: ZeroPhaseFilter
 
 
-def columns(window: Window, contact: Contact) -> Array:
-    """(K, nv, 6) filtered columns of a contact, over what is typical of each joint."""
+def columns(window: ResidualWindow, contact: Episode) -> Array:
+    """(K, nv, 6) filtered columns of a contact, over what is typical of each joint.
+
+    Args:
+        window: The window.
+        contact: A contact of one of its bodies.
+    """
     values = contact.columns(window.bodies.motion(contact.body), window.time)
     return np.asarray(window.filter.apply(values) / window.size[:, None])
 
@@ -86,8 +91,13 @@ class WrenchColumns:
     rows: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, window: Window, body: str) -> WrenchColumns:
-        """Those of a body in a window."""
+    def of(cls, window: ResidualWindow, body: str) -> WrenchColumns:
+        """Those of a body in a window.
+
+        Args:
+            window: The window.
+            body: Name of the body.
+        """
         motion, low_pass = window.bodies.motion(body), window.filter
         dofs, R = list(motion.dofs), motion.rotation.transpose(0, 2, 1)
         angular, linear = (
@@ -101,7 +111,7 @@ class WrenchColumns:
         rows = np.isfinite(window.residual[:, dofs])
         return cls(near, window.time, low_pass, rows)
 
-    def columns(self, contact: Contact) -> Array:
+    def columns(self, contact: Episode) -> Array:
         """The known rows of `columns` at the joints that move the body."""
         edges = ((self.time - edge) / contact.rise for edge in (contact.start, contact.end))
         after, before = map(np.tanh, edges)
@@ -113,14 +123,20 @@ class WrenchColumns:
         return np.concatenate([force, parts[:, 4]], -1)[self.rows]
 
 
-def refined(window: Window, contact: Contact, *, tries: int = ENOUGH) -> Contact:
-    """The contact with the times and the point at which it leaves least of the squared residual."""
+def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) -> Episode:
+    """The contact with the times and the point at which it leaves least of the squared residual.
+
+    Args:
+        window: The window.
+        contact: Where the search starts.
+        tries: Most steps of the search.
+    """
     felt = WrenchColumns.of(window, contact.body)
     dofs = list(window.bodies.motion(contact.body).dofs)
     b = window.residual[:, dofs][felt.rows]
     unit, cut = np.repeat([1.0, _LEVER], 3), _cut(b)
 
-    def moved(step: Array) -> Contact | None:
+    def moved(step: Array) -> Episode | None:
         start, end, rise, x, y, z = step.tolist()
         start, end, rise = contact.start + start, contact.end + end, contact.rise * np.exp(rise)
         point = [contact.x + x, contact.y + y, contact.z + z]
@@ -128,7 +144,8 @@ def refined(window: Window, contact: Contact, *, tries: int = ENOUGH) -> Contact
             return None
         if max(map(abs, point)) > _FARTHEST or rise < _SHARPEST:
             return None
-        return Contact(contact.body, start, end, rise, contact.log, *point)
+        x, y, z = point
+        return replace(contact, start=start, end=end, rise=rise, x=x, y=y, z=z)
 
     def explained(step: Array) -> float:
         """By the wrench of least squares, less the directions that the joints hardly feel."""
@@ -147,8 +164,13 @@ def refined(window: Window, contact: Contact, *, tries: int = ENOUGH) -> Contact
     return moved(found.x) or contact
 
 
-def with_point(window: Window, contact: Contact) -> Contact:
-    """A contact at the point, on the line of its force, that makes its moment smallest."""
+def with_point(window: ResidualWindow, contact: Episode) -> Episode:
+    """A contact at the point, on the line of its force, that makes its moment smallest.
+
+    Args:
+        window: The window.
+        contact: The contact, with its point at Bo.
+    """
     motion, rows = window.bodies.motion(contact.body), np.isfinite(window.residual)
     wrench = _wrench(columns(window, contact)[rows], window.residual[rows])
     force, moment = wrench[:3], wrench[3:]
@@ -193,8 +215,13 @@ class Predicted:
     felt: int
 
 
-def evidence(window: Window, contact: Contact) -> Predicted:
-    """What the wrench of every other piece of a window predicts of the rest."""
+def evidence(window: ResidualWindow, contact: Episode) -> Predicted:
+    """What the wrench of every other piece of a window predicts of the rest.
+
+    Args:
+        window: The window.
+        contact: The contact to be judged.
+    """
     A = columns(window, contact)
     inside = (window.outputs >= contact.start) & (window.outputs <= contact.end)
     since = (window.outputs - contact.start) / (contact.end - contact.start)

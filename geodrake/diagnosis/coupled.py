@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -10,50 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import JointResidual, filtered_columns
-from geodrake.effects import CoupledFriction, CoupledRotorInertia
-from geodrake.effects.base import JointPairEffect
-from geodrake.model import RobotModel
-from geodrake.motion import Segment
+from geodrake.effects.shared_actuator import SharedActuatorEffect
+from geodrake.identification.logs.case import Case
+from geodrake.logs.smoothing import Segment
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
 _SIGNS = (1.0, -1.0)
 """An actuator turns with the sum of two speeds or with their difference."""
 _OWN = 4
-"""Columns of a joint's own friction, rotor and offset."""
-
-
-def _friction(joint: JointResidual, segment: Segment, own: int, others: list[int]) -> Array:
-    """(N, m, 2, 2) dry and viscous friction of an actuator shared with each of m other joints.
-
-    Whatever its sign s, at either joint it is F sgn w + c w with w = v + s v of the other one.
-    """
-    v = segment.velocity
-    w = v[:, own, None, None] + np.multiply.outer(v[:, others], _SIGNS)
-    return np.stack([joint.direction(w), w], -1)
-
-
-def _rotor(joint: JointResidual, segment: Segment, own: int, others: list[int]) -> Array:
-    """(N, m, 2, 1) what a rotor shared with each of m other joints adds: ± v̇ of the other one."""
-    del joint, own
-    return np.multiply.outer(segment.acceleration[:, others], _SIGNS)[..., np.newaxis]
-
-
-Law = Callable[[JointResidual, Segment, int, list[int]], Array]
-"""Columns (N, m, 2, k) at a joint of what it shares with m others, by partner and sign."""
-
-_LAWS: tuple[tuple[type[JointPairEffect], Law], ...] = (
-    (CoupledFriction, _friction),
-    (CoupledRotorInertia, _rotor),
-)
-"""What is looked for; with the right sign, no parameter is negative."""
+"""Columns of a joint's own friction, rotor inertia and offset."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _Sharing:
     """How the residual of a joint goes with what it may share with m others.
 
     What friction and a rotor of its own explain is taken out of residual and columns, and both are
@@ -90,9 +63,11 @@ def coupled_joints(
     """
     pairs = other_pairs(case.model, [j.joint for j in joints if np.ptp(j.q) > 0.0])
     partners = {joint.joint: _partners(joint.joint, pairs) for joint in joints}
-    for effect, law in _LAWS:
+    for effect in case.effect_classes:
+        if not issubclass(effect, SharedActuatorEffect):
+            continue
         looks = {
-            joint.joint: _look(case, joint, partners[joint.joint], motion, law)
+            joint.joint: _look(case, joint, partners[joint.joint], motion, effect)
             for joint in joints
             if partners[joint.joint]
         }
@@ -105,7 +80,12 @@ def coupled_joints(
 
 
 def other_pairs(model: RobotModel, moving: Sequence[str]) -> list[tuple[str, str]]:
-    """Pairs of moving joints that both turn, or both slide, and do not follow each other."""
+    """Pairs of moving joints that both turn, or both slide, and do not follow each other.
+
+    Args:
+        model: The model.
+        moving: Names of the joints that move in the logs.
+    """
     single = [joint for joint in model.single_joints if joint in moving]
     return [
         (one, other)
@@ -125,18 +105,23 @@ def _look(
     joint: JointResidual,
     partners: Sequence[str],
     motion: Sequence[tuple[int, Segment]],
-    law: Law,
-) -> _Look:
+    effect: type[SharedActuatorEffect],
+) -> _Sharing:
     """How the residual of a joint goes with what it may share with its partners."""
     own = case.model.joints.index(joint.joint)
     others = [case.model.joints.index(name) for name in partners]
 
     def columns(segment: Segment) -> Array:
         v, a = segment.velocity[:, own], segment.acceleration[:, own]
-        shared = law(joint, segment, own, others).reshape(len(v), -1)
+        turned_v, turned_a = (
+            np.multiply.outer(each[:, others], _SIGNS)
+            for each in (segment.velocity, segment.acceleration)
+        )
+        shared = effect.shared(v[:, None, None], turned_v, turned_a, joint.direction)
+        shared = shared.reshape(len(v), -1)
         return np.column_stack([joint.direction(v), v, a, np.ones_like(v), shared])
 
-    found = filtered_columns(case, motion, joint, columns)
+    found = filtered_columns(case, motion, joint, (columns(segment) for _, segment in motion))
     seen = np.asarray(np.isfinite(found).all(axis=1))
     base, shared = np.split(found[seen], [_OWN], axis=1)
     both = np.column_stack([joint.residual[seen], shared])
@@ -144,14 +129,14 @@ def _look(
     both /= float(np.linalg.norm(both[:, 0])) or 1.0
     residual = both[:, 0]
     shared = both[:, 1:].reshape(len(both), len(partners), len(_SIGNS), -1)
-    return _Look(
+    return _Sharing(
         np.einsum("t,tmsk->msk", residual, shared),
         np.einsum("tmsk,tmsl->mskl", shared, shared),
         joint.part(seen).effective,
     )
 
 
-def _together(places: Sequence[tuple[_Look, int]]) -> tuple[float, float]:
+def _together(places: Sequence[tuple[_Sharing, int]]) -> tuple[float, float]:
     """What one actuator explains at both of its joints, with the sign that explains more.
 
     Args:

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.effects.effort_delay import effort_delays
-from geodrake.model import FittedEffect
+from geodrake.effects import FittedEffect
+from geodrake.effects.delays import effort_delays
+from geodrake.identification.logs.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
 Joints = tuple[int, ...]
 
 _NO_TIME = 1e-9
-"""Delays, s, that are none: what rounding leaves."""
+"""A delay below this, s, is none: it is rounding."""
 
 
 def seconds_of(hypothesis: Hypothesis) -> Array:
@@ -24,7 +24,12 @@ def seconds_of(hypothesis: Hypothesis) -> Array:
 
 
 def later(start: Hypothesis, end: Hypothesis) -> list[Joints]:
-    """Joints whose efforts are advanced further by another hypothesis; see `late_together`."""
+    """Joints whose efforts are advanced further by another hypothesis; see `late_together`.
+
+    Args:
+        start: The hypothesis before.
+        end: The hypothesis after.
+    """
     return late_together(seconds_of(end) - seconds_of(start))
 
 
@@ -37,7 +42,12 @@ def late_together(seconds: Array) -> list[Joints]:
 
 
 def fine_delays(hypothesis: Hypothesis, late: Sequence[Joints]) -> tuple[Array, Array]:
-    """`fine_delay` of groups of joints: (nv,) delays and deviations; others are as they are."""
+    """`fine_delay` of groups of joints: (nv,) delays and deviations; others are as they are.
+
+    Args:
+        hypothesis: The hypothesis.
+        late: Groups of joints, by index, that share one delay each.
+    """
     delays, deviations = seconds_of(hypothesis), np.full(len(hypothesis.delay), np.nan)
     for joints in late:
         delays[[*joints]], deviations[[*joints]] = fine_delay(hypothesis, joints)
@@ -45,7 +55,12 @@ def fine_delays(hypothesis: Hypothesis, late: Sequence[Joints]) -> tuple[Array, 
 
 
 def fitted_delays(delays: Array, joints: Sequence[str]) -> list[FittedEffect]:
-    """The effects of a fitted model that make delays (nv,), s, at its joints."""
+    """The effects of a fitted model that make delays (nv,), s, at its joints.
+
+    Args:
+        delays: (nv,) delays, s.
+        joints: Names of the nv joints.
+    """
     none = np.empty(0)
     return [FittedEffect(effect, none, none) for effect in effort_delays(delays, joints)]
 
@@ -82,6 +97,12 @@ def fine_delay(hypothesis: Hypothesis, joints: Joints) -> tuple[float, float]:
 
 
 def delayed_at(hypothesis: Hypothesis, joints: Joints, delay: int) -> Hypothesis:
-    """A hypothesis with another delay (an index) at some joints."""
+    """A hypothesis with another delay (an index) at some joints.
+
+    Args:
+        hypothesis: The hypothesis.
+        joints: Indices of the joints.
+        delay: Index of the dataset's delay.
+    """
     every = enumerate(hypothesis.delay)
     return hypothesis.delayed([delay if j in joints else own for j, own in every])

@@ -6,26 +6,27 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from geodrake.arguments import instance
-from geodrake.diagnosis.absorbed import absorbed
+from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.case import Case, error_table, open_case
-from geodrake.diagnosis.columns import with_episodes, with_suggestions
-from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.evidence import Criteria, false_alarm_probability
 from geodrake.diagnosis.explain import verdict_of
-from geodrake.diagnosis.forward import Forward, Trail, next_step, tuned
-from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+from geodrake.diagnosis.fixed_inertias import with_fixed_inertias
+from geodrake.diagnosis.further_columns import with_episodes, with_suggestions
 from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
+from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, tuned
 from geodrake.diagnosis.trials import PENALTY, gain_of
-from geodrake.effects.base import Effect
-from geodrake.identification.model_fit import as_it_stands, effects_of, model_unknowns
-from geodrake.model import RobotModel
-from geodrake.motion import JointLog
+from geodrake.effects import Effect, Role
+from geodrake.effects.lookup import effect_of
+from geodrake.identification.logs.case import Case, error_table, open_case
+from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.evidence import Criteria, false_alarm_probability
+from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
+from geodrake.identification.logs.model_fit import as_it_stands, effects_of, model_unknowns
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
 
 
 def diagnose(
@@ -49,7 +50,7 @@ def diagnose(
 
     Returns:
         Convincing candidates, each refitted with everything that may move. The first is the step
-        that `explain` takes next at this bandwidth: the simplest of those not told from the best,
+        that `explain` takes next at this bandwidth: the simplest of those as good as the best,
         with complex effects swapped for simpler ones wherever these stand within the criteria.
         Where no effect is needed beside bodies that move, those that spare them the way come first.
 
@@ -70,13 +71,13 @@ def diagnose(
     start, hypothesis = trail.start, trail.end
     if step is not None:
         first = _first(case, hypothesis, step)
-        others = [r for r in step.ranked if set(r.told) != set(first.names)]
-        if set(step.chosen.told) <= set(first.names):
+        others = [r for r in step.ranked if set(r.reported) != set(first.names)]
+        if set(step.chosen.reported) <= set(first.names):
             others = [r for r in others if r.hypothesis is not step.chosen.hypothesis]
         candidates = [_candidate(r, hypothesis.nrms) for r in (first, *others)]
     else:
-        candidates = _episodes(case, trail) or [
-            *_absorbed(case, start, criteria),
+        candidates = _episodes(case, trail, criteria) or [
+            *_with_fixed_inertias(case, start, criteria),
             *_refitted(case, start, criteria),
         ]
     refitted = error_table(case.dataset, hypothesis.held_out)
@@ -105,11 +106,12 @@ def _added(case: Case, before: Hypothesis, after: Hypothesis) -> Ranked | None:
     if not effects:
         return None
     names = Counter(sorted(effect.name for effect in effects))
+    classes = {effect.name: type(effect) for effect in effects}
     places = {place for effect in effects for place in effect.where}
     gain = gain_of(before, after)
     parameters = sum(Package((effect,), effect.where).parameters for effect in effects)
     return Ranked(
-        tuple(name for name, _ in names.most_common()),
+        tuple(classes[name] for name, _ in names.most_common()),
         tuple(place for place in (*case.model.joints, *case.model.bodies) if place in places),
         tuple(effects),
         after,
@@ -120,24 +122,24 @@ def _added(case: Case, before: Hypothesis, after: Hypothesis) -> Ranked | None:
     )
 
 
-def _episodes(case: Case, trail: Trail) -> list[Candidate]:
+def _episodes(case: Case, trail: Trail, criteria: Criteria) -> list[Candidate]:
     """Contacts, if the residual shows any."""
-    there, after, found = with_episodes(case, trail)
+    there, after, found = with_episodes(case, trail, alarm=criteria.alarm)
     if not found:
         return []
     without = after.end.without(found)
     gain, parameters = gain_of(without, after.end), sum(len(e.parameters) for e in found)
     alarm = false_alarm_probability(gain, parameters, len(there.dataset.effects))
     places = tuple(dict.fromkeys(place for effect in found for place in effect.where))
-    ranked = Ranked((found[0].name,), places, found, after.end, gain, parameters, alarm, tied=True)
+    ranked = Ranked((type(found[0]),), places, found, after.end, gain, parameters, alarm, tied=True)
     return [_candidate(ranked, without.nrms)]
 
 
-def _absorbed(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:
+def _with_fixed_inertias(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:
     """What explains the logs as well as moved inertias do, if they are not well known."""
     if case.model.information is not None:
         return []
-    hidden = absorbed(case, Trail(start, start, {}), effects_of(case.model), criteria)
+    hidden = with_fixed_inertias(case, Trail(start, start, {}), effects_of(case.model), criteria)
     found = [(t.start, _added(hidden.case, t.start, t.end)) for t in hidden.trails]
     return [_candidate(ranked, held.nrms) for held, ranked in found if ranked is not None]
 
@@ -152,12 +154,13 @@ def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candida
     standing = as_it_stands(case.dataset, case.model)
     where = gains_of_bodies(case, start, standing, criteria).enough or tuple(moved)
     before, score = error_table(case.dataset, standing).nrms, gain - 2 * PENALTY * nb
-    return [Candidate("wrong_inertia", where, before, start.nrms, score, alarm, tied=True)]
+    name = effect_of(Role.INERTIA).name
+    return [Candidate(name, where, before, start.nrms, score, alarm, tied=True)]
 
 
 def _candidate(ranked: Ranked, before: float) -> Candidate:
     return Candidate(
-        " + ".join(ranked.told),
+        " + ".join(ranked.reported),
         ranked.where,
         before,
         ranked.hypothesis.nrms,

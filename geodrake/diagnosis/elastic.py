@@ -4,29 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import JointResidual, filtered_columns
-from geodrake.effects import Backlash, JointElasticity
-from geodrake.effects.base import Effect
-from geodrake.effects.deflection import DeflectionEffect, slopes_of
+from geodrake.effects import Effect
+from geodrake.effects.deflection import DeflectionEffect
 from geodrake.effects.robot_motion import RobotMotion
-from geodrake.effort_slopes import EffortSlopes
-from geodrake.held_payloads import holding
-from geodrake.motion import Motion, Segment
+from geodrake.effects.role import Proposer
+from geodrake.identification.logs.case import Case
+from geodrake.logs.motion import Motion
+from geodrake.logs.smoothing import Segment
+from geodrake.model.carried_payloads import carrying
 
 Array = NDArray[np.float64]
-V = TypeVar("V")
 
 _LEAST_REVERSALS = 4
 _NEAR = ((0.3, 1.3, 1), (0.1, 1.6, 20), (0.05, 2.0, 20))
-"""Share of the load's RMS, times the squared error elsewhere, and samples: any gives play away."""
+"""Near zero load, play makes itself felt. Three ways to see it, any of which will do.
+
+Each is: loads below this share of their RMS count as near zero; the squared error there is more
+than so many times that elsewhere; at least so many samples are near zero.
+"""
 _SAMPLES = 5_000  # of a segment that are looked at
 
 
@@ -41,13 +43,13 @@ def elastic_joints(
         motion: `full_motion` of the case.
     """
     motion = _looked_at(motion)
+    moving = [j.joint for j in joints if j.joint in case.model.single_joints and np.ptp(j.q) > 0.0]
     found = []
-    for name in case.model.single_joints:
-        if np.ptp(joints[case.model.joints.index(name)].q) > 0.0:
-            effect = JointElasticity(name)
+    for name in moving:
+        for effect in _shapes(case, Proposer.BENDING, name):
             columns = _columns(case, effect, motion)
             filtered = [
-                filtered_columns(case, motion, joint, lambda s, i=i, c=columns: c[id(s)][:, i])  # type: ignore[misc]
+                filtered_columns(case, motion, joint, [column[:, i] for column in columns])
                 for i, joint in enumerate(joints)
             ]
             found.append(_proposal(effect, joints, filtered))
@@ -67,24 +69,34 @@ def loose_joints(
         motion: `full_motion` of the case.
     """
     motion = _looked_at(motion)
-    seen = _by_segment(motion, _motions(case, motion))
+    seen = _motions(case, motion)
     for name in case.model.single_joints:
         at = case.model.joints.index(name)
-        joint, loads = joints[at], {key: each.load[:, at, None] for key, each in seen.items()}
-        reversals = sum(int(np.sum(np.diff(np.sign(load[:, 0])) != 0)) for load in loads.values())
+        joint, loads = joints[at], [each.load[:, at, None] for each in seen]
+        reversals = sum(int(np.sum(np.diff(np.sign(load[:, 0])) != 0)) for load in loads)
         if reversals < _LEAST_REVERSALS or np.ptp(joint.q) <= 0.0:
             continue
-        load = filtered_columns(case, motion, joint, lambda s, c=loads: c[id(s)])[:, 0]  # type: ignore[misc]
+        load = filtered_columns(case, motion, joint, loads)[:, 0]
         if not _errs_near_zero(joint, load):
             continue
-        shapes = tuple(Backlash.candidates(name, 0.0))
+        shapes = _shapes(case, Proposer.PLAY, name)
         tried = []
         for shape in shapes:
-            columns = _columns(case, shape, motion)
-            found = filtered_columns(case, motion, joint, lambda s, c=columns, i=at: c[id(s)][:, i])  # type: ignore[misc]
+            columns = [column[:, at] for column in _columns(case, shape, motion)]
+            found = filtered_columns(case, motion, joint, columns)
             tried.append(_proposal(shape, [joint], [found]))
         best = min(tried, key=lambda proposal: proposal.alarm)
         yield Proposal(shapes, best.share, min(1.0, len(shapes) * best.alarm))
+
+
+def _shapes(case: Case, proposer: Proposer, joint: str) -> tuple[DeflectionEffect, ...]:
+    """The effects with a proposer at a joint, in all shapes to try."""
+    return tuple(
+        shape
+        for kind in case.effect_classes
+        if issubclass(kind, DeflectionEffect) and kind.proposer is proposer
+        for shape in kind.shaped(joint)
+    )
 
 
 def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
@@ -96,8 +108,8 @@ def _errs_near_zero(joint: JointResidual, load: Array) -> bool:
     rms = np.sqrt(np.mean(np.square(load[known])))
     for share, excess, enough in _NEAR:
         near, far = known & (size < share * rms), known & (size >= share * rms)
-        told = near.sum() >= enough and far.any()
-        if told and squares[near].mean() > excess * squares[far].mean():
+        seen = near.sum() >= enough and far.any()
+        if seen and squares[near].mean() > excess * squares[far].mean():
             return True
     return False
 
@@ -109,33 +121,25 @@ def _looked_at(motion: Sequence[tuple[int, Segment]]) -> list[tuple[int, Segment
 
 def _motions(case: Case, motion: Sequence[tuple[int, Segment]]) -> list[RobotMotion]:
     """The motion of every segment, computed once a case."""
-    if RobotMotion not in case.kept:
-        case.kept[RobotMotion] = [_motion(case, *each) for each in motion]
-    return list(case.kept[RobotMotion])
+    if not case.kept.seen:
+        case.kept.seen += [_motion(case, *each) for each in motion]
+    return case.kept.seen
 
 
 def _motion(case: Case, log: int, segment: Segment) -> RobotMotion:
     q, time = case.model.positions(segment.position), segment.time
-    robot = holding(case.load_model, case.trajectories[log].payloads)
+    robot = carrying(case.load_model, case.trajectories[log].payloads)
     return robot.motion(Motion(q, segment.velocity, segment.acceleration, time))
 
 
 def _columns(
     case: Case, effect: DeflectionEffect, motion: Sequence[tuple[int, Segment]]
-) -> dict[int, Array]:
-    """By the segment's identity, the effect's column at every joint (N, nv, 1), once a case."""
-    motions = _motions(case, motion)
-    if EffortSlopes not in case.kept:
-        case.kept[EffortSlopes] = [slopes_of(each, effect.name) for each in motions]
-    if effect not in case.kept:
-        both = zip(motions, case.kept[EffortSlopes], strict=True)
-        case.kept[effect] = [effect.column(each, slopes)[..., None] for each, slopes in both]
-    return _by_segment(motion, case.kept[effect])
-
-
-def _by_segment(motion: Sequence[tuple[int, Segment]], values: Sequence[V]) -> dict[int, V]:
-    """Values of segments by their identity."""
-    return dict(zip((id(segment) for _, segment in motion), values, strict=True))
+) -> list[Array]:
+    """Of every segment, the effect's column at every joint (N, nv, 1), computed once a case."""
+    columns = case.kept.columns
+    if effect not in columns:
+        columns[effect] = [effect.column(each)[..., None] for each in _motions(case, motion)]
+    return columns[effect]
 
 
 def _proposal(

@@ -16,23 +16,25 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case, error_table, reduced
 from geodrake.diagnosis.contact_window import (
     FEW,
     SHORTEST,
     Predicted,
-    Window,
+    ResidualWindow,
     evidence,
     refined,
     with_point,
 )
-from geodrake.diagnosis.hypothesis import HELD, Hypothesis
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
-from geodrake.effects.base import Effect
+from geodrake.effects import Effect
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.contact import Contact, log_number
-from geodrake.folds import set_apart
-from geodrake.motion import Segment
+from geodrake.effects.episode import Episode
+from geodrake.effects.robot_motion import log_number
+from geodrake.identification.logs.case import Case, error_table, reduced
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
+from geodrake.logs.folds import set_apart
+from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
 
@@ -43,7 +45,6 @@ _MOST_TIME = 0.3  # share of a log: what is there longer is no episode
 _MOST = 8
 _LEAST_SHARE = 0.6  # of the squared error in the window that the wrench must predict
 _AS_GOOD = 0.9  # share of the best body's reduction with which one nearer to the base is preferred
-_ALARM = 0.01
 _MODEL = 0.05  # share of its effort that even a right contact leaves unexplained
 _REST = 1.0  # s, of standing still that do not end an episode
 _MARGIN = 0.3  # s, around a window that is set apart
@@ -59,22 +60,25 @@ class _Scale:
     periods: list[float]
 
 
-def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
+def find_episodes(
+    case: Case, hypothesis: Hypothesis, *, alarm: float = Criteria.alarm
+) -> tuple[Episode, ...]:
     """Contacts that stand out of the held-out residuals of a hypothesis.
 
     Args:
         case: The case.
         hypothesis: What is known so far.
+        alarm: Largest probability of a false alarm, as of other findings.
     """
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
-    if not windows and not noise and hypothesis.looseness > HELD:
+    if not windows and not noise and hypothesis.looseness > FIXED:
         # Bodies that are free to follow a contact spread its error all over the log.
-        hypothesis = hypothesis.loosened(HELD / hypothesis.looseness)
+        hypothesis = hypothesis.loosened(FIXED / hypothesis.looseness)
         scale = _scaled(case, hypothesis)
         windows = _unknown_windows(case, hypothesis, scale)
-    found, promising = _contacts(case, scale, windows)
+    found, promising = _contacts(case, scale, windows, alarm)
     if found or not promising:
         return found
     # What else the hypothesis fits may have followed the contact: it is not to see the windows.
@@ -84,7 +88,7 @@ def find_episodes(case: Case, hypothesis: Hypothesis) -> tuple[Contact, ...]:
     blind = hypothesis.moved(dataset, delay=hypothesis.delay)
     apart = replace(apart, dataset=dataset)
     scale = _scaled(apart, blind)
-    return _contacts(apart, scale, _unknown_windows(apart, blind, scale))[0]
+    return _contacts(apart, scale, _unknown_windows(apart, blind, scale), alarm)[0]
 
 
 def _unknown_windows(
@@ -93,30 +97,30 @@ def _unknown_windows(
     """Windows of the residuals where the hypothesis has no contact; none if there are many."""
     logs = enumerate(zip(scale.grids, scale.periods, strict=True))
     windows = [w for log, (grid, period) in logs for w in _windows(log, grid, period)]
-    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Contact)]
+    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Episode)]
     windows = [w for w in windows if not any(_overlap(case, w, contact) for contact in known)]
     return windows if len(windows) <= _MOST else []
 
 
 def _contacts(
-    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]]
-) -> tuple[tuple[Contact, ...], bool]:
+    case: Case, scale: _Scale, windows: Sequence[tuple[int, float, float]], alarm: float
+) -> tuple[tuple[Episode, ...], bool]:
     """The contacts that explain windows, and whether one explains at least a good part of one."""
     motion = full_motion(case) if windows else []
     cut = [_cut_out(case, scale, motion, place) for place in windows]
-    tried = [_contact(case, window, len(windows)) for window in cut if window is not None]
+    tried = [_contact(case, window, len(windows), alarm) for window in cut if window is not None]
     found = tuple(contact for contact, _ in tried if contact is not None)
     return found, any(share >= 0.5 * _LEAST_SHARE for _, share in tried)
 
 
-def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Contact, Contact]:
+def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Episode, Episode]:
     """The contacts of a hypothesis, each with what it is once all other effects are known.
 
     Args:
         case: The case.
         hypothesis: A hypothesis.
     """
-    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Contact)]
+    known = [e for e in hypothesis.unknowns.effects if isinstance(e, Episode)]
     scale = _scaled(case, hypothesis, without=known)
     numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
     motion, found = full_motion(case), {}
@@ -129,7 +133,7 @@ def refined_episodes(case: Case, hypothesis: Hypothesis) -> Mapping[Contact, Con
     return found
 
 
-def _overlap(case: Case, window: tuple[int, float, float], contact: Contact) -> bool:
+def _overlap(case: Case, window: tuple[int, float, float], contact: Episode) -> bool:
     log, start, end = window
     same = contact.log in (0, log_number(case.trajectories[log].name))
     return same and start < contact.end and contact.start < end
@@ -177,7 +181,7 @@ def _cut_out(
     scale: _Scale,
     motion: Sequence[tuple[int, Segment]],
     window: tuple[int, float, float],
-) -> Window | None:
+) -> ResidualWindow | None:
     log, start, end = window
     trajectory = case.trajectories[log]
     began, low_pass = trajectory.began, trajectory.filter
@@ -202,7 +206,7 @@ def _cut_out(
             known = np.maximum((~np.isnan(within)).sum(0), 1)
             power = np.nansum(np.square(within), 0) / known
             size = np.sqrt(1.0 + _MODEL**2 * power)
-            return Window(
+            return ResidualWindow(
                 log,
                 start,
                 end,
@@ -216,11 +220,14 @@ def _cut_out(
     return None
 
 
-def _contact(case: Case, window: Window, tried: int) -> tuple[Contact | None, float]:
+def _contact(
+    case: Case, window: ResidualWindow, tried: int, alarm: float
+) -> tuple[Episode | None, float]:
     """The contact that explains a window, if one does, and the share that the best one does."""
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
     number = log_number(case.trajectories[window.log].name)
-    guesses = [Contact(b, window.start, window.end, _RISE, number) for b in bodies]
+    kinds = [kind for kind in case.effect_classes if issubclass(kind, Episode)]
+    guesses = [k(b, window.start, window.end, _RISE, number) for k in kinds for b in bodies]
     shapes = [refined(window, with_point(window, guess), tries=FEW) for guess in guesses]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
@@ -231,8 +238,8 @@ def _contact(case: Case, window: Window, tried: int) -> tuple[Contact | None, fl
     contact = refined(window, contact)
     found = evidence(window, contact)
     # Times, rise and point were looked for too, and the body.
-    alarm = min(1.0, tried * len(bodies) * float(chi2.sf(found.gain, found.felt + 6)))
-    convinces = found.share >= _LEAST_SHARE and alarm <= _ALARM and _explains_all(found)
+    chance = min(1.0, tried * len(bodies) * float(chi2.sf(found.gain, found.felt + 6)))
+    convinces = found.share >= _LEAST_SHARE and chance <= alarm and _explains_all(found)
     return (contact if convinces else None), best
 
 

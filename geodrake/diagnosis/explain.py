@@ -6,33 +6,37 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from geodrake.arguments import function, instance
-from geodrake.diagnosis.absorbed import Absorbed, absorbed
-from geodrake.diagnosis.case import Case, at_bandwidth, error_table, open_case
-from geodrake.diagnosis.compare import comparison
-from geodrake.diagnosis.evidence import Criteria
-from geodrake.diagnosis.exact import searched
-from geodrake.diagnosis.fading import fading_notes
-from geodrake.diagnosis.final_fit import companion_notes, final_fit, not_held
-from geodrake.diagnosis.forward import Progress, Trail
-from geodrake.diagnosis.hypothesis import Hypothesis, first_hypothesis
+import numpy as np
+
+from geodrake.boundary.arguments import function, instance
+from geodrake.diagnosis.final_fit import companion_notes, final_fit, freed
+from geodrake.diagnosis.fixed_inertias import FixedInertias, with_fixed_inertias
 from geodrake.diagnosis.other_bandwidth import (
     OtherBandwidth,
     errors_at,
     errors_of,
     other_bandwidths,
 )
-from geodrake.diagnosis.results import ErrorTable, Explanation, Verdict
+from geodrake.diagnosis.results import Explanation, Verdict
+from geodrake.diagnosis.search_rounds import searched
 from geodrake.diagnosis.stated_mass import stated_mass_notes
 from geodrake.diagnosis.steps import refit_step, steps_of
-from geodrake.effects.base import Effect
+from geodrake.diagnosis.stepwise_search import Progress, Trail
+from geodrake.diagnosis.transition_speed import transition_speed_notes
+from geodrake.effects import Effect, Role
+from geodrake.effects.lookup import effect_of
 from geodrake.errors import IdentificationError
-from geodrake.identification.model_fit import ModelFit, effects_of, model_unknowns
-from geodrake.model import RobotModel
-from geodrake.motion import JointLog
+from geodrake.identification.logs.case import Case, at_bandwidth, error_table, open_case
+from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
+from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.identification.logs.model_fit import ModelFit, effects_of, model_unknowns
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
 
 _NO_MORE = 1.05
-"""Times the error of another explanation that count as no more than it."""
+"""One explanation errs no more than another up to this many times its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +74,7 @@ def explain(
             where play or a soft joint shows only there (a note says so).
         blocks: Blocks into which every log is cut for validation.
         criteria: When an effect counts as found.
-        progress: Told about each step, in words and with the held-out nrms.
+        progress: Called with each step, in words and with the held-out nrms.
 
     Returns:
         The steps with held-out errors before and after, and the final model.
@@ -90,7 +94,13 @@ def explain(
 def investigate(
     case: Case, *, criteria: Criteria | None = None, progress: Progress | None = None
 ) -> Investigation:
-    """Explain a case that has columns for candidates; see `explain`."""
+    """Explain a case that has columns for candidates; see `explain`.
+
+    Args:
+        case: Prepared logs and the model, with columns for candidates.
+        criteria: When an effect counts as found.
+        progress: Called with what is going on, in words, and the held-out nrms so far.
+    """
     criteria = Criteria() if criteria is None else instance(criteria, "criteria", Criteria)
     found = _investigated(case, criteria, progress)
     explained = found.explanation.verdict != "unexplained"
@@ -98,15 +108,15 @@ def investigate(
         how = f"at which {other.effect.name} shows"
         there = at_bandwidth(case, other.bandwidth, candidates=True, how=how)
         again = _investigated(there, criteria, None)
-        if _tells_more(again, found, other):
+        if _explains_more(again, found, other):
             if progress is not None:
                 words = f"{other.effect.name} at {other.bandwidth:.3g} Hz"
                 progress(words, again.explanation.end.nrms)
-            return _with_bandwidths_told(again, found)
+            return _with_bandwidth_notes(again, found)
     return found
 
 
-def _tells_more(after: Investigation, before: Investigation, other: OtherBandwidth) -> bool:
+def _explains_more(after: Investigation, before: Investigation, other: OtherBandwidth) -> bool:
     """Whether an investigation at another bandwidth has an effect and is the better one for it.
 
     Where all was explained, nothing else may be new, but that bodies are wrong, and what was
@@ -117,24 +127,24 @@ def _tells_more(after: Investigation, before: Investigation, other: OtherBandwid
         return False
     if before.explanation.verdict == "unexplained":
         return other.explains(after.explanation.end)
-    if not has - had <= {other.effect.name, "wrong_inertia"}:
+    if not has - had <= {other.effect.name, effect_of(Role.INERTIA).name}:
         return False
     own = before.case.trajectories[0].filter.bandwidth
     was, now = errors_of(before.hypothesis), errors_at(after.case, after.hypothesis, own)
     return after.explanation.verdict == "explained" and now.nrms <= _NO_MORE * was.nrms
 
 
-def _with_bandwidths_told(after: Investigation, before: Investigation) -> Investigation:
+def _with_bandwidth_notes(after: Investigation, before: Investigation) -> Investigation:
     """The investigation with a note on its bandwidth and, if that is lower, on what is above it."""
     own, now = (each.case.trajectories[0].filter.bandwidth for each in (before, after))
-    told = f"errors are those at {now:.3g} Hz: compare others with --bandwidth {now:.3g}"
+    note = f"errors are those at {now:.3g} Hz: compare others with --bandwidth {now:.3g}"
     if now < own:
         above = errors_at(after.case, after.hypothesis, own)
-        told += (
+        note += (
             f"; at {own:.3g} Hz, {above.nrms / above.floor_nrms:.1f} times the noise is left, as a "
-            "log hardly tells how soft joints swing there"
+            "log hardly shows how soft joints swing there"
         )
-    notes = (*after.explanation.notes, told)
+    notes = (*after.explanation.notes, note)
     return replace(after, explanation=replace(after.explanation, notes=notes))
 
 
@@ -147,17 +157,18 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     fixed = effects_of(model)
     case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
     start = trail.start  # as before, and dry friction fades as it was found to
-    hidden = absorbed(case, trail, fixed, criteria) if tune else Absorbed(case)
+    hidden = with_fixed_inertias(case, trail, fixed, criteria) if tune else FixedInertias(case)
     case = hidden.case
     after_case, fit, trail = _finished(case, (*hidden.trails, trail), criteria)
     steps = steps_of(case, trail, fit)
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
-    changed = bool(steps) or after_case.model.fading_speed is not model.fading_speed
+    widths, known = after_case.model.sign_widths(0.0), model.sign_widths(0.0)
+    changed = bool(steps) or not np.array_equal(widths, known)
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if changed else before.errors
     companions = [*companion_notes(trail.end.unknowns, fit), *filter(None, [fit.result.note])]
-    found = (*fading_notes(model, fit.model), *stated_mass_notes(case, fit.model))
-    told = (*companions, *found) if changed else ()
+    found = (*transition_speed_notes(model, fit.model), *stated_mass_notes(case, fit.model))
+    more = (*companions, *found) if changed else ()
     explanation = Explanation(
         verdict_of(errors, changed),
         steps,
@@ -167,9 +178,9 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         fit.model if changed else model,
         before,
         after if changed else before,
-        (*case.notes, *told),
+        (*case.notes, *more),
     )
-    end = not_held(trail.end.moved(after_case.dataset, delay=0))
+    end = freed(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)
 
 
@@ -191,7 +202,12 @@ def _finished(
 
 
 def verdict_of(errors: ErrorTable, found: bool) -> Verdict:
-    """What an end result amounts to."""
+    """What an end result amounts to.
+
+    Args:
+        errors: Held-out errors at the end.
+        found: Whether a step was taken.
+    """
     if not errors.is_noise:
         return "unexplained"
     return "explained" if found else "adequate"

@@ -7,21 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from geodrake.diagnosis.case import Case, reopen
 from geodrake.diagnosis.delay import fine_delays, fitted_delays, late_together, seconds_of
-from geodrake.diagnosis.evidence import Criteria
-from geodrake.diagnosis.forward import TIGHTER_PRIORS
-from geodrake.diagnosis.hypothesis import Hypothesis, settle
-from geodrake.diagnosis.refine import prune
-from geodrake.effects import Contact, CoulombFriction, EffortDelay, ViscousFriction
-from geodrake.effects.base import Effect
-from geodrake.identification.dataset import Dataset
-from geodrake.identification.model_fit import ModelFit, effects_of, fit_model
-from geodrake.identification.unknowns import Unknowns, effect_prior
-from geodrake.model import FittedEffect
+from geodrake.diagnosis.pruning import prune
+from geodrake.diagnosis.stepwise_search import TIGHTER_PRIORS
+from geodrake.effects import Effect, FittedEffect, Role
+from geodrake.effects.shape import when_sliding
+from geodrake.identification.logs.case import Case, reopen
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.hypothesis import Hypothesis, settle
+from geodrake.identification.logs.model_fit import ModelFit, effects_of, fit_model
+from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 
 _MOST_ITERATIONS = 10
-"""Refits until weights stay: a prior from another fit gives way step by step."""
+"""Refits until the weights stay: a prior from another fit gives way step by step."""
 
 
 def final_fit(
@@ -37,21 +36,21 @@ def final_fit(
         case: The case.
         end: What was found.
         criteria: Drop effects that do not meet these once the loads are those of the fitted model,
-            and fit viscous friction beside dry friction (`with_companions`); None to fit exactly
-            what is given.
+            and fit companions beside the effects that have them (`with_companions`); None to fit
+            exactly what is given.
         kept: Effects that are not dropped.
 
     Returns:
         The case with the columns of the fit, the fit, and `end` less the effects dropped.
     """
-    delays = [f for f in case.model.effects if isinstance(f.effect, EffortDelay)]
+    delays = [f for f in case.model.effects if f.effect.role is Role.DELAY]
     if late := late_together(seconds_of(end)):
         found = case.model.delays + fine_delays(end, late)[0]
         delays = fitted_delays(found, case.model.joints)
     reopened = _with_fitted_loads(case, end, delays, companions=criteria is not None)
     settled = end.moved(reopened.dataset, delay=0, iterations=_MOST_ITERATIONS)
     if criteria is not None:
-        episodes = [e for e in settled.unknowns.effects if isinstance(e, Contact)]
+        episodes = [e for e in settled.unknowns.effects if e.role is Role.EPISODE]
         settled = prune(settled, [*effects_of(case.model), *episodes, *kept], criteria)
         left = settled.unknowns.effects
         end = end.without([e for e in end.unknowns.effects if e not in left])
@@ -62,13 +61,13 @@ def final_fit(
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
-    unknowns = not_held(settled).unknowns
+    unknowns = freed(settled).unknowns
     fit = fit_model(base, reopened.dataset, unknowns, weights, delays=delays)
     return reopened, fit, end
 
 
-def not_held(hypothesis: Hypothesis) -> Hypothesis:
-    """The hypothesis with inertias as free as those that are well known, where they are held.
+def freed(hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with inertias as free as those that are well known, where they are fixed.
 
     To hold the inertias, as a search may do, does not make them known.
     """
@@ -92,16 +91,21 @@ def _with_fitted_loads(
 
 
 def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
-    """Viscous friction beside dry friction, so that neither stands in for the other in a fit.
+    """The companions of effects, so that neither stands in for the other in a fit.
 
     Where dry friction was found and viscous friction was not worth a step, the viscous one is
     fitted along all the same: left out, it would bias the dry one by all that it may be.
+
+    Args:
+        unknowns: What the final fit may move.
+        dataset: The reduced logs.
     """
     for effect in unknowns.effects:
-        companion = (
-            ViscousFriction(effect.where[0]) if isinstance(effect, CoulombFriction) else None
-        )
-        if companion in dataset.effects and companion not in unknowns.effects:
+        kind, present = effect.companion, unknowns.effects
+        offered = kind.shaped(*effect.where) if kind is not None else ()
+        for companion in offered:
+            if companion not in dataset.effects or companion in present:
+                continue
             mean, information = effect_prior(dataset, companion)
             unknowns = unknowns.with_effect(
                 companion, dataset.effect_columns(companion), information, mean
@@ -110,11 +114,20 @@ def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:
 
 
 def companion_notes(found: Unknowns, fit: ModelFit) -> list[str]:
-    """What was fitted along without being a step, in words."""
+    """What was fitted along without being a step, in words.
+
+    Args:
+        found: The unknowns of the search.
+        fit: The final fit, with the companions.
+    """
     added = [f for f in fit.model.effects if f.effect not in found.effects and len(f.parameters)]
-    sliding = fit.model.sliding_joints
-    return [
-        f"viscous friction of {f.effect.where[0]} was fitted along, though not worth a step: "
-        f"{f.parameters[0]:.3g} {'N·s/m' if f.effect.where[0] in sliding else 'N·m·s/rad'}"
-        for f in added
-    ]
+    sliding = set(fit.model.sliding_joints)
+    notes = []
+    for fitted in added:
+        unit = fitted.effect.parameters[0].unit
+        unit = when_sliding(unit) if sliding.issuperset(fitted.effect.where) else unit
+        notes.append(
+            f"{fitted.effect.name.replace('_', ' ')} of {fitted.effect.place} was fitted along, "
+            f"though not worth a step: {fitted.parameters[0]:.3g} {unit}"
+        )
+    return notes

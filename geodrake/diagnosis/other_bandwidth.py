@@ -3,7 +3,7 @@
 The blows with which play strikes where a load changes its sign are short, and small where a joint
 bears little: below the bandwidth that suits a motion hardly anything may be left of them. A soft
 joint, on the other hand, swings where a motion begins or ends abruptly, as from point to point. How
-it does so the log hardly tells: the link's lag has the motion's accelerations in it, and its own
+it does so the log hardly shows: the link's lag has the motion's accelerations in it, and its own
 acceleration, from their second derivatives, is known only up to a few hertz.
 """
 
@@ -12,31 +12,26 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from geodrake.diagnosis.case import Case, at_bandwidth, error_table, reduced
-from geodrake.diagnosis.columns import convincing_ones
 from geodrake.diagnosis.elastic import elastic_joints, loose_joints
-from geodrake.diagnosis.evidence import Criteria
-from geodrake.diagnosis.hypothesis import Hypothesis
+from geodrake.diagnosis.further_columns import convincing_ones
 from geodrake.diagnosis.residuals import full_motion, joint_residuals
-from geodrake.diagnosis.results import ErrorTable
-from geodrake.effects import Backlash, Contact, JointElasticity
-from geodrake.effects.base import Effect
-from geodrake.effects.deflection import DeflectionEffect
+from geodrake.effects import Effect, Role
+from geodrake.effects.role import Proposer
 from geodrake.errors import LogError
-from geodrake.filtering import HIGHEST_BANDWIDTH
-from geodrake.identification.coherent_bandwidth import coherent_bandwidth
+from geodrake.identification.logs.case import Case, at_bandwidth, error_table, reduced
+from geodrake.identification.logs.coherent_bandwidth import coherent_bandwidth
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 
-_HIGHER = (2.5, 6.0)
-"""Bandwidths at which play is looked for, over that of the log."""
-
-_LOWER = (0.5,)
-"""The same for soft joints."""
+_PROPOSERS = {Proposer.PLAY: loose_joints, Proposer.BENDING: elastic_joints}
 
 _HIGHEST = 30.0
-"""Bandwidth, Hz, up to which play is looked for: samples cost time, and blows show below it."""
+"""Play is looked for up to this bandwidth, Hz: samples cost time, and blows show below it."""
 
 _CLEARLY_LESS = 0.5
-"""Share of an error that a soft joint must leave at most, unless it leaves nothing but noise."""
+"""A soft joint counts if it leaves at most this share of the error, or nothing but noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +45,7 @@ class OtherBandwidth:
     """
 
     bandwidth: float
-    effect: type[DeflectionEffect]
+    effect: type[Effect]
     known: ErrorTable
 
     def explains(self, errors: ErrorTable) -> bool:
@@ -77,19 +72,21 @@ def other_bandwidths(
         criteria: When an effect counts as found.
         explained: Whether nothing but noise is left of it.
     """
-    effect, factors = (Backlash, _HIGHER) if explained else (JointElasticity, _LOWER)
-    stays = any(isinstance(each, effect | Contact) for each in end.unknowns.effects)
-    if case.asked.bandwidth is not None or stays:
+    present, own = end.unknowns.effects, case.trajectories[0].filter.bandwidth
+    if case.asked.bandwidth is not None or any(e.role is Role.EPISODE for e in present):
         return
-    own = case.trajectories[0].filter.bandwidth
-    for bandwidth in (factor * own for factor in factors):
-        there = _opened(case, bandwidth)
-        if there is not None:
-            known = end.moved(there.dataset, delay=0)
-            other = OtherBandwidth(bandwidth, effect, errors_of(known))
-            shown = _shown(effect, there, known, criteria)
-            if shown and (explained or other.explains(errors_of(_with(there, known, shown)))):
-                yield other
+    for effect in case.effect_classes:
+        if any(isinstance(each, effect) for each in present):
+            continue
+        factors = [f for f in effect.other_bandwidths if (f > 1.0) == explained]
+        for bandwidth in (factor * own for factor in factors):
+            there = _opened(case, bandwidth)
+            if there is not None:
+                known = end.moved(there.dataset, delay=0)
+                other = OtherBandwidth(bandwidth, effect, errors_of(known))
+                shown = _shown(effect, there, known, criteria)
+                if shown and (explained or other.explains(errors_of(_with(there, known, shown)))):
+                    yield other
 
 
 def errors_of(hypothesis: Hypothesis) -> ErrorTable:
@@ -122,12 +119,14 @@ def _opened(case: Case, bandwidth: float) -> Case | None:
 
 
 def _shown(
-    effect: type[DeflectionEffect], case: Case, end: Hypothesis, criteria: Criteria
+    effect: type[Effect], case: Case, end: Hypothesis, criteria: Criteria
 ) -> tuple[Effect, ...]:
     """An effect at all joints where it convinces beside what was found, in all its shapes."""
-    look = loose_joints if effect is Backlash else elastic_joints
-    proposals = look(case, joint_residuals(case, end), full_motion(case))
-    effects = [each for proposal in proposals for each in proposal.effects]
+    propose = _PROPOSERS.get(effect.proposer) if effect.proposer else None
+    if propose is None:
+        return ()
+    proposals = propose(case, joint_residuals(case, end), full_motion(case))
+    effects = [e for proposal in proposals for e in proposal.effects if isinstance(e, effect)]
     return convincing_ones(case, end, effects, criteria) if effects else ()
 
 

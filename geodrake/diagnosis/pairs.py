@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from geodrake.diagnosis.candidates import hidden_pairs
-from geodrake.diagnosis.evidence import Criteria
-from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.search import with_ties
 from geodrake.diagnosis.trials import gain_of, open_joints, try_packages
 from geodrake.effects.base import Effect
-from geodrake.identification.cross_validation import normal_matrices
+from geodrake.identification.logs.cross_validation import normal_matrices
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.hypothesis import Hypothesis
 
 _MOST = 0.5  # of the squared error
 _FITTED = 4  # pairs of a joint that are fitted in full
@@ -27,7 +27,7 @@ def rank_pairs(
     """Pairs of effects at a joint that convince together though none does alone, best first.
 
     What one effect leaves of the residual is coloured by the other, and worth few samples. Only
-    pairs that explain most of the squared error are told, and none that cancel each other: two
+    pairs that explain most of the squared error are reported, and none that cancel each other: two
     smooth functions of the position stand for any other one so.
 
     Args:
@@ -48,9 +48,11 @@ def rank_pairs(
             found = trial.package.effects
             after = hypothesis.with_effects(found)
             if not _cancel(after, found):
-                names = tuple(effect.name for effect in found)
+                classes = tuple(type(effect) for effect in found)
                 gain, parameters = gain_of(hypothesis, after), trial.package.parameters
-                ranked.append(Ranked(names, (joint,), found, after, gain, parameters, trial.alarm))
+                ranked.append(
+                    Ranked(classes, (joint,), found, after, gain, parameters, trial.alarm)
+                )
     return with_ties(ranked, criteria)
 
 

@@ -12,7 +12,7 @@ from scipy.ndimage import median_filter
 Array = NDArray[np.float64]
 
 LEAST_WAVES = 1.5
-"""Waves that the range of motion must hold: with fewer, gravity and springs look alike."""
+"""The range of motion holds at least so many waves: with fewer, gravity and springs look alike."""
 
 _SPEED_CLASSES = 16
 _SAMPLES_A_WAVE = 8
@@ -31,7 +31,7 @@ class Peak:
         share: Share of the residual's power that waves of this order explain.
         height: Evidence for the waves; about χ² of two degrees of freedom where there are none.
         tried: Independent orders that were looked at.
-        resolution: Distance of orders that can be told apart.
+        resolution: Distance of orders that can be distinguished.
     """
 
     order: float

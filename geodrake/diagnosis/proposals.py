@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from geodrake.diagnosis.case import Case, error_table
 from geodrake.diagnosis.coupled import coupled_joints
 from geodrake.diagnosis.elastic import elastic_joints, loose_joints
-from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.position_spectrum import LEAST_WAVES, highest_peak
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import (
@@ -20,34 +19,27 @@ from geodrake.diagnosis.residuals import (
     full_motion,
     joint_residuals,
 )
-from geodrake.effects import (
-    FrictionDrift,
-    GravityCompensator,
-    Hysteresis,
-    JointElasticity,
-    JointSpring,
-    TorqueRipple,
-)
-from geodrake.effects.base import Effect
-from geodrake.motion import Segment
+from geodrake.effects import Effect
+from geodrake.effects.role import Proposer
+from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
 
 DOMINANT = 0.3
-"""Share of a joint's squared error from which on a suggestion comes before all other candidates."""
+"""A suggestion comes first if it explains at least this share of a joint's squared error."""
 
 _ALARM = 3e-5  # of one joint and kind, about 40 a log; what is offered must still convince
-_ALARM_OF_MUCH = 0.01  # where the error is made mostly of it: noise never has so large a share
-_HIDDEN_SHARE = 0.1  # of a joint's squared error that bristles must explain to be tried anyway
-_TIME_CONSTANTS = (0.1, 0.3, 1.0, 3.0)  # of drift, as shares of the longest log
-_BREAKAWAY_ANGLES = (0.003, 0.01, 0.03, 0.1, 0.3)  # as shares of the range of motion
 _FEW = 5.0  # waves in the range of motion
-_FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in units of those told apart
+_FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in resolutions
 _MANY_WAVES = (-0.15, 0.0, 0.15)
-_SMOOTH = (JointSpring.name, GravityCompensator.name)
 _WAVES_BESIDE = 2.5
-"""Waves that the range of motion must hold beside a spring: with fewer, the two together stand for
-any smooth function of the position."""
+"""Beside a spring, the range of motion holds at least so many waves.
+
+With fewer, the two together fit any smooth function of the position.
+"""
 _WHOLE = 0.25  # distance from a whole order within which that is tried, in the same units
 
 
@@ -58,6 +50,7 @@ def suggested(
     *,
     least_share: float = 0.0,
     hidden: bool = False,
+    alarm: float = Criteria.alarm,
 ) -> tuple[Effect, ...]:
     """Effects that the residual suggests, with the shapes to try.
 
@@ -67,14 +60,15 @@ def suggested(
         known: Effects that have columns; what is among them, or in the model, comes no more.
         least_share: Share of the squared error at its joint that an effect must explain.
         hidden: Whether effects that others may hide are among them where more than noise is left:
-            only a fit with both tells.
+            only a fit with both shows.
+        alarm: Largest probability of a false alarm where the error is made mostly of an effect.
     """
     taken = {(e.name, e.where) for e in (*known, *hypothesis.unknowns.effects)}
     hidden = hidden and not error_table(case.dataset, hypothesis.held_out).is_noise
     return tuple(
         effect
         for proposal in proposals(case, hypothesis)
-        if (_is_clear(proposal) and proposal.share >= least_share)
+        if (_is_clear(proposal, alarm) and proposal.share >= least_share)
         or (hidden and _may_be_hidden(proposal))
         for effect in proposal.effects
         if (effect.name, effect.where) not in taken
@@ -95,38 +89,63 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
     taken = {(e.name, e.where) for e in hypothesis.unknowns.effects}
     found = [p for p in proposals(case, hypothesis) if p.effects[0].name == name]
     found = [p for p in found if (name, p.effects[0].where) not in taken]
-    clear = [p for p in found if _is_clear(p)] or found
+    clear = [p for p in found if _is_clear(p, Criteria.alarm)] or found
     return tuple(effect for proposal in clear for effect in proposal.effects)
 
 
-def _is_clear(proposal: Proposal) -> bool:
+def _is_clear(proposal: Proposal, alarm: float) -> bool:
     """Whether what the residual shows is more than chance, as many as are looked for."""
-    return proposal.alarm <= (_ALARM_OF_MUCH if proposal.share >= DOMINANT else _ALARM)
+    # Noise never has so large a share that the error is made mostly of it.
+    return proposal.alarm <= (alarm if proposal.share >= DOMINANT else _ALARM)
 
 
 def _may_be_hidden(proposal: Proposal) -> bool:
     """Whether inertias may hide what is proposed, or other friction all but a good part of it."""
-    effect = proposal.effects[0]
-    bristles = isinstance(effect, Hysteresis) and proposal.share >= _HIDDEN_SHARE
-    return bristles or isinstance(effect, JointElasticity)
+    return proposal.share >= proposal.effects[0].hidden_share
 
 
 def proposals(case: Case, hypothesis: Hypothesis) -> Iterator[Proposal]:
-    """What the residual suggests at every place, whatever the evidence for it."""
+    """What the residual suggests at every place, whatever the evidence for it.
+
+    Args:
+        case: The case.
+        hypothesis: What is found so far, with its residual.
+    """
     motion, joints = full_motion(case), joint_residuals(case, hypothesis)
     yield from elastic_joints(case, joints, motion)
     yield from loose_joints(case, joints, motion)
     yield from coupled_joints(case, joints, motion)
+    setting = _Setting(case, motion, hypothesis.unknowns.effects)
     for joint in joints:
         if joint.joint in case.model.single_joints and np.ptp(joint.q) > 0.0:
-            yield from _ripples(case, joint, hypothesis.unknowns.effects)
-            yield from _drifts(joint)
-            yield from _bristles(case, joint, motion)
+            for proposer, propose in _AT_A_JOINT.items():
+                for kind in case.effect_classes:
+                    if kind.proposer is proposer:
+                        yield from propose(kind, setting, joint)
 
 
-def _ripples(case: Case, joint: JointResidual, known: Collection[Effect]) -> Iterator[Proposal]:
-    low_pass = case.trajectories[0].filter
-    beside = any(e.where == (joint.joint,) and e.name in _SMOOTH for e in known)
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """What a proposer sees beside the residual of a joint.
+
+    Attributes:
+        case: The case.
+        motion: `full_motion` of the case.
+        known: Effects of the hypothesis.
+    """
+
+    case: Case
+    motion: Sequence[tuple[int, Segment]]
+    known: Collection[Effect]
+
+
+_Propose = Callable[[type[Effect], _Setting, JointResidual], Iterator[Proposal]]
+
+
+def _waves(kind: type[Effect], setting: _Setting, joint: JointResidual) -> Iterator[Proposal]:
+    """The order of the highest peak in the residual's spectrum over position."""
+    low_pass = setting.case.trajectories[0].filter
+    beside = any(e.where == (joint.joint,) and _is_smooth(e) for e in setting.known)
     peak = highest_peak(
         (joint.q, joint.v),
         joint.residual,
@@ -142,38 +161,65 @@ def _ripples(case: Case, joint: JointResidual, known: Collection[Effect]) -> Ite
         offsets = _FEW_WAVES if order < _FEW * step else _MANY_WAVES
         orders = [order + x * step for x in offsets]
         least = _WAVES_BESIDE * step if beside else 0.0
-        ripples = tuple(TorqueRipple(joint.joint, n) for n in orders if n >= least)
+        make: Callable[..., Effect] = kind
+        waves = tuple(make(joint.joint, n) for n in orders if n >= least)
         alarm = min(1.0, peak.tried * float(chi2.sf(peak.height, 2)))
-        yield Proposal(ripples, peak.share, alarm)
+        yield Proposal(waves, peak.share, alarm)
 
 
-def _drifts(joint: JointResidual) -> Iterator[Proposal]:
-    longest = float(joint.time.max())
-    shapes = tuple(FrictionDrift(joint.joint, share * longest) for share in _TIME_CONSTANTS)
+def _is_smooth(effect: Effect) -> bool:
+    """Whether an effect is a function of the position alone that is no wave, such as a spring."""
+    return effect.depends_on == {"q"} and effect.proposer is not Proposer.WAVES
+
+
+def _warming(kind: type[Effect], setting: _Setting, joint: JointResidual) -> Iterator[Proposal]:
+    """Friction that fades with the time since a log began."""
+    del setting
+    shapes = kind.shaped(joint.joint, duration=float(joint.time.max()))
     friction = [joint.sign_v, joint.v]
     tried = []
     for shape in shapes:
-        left = np.exp(-joint.time / shape.time_constant)
+        left = shape.course(joint.time)
         tried.append(joint.improvement(friction, [left * column for column in friction]))
-    share, gain = max(tried, key=lambda found: found[1])
-    yield Proposal(shapes, share, min(1.0, len(shapes) * float(chi2.sf(gain, 2))))
+    yield _best_of(shapes, tried)
 
 
-def _bristles(
-    case: Case, joint: JointResidual, motion: Sequence[tuple[int, Segment]]
-) -> Iterator[Proposal]:
+def _bristles(kind: type[Effect], setting: _Setting, joint: JointResidual) -> Iterator[Proposal]:
+    """Dry friction that builds up along the positions of a joint."""
+    case = setting.case
     at, reach = case.model.joints.index(joint.joint), float(np.ptp(joint.q))
-    shapes = tuple(Hysteresis(joint.joint, share * reach) for share in _BREAKAWAY_ANGLES)
+    shapes = kind.shaped(joint.joint, reach=reach)
 
     def columns(segment: Segment) -> Array:
         q, v = segment.position[:, at], segment.velocity[:, at]
-        return np.stack([joint.direction(v), v, *(shape.bend(q) for shape in shapes)], 1)
+        return np.stack([joint.direction(v), v, *(shape.course(q) for shape in shapes)], 1)
 
-    found = filtered_columns(case, motion, joint, columns)
+    each = (columns(segment) for _, segment in setting.motion)
+    found = filtered_columns(case, setting.motion, joint, each)
     seen = np.asarray(np.isfinite(found).all(axis=1))
     if not seen.any():
         return
     here, (sign_v, v, *bends) = joint.part(seen), found[seen].T
     tried = [here.improvement([sign_v, v, np.ones_like(v)], [bend]) for bend in bends]
-    share, gain = max(tried, key=lambda one: one[1])
-    yield Proposal(shapes, share, min(1.0, len(shapes) * float(chi2.sf(gain, 1))))
+    yield _best_of(shapes, tried)
+
+
+def _best_of(shapes: tuple[Effect, ...], tried: Sequence[tuple[float, float]]) -> Proposal:
+    """An effect by that of its shapes which explains most.
+
+    Args:
+        shapes: The effect with the shapes.
+        tried: Of each, the share of the squared error that it explains, and about χ² of as many
+            degrees of freedom as it has parameters.
+    """
+    share, gain = max(tried, key=lambda found: found[1])
+    chance = float(chi2.sf(gain, len(shapes[0].parameters)))
+    return Proposal(shapes, share, min(1.0, len(shapes) * chance))
+
+
+_AT_A_JOINT: Mapping[Proposer, _Propose] = {
+    Proposer.WAVES: _waves,
+    Proposer.WARMING: _warming,
+    Proposer.BRISTLES: _bristles,
+}
+"""How the residual of one joint proposes the effects that name a proposer, in this order."""

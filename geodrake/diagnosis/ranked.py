@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geodrake.diagnosis.candidates import kind_complexity
-from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.diagnosis.trials import PENALTY
-from geodrake.effects import EffortDelay
-from geodrake.effects.base import Effect
+from geodrake.effects import Effect, Role
+from geodrake.identification.logs.hypothesis import Hypothesis
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,17 +14,17 @@ class Ranked:
     """A kind of effects at the places where it convinces, refitted as a whole.
 
     Attributes:
-        names: Effect names, two for a pair found together.
+        classes: Classes of the effects, two for a pair found together.
         where: Joints or bodies.
         effects: The effects added; none for a delay or a looser prior.
         hypothesis: The hypothesis with them.
         gain: Twice the held-out log-likelihood ratio.
         parameters: How many parameters were added, shapes counted.
         alarm: Probability of a false alarm.
-        tied: Whether the best of those that can be cannot be told from this one.
+        tied: Whether the best of those that can be cannot be distinguished from this one.
     """
 
-    names: tuple[str, ...]
+    classes: tuple[type[Effect], ...]
     where: tuple[str, ...]
     effects: tuple[Effect, ...]
     hypothesis: Hypothesis
@@ -41,13 +39,18 @@ class Ranked:
         return self.gain - PENALTY * self.parameters
 
     @property
-    def complexity(self) -> int:
-        """That of its kind; the delay of a joint alone is less simple than that of all."""
-        alone = self.names == (EffortDelay.name,) and bool(self.where)
-        return kind_complexity(self.names) + alone
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(kind.name for kind in self.classes)
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def complexity(self) -> int:
+        """That of its kind; the delay of a joint alone is less simple than that of all."""
+        late_alone = all(kind.role is Role.DELAY for kind in self.classes) and bool(self.where)
+        return max(kind.complexity for kind in self.classes) + late_alone
+
+    @property
+    def reported(self) -> tuple[str, ...]:
         """Names of what it adds: those of its kind, less any that it does without everywhere."""
         added = {effect.name for effect in self.effects}
         return tuple(name for name in self.names if not added or name in added)

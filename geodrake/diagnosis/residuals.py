@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.case import Case
-from geodrake.diagnosis.evidence import effective_samples
-from geodrake.diagnosis.hypothesis import Hypothesis, residual_blocks
 from geodrake.effects.base import Effect
-from geodrake.motion import Segment
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.evidence import effective_samples
+from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
+from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
 
@@ -113,15 +113,15 @@ def joint_residuals(
 
 def full_motion(case: Case) -> list[tuple[int, Segment]]:
     """The segments of all logs, in memory, each with the index of its log."""
-    if Segment in case.kept:
-        return list(case.kept[Segment])
+    if case.kept.segments:
+        return list(case.kept.segments)
     found = [
         (log, segment[:_SAMPLES])
         for log, trajectory in enumerate(case.trajectories)
         for segment in trajectory.segments
     ]
     if sum(len(segment) for _, segment in found) <= _SAMPLES:
-        case.kept[Segment] = list(found)
+        case.kept.segments += found
     return found
 
 
@@ -129,7 +129,7 @@ def filtered_columns(
     case: Case,
     motion: Sequence[tuple[int, Segment]],
     joint: JointResidual,
-    columns: Callable[[Segment], Array],
+    columns: Iterable[Array],
 ) -> Array:
     """Columns of the motion at its full rate, filtered as the residual is.
 
@@ -137,16 +137,16 @@ def filtered_columns(
         case: The case.
         motion: `full_motion` of the case.
         joint: A residual.
-        columns: Gives columns (N, k) for a segment.
+        columns: Columns (N, k) of each segment.
 
     Returns:
         (K, k) columns at the residual's rows, NaN where the motion was not looked at.
     """
     began = [trajectory.began for trajectory in case.trajectories]
     parts: list[tuple[NDArray[np.bool_], Array]] = []
-    for log, segment in motion:
+    for (log, segment), unfiltered in zip(motion, columns, strict=True):
         low_pass = case.trajectories[log].filter
-        values = low_pass.apply(columns(segment))
+        values = low_pass.apply(unfiltered)
         if len(values):
             time = segment.time[low_pass.output_indices(len(segment))] - began[log]
             slack = 0.5 * segment.period

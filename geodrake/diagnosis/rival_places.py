@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from geodrake.effects.base import Effect
-from geodrake.model import RobotModel
+from geodrake.model.robot_model import RobotModel
 
 Place = tuple[str, ...]
 

@@ -10,14 +10,6 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import Kind, Package, kinds
 from geodrake.diagnosis.delay import delayed_at
-from geodrake.diagnosis.evidence import (
-    SEVERAL,
-    Criteria,
-    false_alarm_probability,
-    fold_agreement,
-    tie_probability,
-)
-from geodrake.diagnosis.hypothesis import CLEARLY_IMPOSSIBLE, HELD, Hypothesis
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.trials import (
     PENALTY,
@@ -28,20 +20,35 @@ from geodrake.diagnosis.trials import (
     open_joints,
     try_packages,
 )
-from geodrake.effects import EffortDelay
-from geodrake.effects.base import Effect
-from geodrake.identification.cross_validation import HeldOut
-from geodrake.identification.dataset import is_payload
-from geodrake.identification.unknowns import effect_prior
+from geodrake.effects import Effect, Role
+from geodrake.effects.lookup import effect_of
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.dataset import is_payload
+from geodrake.identification.logs.evidence import (
+    SEVERAL,
+    Criteria,
+    false_alarm_probability,
+    fold_agreement,
+    tie_probability,
+)
+from geodrake.identification.logs.hypothesis import CLEARLY_IMPOSSIBLE, FIXED, Hypothesis
+from geodrake.identification.logs.unknowns import effect_prior
 
 _MOSTLY = 0.5  # of a joint's squared error, that a delay of its own must explain
 _NEAR = 0.5  # of the largest gain: places that are fitted in full before one of them is named
 LOOSER_PRIORS = (3.0, 10.0, 30.0)
-"""Factors by which the prior of the inertial parameters is widened to try `wrong_inertia`."""
+"""To see if inertias are wrong, their prior is made so many times wider."""
 
 
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
-    """The best convincing package at every place of a kind; one place only if it cannot unite."""
+    """The best convincing package at every place of a kind; one place only if it cannot unite.
+
+    Args:
+        hypothesis: What the packages are added to.
+        kind: Effects of the same names, with their packages by place.
+        tried: Number of candidates that compete, for the probability of a false alarm.
+        criteria: What an effect must show.
+    """
     criteria = asked_of(kind.names, hypothesis, criteria)
     packages = [package for options in kind.options.values() for package in options]
     tried_ones = iter(try_packages(hypothesis, packages, tried, least=criteria))
@@ -64,6 +71,10 @@ def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
 
     A trial keeps the weights of the hypothesis, which may be far from those that its own residuals
     deserve; those that stand out by score or by reduction are therefore fitted in full.
+
+    Args:
+        hypothesis: What the trials were added to.
+        trials: One trial or more.
     """
     by_score = max(trials, key=lambda trial: trial.score)
     by_reduction = max(trials, key=lambda trial: trial.reduction)
@@ -79,7 +90,12 @@ def _settled_score(hypothesis: Hypothesis, trial: Trial) -> float:
 
 
 def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    """All kinds that convince, best first, with those that tie with the best marked."""
+    """All kinds that convince, best first, with those that tie with the best marked.
+
+    Args:
+        hypothesis: What the kinds are added to.
+        criteria: What an effect must show.
+    """
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     # A shape costs a parameter, so that places are counted, not shapes. A kind that was found at
     # one joint is a hypothesis of its own at the others: no longer one of all kinds.
@@ -99,7 +115,7 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
             after = hypothesis.with_effects(effects)
             ranked.append(
                 Ranked(
-                    kind.names,
+                    kind.classes,
                     tuple(dict.fromkeys(place for t in trials for place in t.package.place)),
                     effects,
                     after,
@@ -112,15 +128,19 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def choose(ranked: Sequence[Ranked]) -> Ranked:
-    """Of those that cannot be told from the best, the simplest; of these the best."""
+    """Of those that cannot be distinguished from the best, the simplest; of these the best."""
     return min((r for r in ranked if r.tied), key=lambda r: (r.complexity, -r.score))
 
 
 def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
-    """Best first, with those marked that cannot be told from the best.
+    """Best first, with those marked that cannot be distinguished from the best.
 
     What is as good only with bodies that cannot be is none of them, even if it is the best, as long
     as another one is as good with bodies that can.
+
+    Args:
+        ranked: Kinds that convince.
+        criteria: What counts as a tie.
     """
     ordered = sorted(ranked, key=lambda r: -r.score)
     tied = [r for r in ordered if _ties(r, ordered[0], criteria)]
@@ -172,7 +192,7 @@ def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     return _whole(
         hypothesis,
         [hypothesis.delayed(others[int(np.argmax(gains))])],
-        name=EffortDelay.name,
+        kind=effect_of(Role.DELAY),
         where=(),
         parameters=1,
         criteria=criteria,
@@ -191,7 +211,7 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
             found += _whole(
                 hypothesis,
                 [delayed_at(hypothesis, (at,), best)],
-                name=EffortDelay.name,
+                kind=effect_of(Role.DELAY),
                 where=(name,),
                 parameters=1,
                 criteria=criteria,
@@ -201,14 +221,14 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    if hypothesis.looseness > 1.0 or hypothesis.looseness <= HELD:
+    if hypothesis.looseness > 1.0 or hypothesis.looseness <= FIXED:
         return []
     others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
     bodies = hypothesis.dataset.bodies
     return _whole(
         hypothesis,
         others,
-        name="wrong_inertia",
+        kind=effect_of(Role.INERTIA),
         where=bodies,
         parameters=2 * len(bodies),
         criteria=criteria,
@@ -224,7 +244,7 @@ def _other_payloads(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
             found += _whole(
                 hypothesis,
                 [hypothesis.release(effect)],
-                name=effect.name,
+                kind=type(effect),
                 where=effect.where,
                 parameters=len(effect.parameters),
                 criteria=criteria,
@@ -243,7 +263,7 @@ def _whole(
     hypothesis: Hypothesis,
     others: Sequence[Hypothesis],
     *,
-    name: str,
+    kind: type[Effect],
     where: tuple[str, ...],
     parameters: int,
     criteria: Criteria,
@@ -264,4 +284,4 @@ def _whole(
     )
     if not trial.convinces(criteria):
         return []
-    return [Ranked((name,), where, (), best, gain, parameters, alarm)]
+    return [Ranked((kind,), where, (), best, gain, parameters, alarm)]

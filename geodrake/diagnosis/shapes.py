@@ -8,15 +8,19 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.candidates import is_refinement
-from geodrake.diagnosis.hypothesis import Hypothesis
 from geodrake.effects.base import Effect
+from geodrake.identification.logs.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
 
 
 def variants(effect: Effect, effects: Sequence[Effect]) -> list[Effect]:
-    """Those of some effects that have the name and the place of one: its shapes."""
+    """Those of some effects that have the name and the place of one: its shapes.
+
+    Args:
+        effect: The effect.
+        effects: Effects to choose from.
+    """
     return [e for e in effects if (e.name, e.where) == (effect.name, effect.where)]
 
 
@@ -42,7 +46,12 @@ def free_shape(effect: Effect, grid: Sequence[Effect]) -> tuple[str, Array] | No
 
 
 def is_round(effect: Effect, grid: Sequence[Effect]) -> bool:
-    """Whether the free shape of an effect is a multiple of one half, as a law's exponent is."""
+    """Whether the free shape of an effect is a multiple of one half, as a law's exponent is.
+
+    Args:
+        effect: An effect.
+        grid: Effects that are tried, among them those of its name and place.
+    """
     found = free_shape(effect, grid)
     return found is not None and float(2.0 * getattr(effect, found[0])).is_integer()
 
@@ -108,4 +117,4 @@ def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tupl
 
 def _is_alike(variant: Effect, effect: Effect) -> bool:
     """Whether a shape is one of the same nature as another, |v|^α with α < 1 or with α > 1."""
-    return variant.distinct and is_refinement(variant) == is_refinement(effect)
+    return variant.distinct and bool(variant.refines) == bool(effect.refines)

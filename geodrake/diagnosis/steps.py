@@ -10,30 +10,29 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.case import Case, error_table
-from geodrake.diagnosis.evidence import (
+from geodrake.diagnosis.results import FittedRival, Step
+from geodrake.diagnosis.step_values import late_joints, reported_delays, reported_parameters
+from geodrake.diagnosis.stepwise_search import Trail
+from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
+from geodrake.effects import Effect, Role
+from geodrake.effects.lookup import effect_of
+from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.evidence import (
     Criteria,
     false_alarm_probability,
     fold_agreement,
     log_likelihood_gain,
 )
-from geodrake.diagnosis.forward import Trail
-from geodrake.diagnosis.hypothesis import Hypothesis
-from geodrake.diagnosis.results import Step
-from geodrake.diagnosis.rival import Rival
-from geodrake.diagnosis.step_values import late_joints, told_delays, told_parameters
-from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
-from geodrake.effects import Payload
-from geodrake.effects.base import Effect
-from geodrake.identification.cross_validation import HeldOut
-from geodrake.identification.model_fit import ModelFit, as_it_stands
+from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric
 
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
 _HEAVIER = 0.25
-"""Share of the farthest body's way from which on a last body, if heavier, may carry something."""
+"""A last body that got heavier carries something if its way is this share of the farthest one's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +124,14 @@ def refit_step(
     *,
     rivals: Sequence[str] = (),
 ) -> tuple[Step, ...]:
-    """A step `wrong_inertia` if refitting the inertias alone takes convincingly much error away.
+    """A step if refitting the inertias alone takes convincingly much error away.
 
     Args:
         case: The case.
         start: The model refitted within its prior.
         fit: The final fit, with no effect added.
         criteria: When a step counts.
-        rivals: Effects that it cannot be told from.
+        rivals: Effects that it cannot be distinguished from.
     """
     evidence = refit_evidence(case, start, criteria)
     if evidence is None:
@@ -150,7 +149,7 @@ def refit_step(
         own["gain_alone"] = gained.gains[body]
     return (
         Step(
-            "wrong_inertia",
+            effect_of(Role.INERTIA).name,
             tuple(moved),
             was.nrms,
             now.nrms,
@@ -196,10 +195,13 @@ def _groups(trail: Trail) -> list[_Group]:
     groups = [_Group(name, tuple(effects)) for name, effects in names.items()]
     groups += [_Group(effect.name, (effect,), effect) for effect in trail.end.released]
     if trail.end.delay != trail.start.delay:
-        groups.append(_Group("effort_delay", delay=trail.end.delay))
+        groups.append(_Group(effect_of(Role.DELAY).name, delay=trail.end.delay))
     if trail.end.looseness > 1.0:
         groups.append(
-            _Group("wrong_inertia", looseness=trail.end.looseness / trail.start.looseness)
+            _Group(
+                effect_of(Role.INERTIA).name,
+                looseness=trail.end.looseness / trail.start.looseness,
+            )
         )
     return groups
 
@@ -214,7 +216,7 @@ def _rivals(
     return tuple(sorted(tied - found))
 
 
-def _fitted(trail: Trail, effect: str, rivals: Collection[str]) -> tuple[Rival, ...]:
+def _fitted(trail: Trail, effect: str, rivals: Collection[str]) -> tuple[FittedRival, ...]:
     """Those rivals of an effect that were fitted in its place, each once, as at the first choice.
 
     Args:
@@ -222,7 +224,7 @@ def _fitted(trail: Trail, effect: str, rivals: Collection[str]) -> tuple[Rival, 
         effect: Name of the effect.
         rivals: Names of its rivals.
     """
-    fits: dict[str, Rival] = {}
+    fits: dict[str, FittedRival] = {}
     for rival in trail.fits:
         if effect in rival.instead_of and not set(rivals).isdisjoint(rival.names):
             fits.setdefault(rival.effect, rival)
@@ -240,7 +242,7 @@ def _carried(case: Case, bodies: Collection[str], phi: Array) -> tuple[str, ...]
     distance = _distances(case, phi)
     heavier = (phi[:, 0] > case.model.phi[:, 0]) & (distance >= _HEAVIER * distance.max())
     may = {*bodies, *np.asarray(case.model.bodies)[heavier]}
-    return (Payload.name,) if may.intersection(case.model.last_bodies) else ()
+    return (effect_of(Role.BODY).name,) if may.intersection(case.model.last_bodies) else ()
 
 
 def _where(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[str, ...]:
@@ -254,14 +256,25 @@ def _where(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[str,
 
 
 def moved_bodies(case: Case, phi: Array) -> Mapping[str, float]:
-    """Bodies that a fit (nb, 10) moved farthest from their prior, with the geometric distance."""
+    """Bodies that a fit (nb, 10) moved farthest from their prior, with the geometric distance.
+
+    Args:
+        case: The case, with the prior.
+        phi: (nb, 10) fitted inertial parameters.
+    """
     distance = _distances(case, phi)
     far = distance >= max(0.5 * distance.max(), 1e-9)
     return {b: float(d) for b, d, f in zip(case.model.bodies, distance, far, strict=True) if f}
 
 
 def distance_of(case: Case, phi: Array, body: str) -> float:
-    """How far a fit (nb, 10) moved a body, as a geometric distance."""
+    """How far a fit (nb, 10) moved a body, as a geometric distance.
+
+    Args:
+        case: The case, with the prior.
+        phi: (nb, 10) fitted inertial parameters.
+        body: Name of the body.
+    """
     return float(_distances(case, phi)[case.model.bodies.index(body)])
 
 
@@ -278,11 +291,11 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
     if group.looseness is not None:
         return _inertias(moved_bodies(case, fit.model.phi), fit), deviations
     if group.delay is not None:
-        return told_delays(case.model.joints, trail.start, trail.end, fit.model.delays)
+        return reported_delays(case.model.joints, trail.start, trail.end, fit.model.delays)
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
             place = fitted.effect.place
-            found, spread = told_parameters(fitted)
+            found, spread = reported_parameters(fitted)
             values.setdefault(place, {}).update(found)
             deviations.setdefault(place, {}).update(spread)
     return values, deviations

@@ -10,31 +10,30 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.evidence import (
+from geodrake.effects.base import Effect, Proposer
+from geodrake.identification.logs.cross_validation import ExtraColumns, HeldOut
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.evidence import (
     Criteria,
     false_alarm_probability,
     fold_agreement,
     log_likelihood_gain,
 )
-from geodrake.diagnosis.hypothesis import Hypothesis, effective_of_each
-from geodrake.effects.base import Effect
-from geodrake.identification.cross_validation import Candidate, HeldOut
-from geodrake.identification.dataset import Dataset
-from geodrake.identification.unknowns import effect_prior
+from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
+from geodrake.identification.logs.model_errors import SEARCH_MARGIN
+from geodrake.identification.logs.unknowns import effect_prior
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 _COMMON = 0.5
-"""Share of the joints that must have an effect, and more, before it is likely at the others."""
+"""An effect is likely at all joints if more than this share of them has it."""
 
 _MORE_THAN_HALF = 0.51
 
-_CLEARLY = 1.5  # times the noise floor, at a joint
-
 PENALTY = 6.0
-"""Gain that a parameter must bring before a hypothesis with it is preferred."""
+"""A parameter must bring this gain for a hypothesis with it to be preferred."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,13 +69,23 @@ class Trial:
 
 
 def gain_of(before: Hypothesis, after: Hypothesis) -> float:
-    """Twice the held-out log-likelihood ratio of two hypotheses."""
+    """Twice the held-out log-likelihood ratio of two hypotheses.
+
+    Args:
+        before: The one hypothesis.
+        after: The other, with which the samples are counted.
+    """
     gains = log_likelihood_gain(before.held_out.mse, after.held_out.mse, after.effective)
     return float(gains.sum())
 
 
-def open_joints(hypothesis: Hypothesis, least: float = _CLEARLY) -> list[str]:
-    """Joints that err by more than so many times their noise floor."""
+def open_joints(hypothesis: Hypothesis, least: float = SEARCH_MARGIN) -> list[str]:
+    """Joints that err by more than so many times their noise floor.
+
+    Args:
+        hypothesis: The hypothesis.
+        least: How many times the noise floor.
+    """
     dataset = hypothesis.dataset
     errors = zip(dataset.joints, hypothesis.held_out.rms, dataset.noise_floor, strict=True)
     return [joint for joint, rms, floor in errors if rms > least * floor]
@@ -104,7 +113,14 @@ def try_packages(
     *,
     least: Criteria | None = None,
 ) -> list[Trial]:
-    """Held-out evidence for each of several packages; see `try_package`."""
+    """Held-out evidence for each of several packages; see `try_package`.
+
+    Args:
+        hypothesis: What each package is added to.
+        packages: The effects to try together, one package after another.
+        tried: Number of candidates that compete, for the probability of a false alarm.
+        least: As for `try_package`.
+    """
     dataset, before, present = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
     trials, promising = list[Trial](), list[int]()
     fits = _quick_fits(hypothesis, packages) if packages else []
@@ -144,7 +160,12 @@ def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
 
 
 def quick_fit(hypothesis: Hypothesis, package: Package) -> HeldOut:
-    """Held-out errors with a package, everything refitted with the weights of the hypothesis."""
+    """Held-out errors with a package, everything refitted with the weights of the hypothesis.
+
+    Args:
+        hypothesis: What the package is added to.
+        package: The effects to try together.
+    """
     return _quick_fits(hypothesis, [package])[0]
 
 
@@ -153,12 +174,12 @@ def _quick_fits(hypothesis: Hypothesis, packages: Sequence[Package]) -> list[Hel
     return hypothesis.cv.with_candidates([_candidate(dataset, package) for package in packages])
 
 
-def _candidate(dataset: Dataset, package: Package) -> Candidate:
+def _candidate(dataset: Dataset, package: Package) -> ExtraColumns:
     known = [effect_prior(dataset, effect)[1] for effect in package.effects]
     information = block_diag(*known) if len(known) > 1 else known[0]
     parameters = [p for effect in package.effects for p in effect.parameters]
     lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
-    return Candidate(columns_of(dataset, package), information, lower, upper)
+    return ExtraColumns(columns_of(dataset, package), information, lower, upper)
 
 
 def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -> Criteria:
@@ -166,6 +187,11 @@ def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -
 
     A robot with rotors at five joints has one at the sixth too, whose evidence may lie in a few
     folds; what else is asked stays.
+
+    Args:
+        names: Names of the effects.
+        hypothesis: What they would be added to.
+        criteria: What an effect must show otherwise.
     """
     effects, joints = hypothesis.unknowns.effects, len(hypothesis.dataset.joints)
     fewest = min(
@@ -181,6 +207,11 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
 
     Where inertias stand in for a package, they may do so well at the joints that it acts upon, and
     leave the error to another one. The joint that gains most is therefore looked at too.
+
+    Args:
+        before: The hypothesis without the package.
+        after: The hypothesis with it.
+        package: The effects.
     """
     errors = before.held_out, after.held_out
     seen = acted_upon(before.dataset, package)
@@ -193,20 +224,34 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
 def acted_upon(dataset: Dataset, package: Package) -> Mask:
     """(nv,) whether the effects of a package act on a joint.
 
-    The blows of play reach other joints too, but are lost there in larger errors.
+    Play is proposed at its joint alone: it reaches others too, but is lost there in larger errors.
+
+    Args:
+        dataset: The reduced logs.
+        package: The effects.
     """
-    if all(effect.name == "backlash" for effect in package.effects):
+    if all(effect.proposer is Proposer.PLAY for effect in package.effects):
         return np.isin(dataset.joints, [joint for e in package.effects for joint in e.where])
     return np.asarray(dataset.reach[:, columns_of(dataset, package)].any(axis=1))
 
 
 def columns_of(dataset: Dataset, package: Package) -> Indices:
-    """(k,) columns of a package."""
+    """(k,) columns of a package.
+
+    Args:
+        dataset: The reduced logs, with columns for the effects.
+        package: The effects.
+    """
     return np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
 
 
 def improvement(errors: tuple[HeldOut, HeldOut], joints: Mask) -> tuple[float, float]:
-    """Share of the squared error gone at some joints, and share of the folds in which it fell."""
+    """Share of the squared error gone at some joints, and share of the folds in which it fell.
+
+    Args:
+        errors: Held-out errors before and after.
+        joints: (nv,) which joints to look at.
+    """
     before, after = errors
     weight = joints / before.mse
     lost, left = before.sse @ weight, after.sse @ weight

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion
+from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion, Shape
 from geodrake.effects.body_motion import RobotBodies
 
 _LEVER = "N·s²/m"
@@ -35,14 +35,16 @@ class AerodynamicDrag(BodyEffect):
     z: float | None = None
 
     name = "aerodynamic_drag"
+    law = "d |v_B| v_B on a body, and its lever"
+    list_position = 64
+    shapes = tuple(Shape(axis, "m") for axis in "xyz")
     parameters = (
         Parameter("drag", "N·s²/m²", lower=0.0),
         *(Parameter(f"drag_lever_{axis}", _LEVER, spread=1e3) for axis in "xyz"),
     )
     signature = "grows with the square of a body's speed, at all joints up to it"
-    sees_bodies = True
+    depends_on = frozenset({"q", "v", "bodies"})
     expandable = True
-    confused_with = ("nonlinear_viscous_friction", "viscous_friction", "effort_delay")
 
     @classmethod
     def candidates(cls, body: str) -> tuple[AerodynamicDrag, ...]:

@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+from geodrake.effects.coulomb_friction import CoulombFriction
+from geodrake.effects.effort_offset import EffortOffset
+from geodrake.effects.viscous_friction import ViscousFriction
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,11 @@ class AsymmetricFriction(JointEffect):
     """
 
     name = "asymmetric_friction"
+    law = "F₊, F₋, c₊, c₋ by direction"
+    list_position = 12
+    complexity = 1
+    contains = (CoulombFriction, ViscousFriction, EffortOffset)
+    jumps = True
     parameters = (
         Parameter("coulomb_positive", "N·m", lower=0.0),
         Parameter("coulomb_negative", "N·m", lower=0.0),
@@ -29,7 +37,7 @@ class AsymmetricFriction(JointEffect):
         Parameter("viscous_negative", "N·m·s/rad", lower=0.0),
     )
     signature = "a step at reversals, and slopes or heights that differ between the directions"
-    confused_with = ("effort_offset", "coulomb_friction", "viscous_friction")
+    depends_on = frozenset({"v"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[max(sgn v, 0), min(sgn v, 0), max(v, 0), min(v, 0)]."""

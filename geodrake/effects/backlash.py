@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects.base import Array, Parameter, RobotMotion, require_positive
+from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion, Shape, require_positive
 from geodrake.effects.deflection import Deflection, DeflectionEffect
-from geodrake.effort_slopes import EffortSlopes
 
 _SUBSTEPS = 4
-_HALF_WIDTHS = (1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
 @dataclass(frozen=True)
@@ -36,21 +34,25 @@ class Backlash(DeflectionEffect):
     half_width: float
 
     name = "backlash"
+    law = "a dead band between the measured motor and its link"
+    list_position = 51
+    proposer = Proposer.PLAY
+    other_bandwidths = (2.5, 6.0)
+    shapes = (Shape("half_width", "rad", grid=(1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)),)
     parameters = (Parameter("gap_share", "1", lower=0.0),)
     signature = "no load for a moment where the load changes its sign, and then a blow"
-    confused_with = ("joint_elasticity", "hysteresis", "coulomb_friction")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive(self, "half_width")
 
-    def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:
+    def deflection(self, motion: RobotMotion) -> Deflection:
         """At the side to which the load pushes the link, or loose between both sides."""
         at, time = motion.index(self.joint), motion.time
         load = motion.load[:, at]
         if time is None or len(time) < 3:
             return Deflection.along(self.half_width * np.sign(load), time)
-        inertia = slopes.acceleration[:, at, at]
+        inertia = motion.effort_slopes.acceleration[:, at, at]
         lag = self.lag(load / np.maximum(inertia, 1e-9), time)
         bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
         period = float(np.median(np.diff(time)))
@@ -77,9 +79,3 @@ class Backlash(DeflectionEffect):
                 if abs(s) >= h:
                     s, speed = float(np.copysign(h, s)), 0.0
         return np.array(lags)
-
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[Backlash, ...]:
-        """Half widths from 0.1 to 10 mrad."""
-        del peak_speed
-        return tuple(cls(joint, h) for h in _HALF_WIDTHS)

@@ -1,6 +1,6 @@
 """What a physical effect is: the base classes of the family.
 
-A robot model is a sum of effects, DESIGN's Eq. (1):
+A robot model is a sum of effects, Eq. (1) of docs/design.md:
 
     effort needed = Y_rb(q, v, v̇) φ + Σ_e Y_e(motion; s_e) μ_e
 
@@ -13,16 +13,20 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from itertools import product
+from numbers import Real
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.body_motion import RobotBodies
-from geodrake.effects.columns import rows_of, stacked
+from geodrake.effects.column_checks import rows_of, stacked
 from geodrake.effects.gradient import RobotGradient, joint_gradient
 from geodrake.effects.parameter import CheckedFields, Parameter, require_positive
 from geodrake.effects.robot_motion import JointMotion, RobotMotion
+from geodrake.effects.role import Proposer, Role
+from geodrake.effects.shape import Shape
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Interval, Manifold
 
@@ -34,48 +38,93 @@ __all__ = [
     "JointMotion",
     "JointPairEffect",
     "Parameter",
+    "Proposer",
     "RobotMotion",
+    "Role",
+    "Shape",
     "require_positive",
 ]
 
 Array = NDArray[np.float64]
+Values = dict[str, float]
+
+SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history"})
+"""What columns may depend on; see `Effect`."""
 
 
 class Effect(CheckedFields, abc.ABC):
-    """A physical effect at its place: regressor, parameters, force law, and what it looks like.
+    """A physical effect at its place, and all that anyone asks of it.
 
-    Subclasses are frozen dataclasses whose fields are the place and the shape parameters.
+    Subclasses are frozen dataclasses whose fields are the place and the shape parameters. They
+    define `name`, `parameters` and columns; all else has a default that suits most effects.
 
-    Class attributes:
+    Class attributes, what it is:
         name: Name in commands, files and reports.
+        label: Name in sentences, where it is not the name with spaces, proper names in capitals.
+        law: The needed effort in a line, for the table of effects.
+        signature: What the effect looks like, in words.
+        list_position: Where it stands among the effects that are listed.
+        role: What it does to the efforts.
+        places: "joint", "joint_pair", "body", "bodies", "robot" or "log": what it is bound to.
         parameters: The linear parameters, in the order of the regressor's columns.
-        signature: What the effect looks like in a residual, in words.
-        confused_with: Names of effects that a log may not tell apart from this one.
-        places: "joint", "joint_pair", "body", "robot" or "log": what an instance is bound to.
+        shapes: Unit and usual values of its shape parameters.
+        depends_on: The signals that its columns depend on: positions "q", velocities "v" and
+            accelerations "vd" of the joints, "load", the effort that the joints need otherwise,
+            the "time" since a log began, where "bodies" are and how they move, and the "history"
+            of the motion. One that leaves it out is tried (see `dependencies`); a dependence on
+            the history must be declared.
+        state_count: How many hidden states it has, decided by the motion so far.
+        stated_as: What a robot's file calls it, if files state it.
+        summary: The reported value that stands for all of them in a line.
+
+    How a diagnosis looks for it:
+        complexity: Of effects that the data cannot tell apart, the least complex one is named.
         turning_only: Whether the effect makes sense at joints that turn only.
-        from_residual: Whether a diagnosis finds its shape in the residual, instead of trying
-            `candidates`.
         needs_known_inertia: Whether only inertias or payloads known from elsewhere can tell it.
         expandable: Whether the columns are slopes of something not linear in the parameters.
-        sees_bodies: Whether the effect depends on where bodies are and how they move.
-        sees_time: Whether the effect depends on the time since a log began.
-        is_force: Whether it is a force on the robot, so that a simulation can have it.
-        state_count: How many hidden states it has, decided by the motion so far.
+        proposer: What in a residual proposes it, instead of trying all `candidates`; effects of
+            pairs of joints that follow each other are tried all the same.
+        hidden_share: Share of the squared error at its joint from which on it is tried although
+            its evidence is weak, as other effects may hide it; 0 where inertias may hide all of it.
+        other_bandwidths: Bandwidths, over that of a log, at which it may show and not at that one.
+
+    Its relations to others:
+        contains: Effects of the same place that it replaces.
+        companion: The effect that is offered beside it as a pair, and fitted beside it at the end.
+        tried_beside: Effects without which the search in the residual does not see it.
+        at_each_joint: What the same actuator adds to either joint of a pair alone.
+        jumps: Whether it jumps where a joint reverses, as dry friction does.
+        usual: Whether a real robot is hardly without it.
     """
 
     name: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
+    label: ClassVar[str] = ""
+    law: ClassVar[str] = ""
     signature: ClassVar[str] = ""
-    confused_with: ClassVar[tuple[str, ...]] = ()
+    list_position: ClassVar[float] = np.inf
+    role: ClassVar[Role] = Role.FORCE
     places: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load"})
+    state_count: ClassVar[int] = 0
+    stated_as: ClassVar[str] = ""
+    summary: ClassVar[str] = ""
+
+    complexity: ClassVar[int] = 2
     turning_only: ClassVar[bool] = False
-    from_residual: ClassVar[bool] = False
     needs_known_inertia: ClassVar[bool] = False
     expandable: ClassVar[bool] = False
-    sees_bodies: ClassVar[bool] = False
-    sees_time: ClassVar[bool] = False
-    is_force: ClassVar[bool] = True
-    state_count: ClassVar[int] = 0
+    proposer: ClassVar[Proposer | None] = None
+    hidden_share: ClassVar[float] = np.inf
+    other_bandwidths: ClassVar[tuple[float, ...]] = ()
+
+    contains: ClassVar[tuple[type[Effect], ...]] = ()
+    companion: ClassVar[type[Effect] | None] = None
+    tried_beside: ClassVar[tuple[type[Effect], ...]] = ()
+    at_each_joint: ClassVar[tuple[type[Effect], ...]] = ()
+    jumps: ClassVar[bool] = False
+    usual: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
@@ -104,7 +153,12 @@ class Effect(CheckedFields, abc.ABC):
         return dense
 
     def effort(self, motion: RobotMotion, mu: Array) -> Array:
-        """Effort needed because of the effect, (N, nv): the force law is its negative."""
+        """Effort needed because of the effect, (N, nv): the force law is its negative.
+
+        Args:
+            motion: N samples.
+            mu: (k,) linear parameters, SI.
+        """
         return self.regressor(motion) @ np.asarray(mu, float)
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient | None:
@@ -121,7 +175,12 @@ class Effect(CheckedFields, abc.ABC):
         return None
 
     def state_rates(self, motion: RobotMotion, state: Array) -> Array:
-        """Rates (N, s) of the hidden states (N, s), for simulation."""
+        """Rates (N, s) of the hidden states (N, s), for simulation.
+
+        Args:
+            motion: N samples.
+            state: (N, s) hidden states at them.
+        """
         raise NotImplementedError
 
     def states_along(self, motion: RobotMotion) -> Array:
@@ -141,14 +200,41 @@ class Effect(CheckedFields, abc.ABC):
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in place}  # type: ignore[arg-type]
 
     @property
-    def told_shape(self) -> dict[str, Any]:
-        """The shape parameters that a result tells of."""
-        return self.shape
+    def reported_shape(self) -> dict[str, float]:
+        """The shape parameters that results report: those that are numbers."""
+        shape = self.shape.items()
+        return {name: float(value) for name, value in shape if isinstance(value, Real)}
+
+    def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
+        """Values of parameters and shape as results report them, and standard deviations, by name.
+
+        Args:
+            parameters: (k,) linear parameters.
+            deviations: (k,) their standard deviations, NaN where they are not known.
+        """
+        names = [parameter.name for parameter in self.parameters]
+        values = dict(zip(names, map(float, parameters), strict=True)) | self.reported_shape
+        return values, dict(zip(names, map(float, deviations), strict=True))
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """SI unit of a reported value at joints that turn; "1" for plain numbers."""
+        units = {shape.name: shape.unit for shape in cls.shapes}
+        units |= {parameter.name: parameter.unit for parameter in cls.parameters}
+        return units.get(name, "1")
 
     @property
     def free_shapes(self) -> int:
         """How many shape parameters the data choose, beside the linear ones."""
         return sum(isinstance(value, float) for value in self.shape.values())
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """What it comes on top of: one of these sets of effects must be at its place already.
+
+        Nothing for most effects. Alone, a refinement would be a compromise of what it refines.
+        """
+        return ()
 
     def expanded_about(self, parameters: Array, bodies: RobotBodies) -> Effect:
         """The effect with columns exact near some values of its parameters, if `expandable`.
@@ -160,29 +246,59 @@ class Effect(CheckedFields, abc.ABC):
         del parameters, bodies
         return self
 
+    def course(self, along: Array) -> Array:
+        """How it goes with time or along a way, for the proposers that try that on a residual.
+
+        Args:
+            along: (N,) instants since the log began, s, or positions of the joint, by `proposer`.
+        """
+        raise NotImplementedError(f"{self.name} has no course along {len(along)} samples.")
+
     @property
     def distinct(self) -> bool:
         """Whether the shape keeps the effect apart from simpler ones, so that it may be chosen."""
         return True
 
     @classmethod
+    def shaped(cls, *place: Any, **scales: float) -> tuple[Self, ...]:
+        """Instances at a place with every combination of the values on the grids of `shapes`.
+
+        Args:
+            place: The joint, pair of joints or body.
+            scales: Sizes that grids are shares of, such as `speed`, by the names of `Shape.scale`.
+
+        Raises:
+            ArgumentError: The effect has shape parameters without a default or a grid.
+        """
+        make: Callable[..., Self] = cls
+        tried = {shape.name: shape.values(scales) for shape in cls.shapes}
+        grids = {name: values for name, values in tried.items() if values}
+        try:
+            return tuple(
+                make(*place, **dict(zip(grids, values, strict=True)))
+                for values in product(*grids.values())
+            )
+        except TypeError as error:
+            raise ArgumentError(
+                f"{cls.name} cannot be made of its place {place[0]!r} alone: {error}.",
+                advice="Give its shape parameters defaults, or define candidates().",
+            ) from error
+
+    @classmethod
     def candidates(cls, *args: Any, **kwargs: Any) -> Iterable[Effect]:
-        """Instances a diagnosis should try at a place: one, unless the effect has shapes to try.
+        """Instances a diagnosis should try at a place: one for every shape on the grids.
 
         A diagnosis calls it with a joint and its largest speed, with a pair of joints, or with a
         body, as `places` says.
 
-        Raises:
-            ArgumentError: The effect has shape parameters without a default.
+        Args:
+            *args: The place: a joint and its largest speed (rad/s or m/s), a pair of joints, or a
+                body.
+            **kwargs: Not used; a subclass may take arguments of its own by name.
         """
-        make: Callable[..., Effect] = cls
-        try:
-            return (make(args[0]),)
-        except TypeError as error:
-            raise ArgumentError(
-                f"{cls.name} cannot be made of its place {args[0]!r} alone: {error}.",
-                advice="Give its shape parameters defaults, or define candidates().",
-            ) from error
+        del kwargs
+        place, speed = args[:1], args[1:2]
+        return cls.shaped(*place, **({"speed": speed[0]} if speed else {}))
 
 
 @dataclass(frozen=True)
@@ -234,8 +350,7 @@ class JointEffect(Effect):
             joint: Name of the joint.
             peak_speed: Largest speed of the joint in the log, rad/s or m/s.
         """
-        del peak_speed
-        return super().candidates(joint)
+        return cls.shaped(joint, speed=peak_speed)
 
 
 @dataclass(frozen=True)
@@ -267,6 +382,7 @@ class BodyEffect(Effect):
 
     body: str
     places: ClassVar[str] = "body"
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load", "bodies"})
 
     @property
     def where(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
-from geodrake.kinematics import KinematicTree
+from geodrake.robot.kinematics import KinematicTree
 
 Array = NDArray[np.float64]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+from geodrake.effects.viscous_friction import ViscousFriction
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,16 @@ class CoulombFriction(JointEffect):
     """
 
     name = "coulomb_friction"
+    law = "F sgn v; `explain` finds below which speed sgn v fades, where that matters"
+    list_position = 11
+    complexity = 0
+    stated_as = "dry friction"
+    companion = ViscousFriction
+    jumps = True
+    usual = True
     parameters = (Parameter("coulomb", "N·m", lower=0.0),)
     signature = "a step of constant height wherever the joint reverses"
-    confused_with = ("load_dependent_friction", "asymmetric_friction", "stribeck_friction")
+    depends_on = frozenset({"v"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[sgn v]."""

@@ -7,20 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects.base import Array, JointPairEffect, Parameter, RobotMotion
+from geodrake.effects.base import Array, Parameter, RobotMotion, Shape
 from geodrake.effects.gradient import RobotGradient, sign_slope
+from geodrake.effects.shared_actuator import Direction, SharedActuatorEffect
 from geodrake.errors import ArgumentError
 
 
 @dataclass(frozen=True)
-class CoupledFriction(JointPairEffect):
+class CoupledFriction(SharedActuatorEffect):
     """Friction of an actuator whose speed is w = vᵢ + s vⱼ, as in a coupled wrist.
 
     effort of joint i = F sgn w + c w, and s times that at joint j, so that the power is
     (F sgn w + c w) w; F ≥ 0 in N·m and c ≥ 0 in N·m·s/rad.
-
-    A diagnosis tries it at joints that follow each other, and at any other two whose residuals both
-    go with the friction of one actuator, beyond friction of their own.
 
     Attributes:
         joints: The joints i and j.
@@ -30,12 +28,20 @@ class CoupledFriction(JointPairEffect):
     sign: int = 1
 
     name = "coupled_friction"
+    law = (
+        "friction of an actuator that turns with v_i ± v_j; of joints that do not follow each "
+        "other, found in the residual"
+    )
+    list_position = 16
+    complexity = 1
+    shapes = (Shape("sign", grid=(1, -1)),)
+    jumps = True
     parameters = (
         Parameter("coulomb", "N·m", lower=0.0),
         Parameter("viscous", "N·m·s/rad", lower=0.0),
     )
     signature = "steps at both joints at once, where the sum or difference of their speeds reverses"
-    confused_with = ("coulomb_friction", "viscous_friction")
+    depends_on = frozenset({"v"})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,7 +67,9 @@ class CoupledFriction(JointPairEffect):
         gradient.v[:, i], gradient.v[:, j] = by_w, self.sign * by_w
         return gradient
 
-    @classmethod
-    def candidates(cls, joints: tuple[str, str]) -> tuple[CoupledFriction, ...]:
-        """The sum and the difference of the two speeds."""
-        return cls(joints, 1), cls(joints, -1)
+    @staticmethod
+    def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
+        """[sgn w, w] with w = v + s vⱼ, whatever the joint: at joint j, s is taken out."""
+        del turned_vd
+        w = v + turned_v
+        return np.stack([direction(w), w], -1)

@@ -7,27 +7,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects.base import Array, JointPairEffect, Parameter, RobotMotion
+from geodrake.effects.base import Array, Parameter, RobotMotion
 from geodrake.effects.gradient import RobotGradient
+from geodrake.effects.rotor_inertia import RotorInertia
+from geodrake.effects.shared_actuator import Direction, SharedActuatorEffect
 
 
 @dataclass(frozen=True)
-class CoupledRotorInertia(JointPairEffect):
+class CoupledRotorInertia(SharedActuatorEffect):
     """What a rotor that turns with vᵢ and vⱼ adds between the two joints.
 
     effort of joint i = I v̇ⱼ and effort of joint j = I v̇ᵢ, from the kinetic energy I vᵢ vⱼ: one
     symmetric pair of entries of the mass matrix. I is in kg·m², and negative where the rotor turns
     with the difference. What the same rotor adds to each joint alone is `rotor_inertia` of either
     joint, so |I| ≤ √(Iᵢ Iⱼ) of those two.
-
-    A diagnosis tries it at joints that follow each other, and at any other two whose residuals both
-    go with the acceleration of the other one, beyond that of their own.
     """
 
     name = "coupled_rotor_inertia"
+    law = "I v̇_j on joint i and I v̇_i on joint j; of any two joints, like `coupled_friction`"
+    list_position = 41
+    complexity = 1
+    at_each_joint = (RotorInertia,)
     parameters = (Parameter("inertia", "kg·m²"),)
     signature = "at each of two joints, follows the acceleration of the other one"
-    confused_with = ("wrong_inertia", "payload", "rotor_inertia")
+    depends_on = frozenset({"vd"})
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[v̇ⱼ] at joint i and [v̇ᵢ] at joint j."""
@@ -36,6 +39,12 @@ class CoupledRotorInertia(JointPairEffect):
             i: motion.vd[:, motion.index(j), np.newaxis],
             j: motion.vd[:, motion.index(i), np.newaxis],
         }
+
+    @staticmethod
+    def shared(v: Array, turned_v: Array, turned_vd: Array, direction: Direction) -> Array:
+        """[s v̇ⱼ]."""
+        del v, turned_v, direction
+        return turned_vd[..., np.newaxis]
 
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
         """Of either column by the other joint's v̇."""

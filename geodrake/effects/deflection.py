@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion
-from geodrake.effort_slopes import EffortSlopes, effort_slopes
-from geodrake.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
+from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion, Role
+from geodrake.logs.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
+from geodrake.robot.effort_slopes import EffortSlopes
 
 _DEGREE = 5
 _LEAST_SECONDS = 8.0  # of a lag that says what is noise in it
@@ -33,7 +33,12 @@ class Deflection:
 
     @classmethod
     def along(cls, lag: Array, time: Array | None) -> Deflection:
-        """With rates (N,) of a lag (N,) that changes smoothly; zero where it is no series."""
+        """With rates (N,) of a lag (N,) that changes smoothly; zero where it is no series.
+
+        Args:
+            lag: (N,) lag of the link behind its motor, rad or m.
+            time: (N,) instants of a uniform series, s; None where the samples are no series.
+        """
         if time is None or len(lag) <= _DEGREE:
             return cls(lag, np.zeros_like(lag), np.zeros_like(lag))
         lag = _smooth(lag, time)
@@ -68,51 +73,27 @@ def _smooth(lag: Array, time: Array) -> Array:
     return design_filter(period, choose_bandwidth([(lag[:, None], period)])).smooth(lag)
 
 
-def slopes_of(motion: RobotMotion, effect: str) -> EffortSlopes:
-    """Slopes of the bodies' effort with a motion.
-
-    Args:
-        motion: The motion.
-        effect: Name of the effect that needs them, for messages.
-
-    Raises:
-        ArgumentError: Nobody knows the bodies here.
-    """
-    bodies = motion.body_motions(effect)
-    return effort_slopes(bodies.tree, bodies.q, motion.v, motion.vd, bodies.phi)
-
-
 @dataclass(frozen=True)
 class DeflectionEffect(JointEffect):
     """A joint whose link lags behind its motor. Subclasses define `deflection`."""
 
-    from_residual = True
-    sees_bodies = True
-    sees_time = True
-    is_force = False
+    role = Role.DEFLECTION
+    depends_on = frozenset({"q", "v", "vd", "load", "time", "bodies"})
 
     @abc.abstractmethod
-    def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:
-        """How far the link lags behind, for a parameter of one.
-
-        Args:
-            motion: The motion of the motors.
-            slopes: Slopes of the bodies' effort with it.
-        """
+    def deflection(self, motion: RobotMotion) -> Deflection:
+        """How far the link lags behind at a motion of the motors, for a parameter of one."""
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Nothing that the joint's own motion says."""
         return [np.zeros_like(joint.v)]
 
-    def column(self, motion: RobotMotion, slopes: EffortSlopes) -> Array:
-        """The column (N, nv) at all joints, from slopes that many effects may share."""
-        return self.deflection(motion, slopes).effort(slopes, motion.index(self.joint))
+    def column(self, motion: RobotMotion) -> Array:
+        """The column (N, nv) at all joints."""
+        slopes = motion.effort_slopes
+        return self.deflection(motion).effort(slopes, motion.index(self.joint))
 
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """[−(∂τ/∂q s + ∂τ/∂v ṡ + M s̈)] at all joints."""
-        return self.rows_from(motion, slopes_of(motion, self.name))
-
-    def rows_from(self, motion: RobotMotion, slopes: EffortSlopes) -> Mapping[str, Array]:
-        """The rows, from slopes that are known already."""
-        column = self.column(motion, slopes)
+        column = self.column(motion)
         return {joint: column[:, i, None] for i, joint in enumerate(motion.joints)}

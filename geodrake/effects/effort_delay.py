@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
-from geodrake.effects.base import Array, Effect, RobotMotion
+from geodrake.effects.base import Array, Effect, RobotMotion, Role, Shape
 from geodrake.errors import ArgumentError
 
 _DEGREE = 5
@@ -24,7 +24,7 @@ class EffortDelay(Effect):
 
     It has no columns of its own but shifts those of everything else: `delayed` turns the needed
     efforts, or the regressor columns that they come from, into what the log shows. Shift before
-    filtering. In a simulation it is `geodrake.systems.DelayedEffort`.
+    filtering. In a simulation it is `geodrake.control.systems.DelayedEffort`.
 
     Attributes:
         delay: δ, s; negative if the efforts are ahead.
@@ -35,11 +35,15 @@ class EffortDelay(Effect):
     joint: str | None = None
 
     name = "effort_delay"
+    law = "effort logged at t is that needed at t − δ"
+    list_position = 22
+    complexity = 1
+    role = Role.DELAY
+    shapes = (Shape("delay", "s"),)
     parameters = ()
-    is_force = False
     places: ClassVar[str] = "log"
     signature = "follows the rate of change of the effort, so it is largest in fast motion"
-    confused_with = ("nonlinear_viscous_friction", "joint_elasticity", "rotor_inertia")
+    depends_on = frozenset()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,35 +85,3 @@ class EffortDelay(Effect):
         degree = min(_DEGREE, len(signal) - 1)
         spline = make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
         return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
-
-
-def delays_of(effects: Sequence[Effect], joints: Sequence[str]) -> Array:
-    """(n,) delays, s, that some effects make together at n joints."""
-    delays = np.zeros(len(joints))
-    for effect in effects:
-        if isinstance(effect, EffortDelay):
-            delays[[effect.joint in (None, joint) for joint in joints]] += effect.delay
-    return delays
-
-
-def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]:
-    """The effects that make delays (n,), s, at n joints: one of all efforts if they are alike."""
-    seconds = np.asarray(delays, float).tolist()
-    if len(set(seconds)) == 1:
-        return [EffortDelay(seconds[0])] if seconds[0] else []
-    return [EffortDelay(own, joint) for own, joint in zip(seconds, joints, strict=True) if own]
-
-
-def delayed_by(delays: ArrayLike, signals: Array, period: float) -> Array:
-    """Signals (N, n) as they were some time ago, each with a delay of its own.
-
-    Args:
-        delays: (n,) delays, s.
-        signals: (N, n) samples at a uniform rate.
-        period: Time between samples, s.
-    """
-    seconds = np.asarray(delays, float).tolist()
-    if len(set(seconds)) == 1:
-        return EffortDelay(seconds[0]).delayed(signals, period)
-    both = zip(seconds, signals.T, strict=True)
-    return np.stack([EffortDelay(own).delayed(signal, period) for own, signal in both], axis=1)

@@ -19,9 +19,12 @@ class EffortOffset(JointEffect):
     """
 
     name = "effort_offset"
+    law = "o"
+    list_position = 20
+    complexity = 0
     parameters = (Parameter("offset", "N·m"),)
     signature = "the same at all times"
-    confused_with = ("asymmetric_friction", "joint_spring", "gravity_tilt")
+    depends_on = frozenset()
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[1]."""

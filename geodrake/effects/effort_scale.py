@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, RobotMotion
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, RobotMotion, Role
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,16 @@ class EffortScale(JointEffect):
     """
 
     name = "effort_scale"
+    law = (
+        "the logged effort is (1 + ε) that of the joint, where the inertia is trusted or a known "
+        "payload is carried in one log"
+    )
+    list_position = 21
+    complexity = 1
+    role = Role.SCALE
     parameters = (Parameter("gain_error", "1", lower=-0.99),)
     signature = "in proportion to everything else that the joint needs"
-    confused_with = ("wrong_inertia", "payload", "load_dependent_friction")
+    depends_on = frozenset({"load"})
     needs_known_inertia = True
 
     def columns(self, joint: JointMotion) -> tuple[Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geodrake.arguments import instance, real_array
+from geodrake.boundary.arguments import instance, real_array
 from geodrake.effects.base import Array, Effect
 
 

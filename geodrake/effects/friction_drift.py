@@ -9,14 +9,17 @@ import numpy as np
 
 from geodrake.effects.base import (
     Array,
+    Effect,
     JointEffect,
     JointMotion,
     Parameter,
+    Proposer,
     RobotMotion,
+    Shape,
     require_positive,
 )
-
-_USUAL = 300.0
+from geodrake.effects.coulomb_friction import CoulombFriction
+from geodrake.effects.viscous_friction import ViscousFriction
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,15 @@ class FrictionDrift(JointEffect):
     time_constant: float
 
     name = "friction_drift"
+    law = "e^(−t/T) (F sgn v + c v): friction of a gear that warms up, on top of what it settles at"
+    list_position = 17
+    proposer = Proposer.WARMING
+    shapes = (
+        Shape("time_constant", "s", grid=(0.1, 0.3, 1.0, 3.0), scale="duration", usual=300.0),
+    )
     parameters = (Parameter("coulomb_change", "N·m"), Parameter("viscous_change", "N·m·s/rad"))
     signature = "friction that is another one at the end of a log than at its start"
-    confused_with = ("coulomb_friction", "viscous_friction")
-    from_residual = True
-    sees_time = True
+    depends_on = frozenset({"v", "time"})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,11 +62,14 @@ class FrictionDrift(JointEffect):
         if motion.time is None:
             return super().rows(motion)
         joint = motion.joint(self.joint)
-        left = np.exp(-motion.time / self.time_constant)
+        left = self.course(motion.time)
         return {self.joint: left[:, None] * np.stack([joint.sign_v, joint.v], -1)}
 
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[FrictionDrift, ...]:
-        """Five minutes; a diagnosis tries what suits the length of the logs."""
-        del peak_speed
-        return (cls(joint, _USUAL),)
+    def course(self, along: Array) -> Array:
+        """Share e^{−t/T} of the change that is left at instants (N,) since the log began, s."""
+        return np.exp(-along / self.time_constant)
+
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """Dry friction or viscous friction."""
+        return ((CoulombFriction,), (ViscousFriction,))

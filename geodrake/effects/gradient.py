@@ -75,7 +75,12 @@ def joint_gradient(
 
 
 def sign_slope(sign_v: Array, width: float | Array) -> Array:
-    """Derivative of `RobotMotion.direction` with respect to v; zero where the sign is a step."""
+    """Derivative of `RobotMotion.direction` with respect to v; zero where the sign is a step.
+
+    Args:
+        sign_v: (...) smoothed signs of the velocities.
+        width: Speed below which the sign fades, rad/s or m/s; broadcast.
+    """
     width = np.asarray(width, float)
     return np.asarray(np.where(width > 0, (1.0 - sign_v**2) / np.where(width > 0, width, 1.0), 0.0))
 
@@ -83,7 +88,12 @@ def sign_slope(sign_v: Array, width: float | Array) -> Array:
 def difference_slopes(
     columns: Callable[[JointMotion], Sequence[ArrayLike]], joint: JointMotion
 ) -> list[dict[str, Array]]:
-    """Central differences of columns with respect to every field of a joint's motion."""
+    """Central differences of columns with respect to every field of a joint's motion.
+
+    Args:
+        columns: The effect's columns at a motion of its joint.
+        joint: N samples of the joint.
+    """
     slopes: list[dict[str, Array]] = [{} for _ in columns(joint)]
     for name in _FIELDS:
         values = getattr(joint, name)

@@ -22,9 +22,12 @@ class GravityCompensator(JointEffect):
     """
 
     name = "gravity_compensator"
+    law = "k sin(q − q₀)"
+    list_position = 31
+    complexity = 1
     parameters = (Parameter("sine", "N·m"), Parameter("cosine", "N·m"))
     signature = "one wave a turn of the joint, whatever its speed and the other joints"
-    confused_with = ("joint_spring", "wrong_inertia", "payload", "gravity_tilt")
+    depends_on = frozenset({"q"})
     turning_only = True
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:

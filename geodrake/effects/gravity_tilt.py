@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from geodrake.effects.base import Array, Parameter, RobotMotion
+from geodrake.effects.base import Array, Parameter, RobotMotion, Shape
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_effect import RobotEffect
 
@@ -37,14 +36,17 @@ class GravityTilt(RobotEffect):
     about_y: float = 0.0
 
     name = "gravity_tilt"
+    law = "the base stands on a slope: two angles"
+    list_position = 62
+    complexity = 1
+    shapes = (Shape("about_x", "rad"), Shape("about_y", "rad"))
     parameters = (
         Parameter("tilt_x", "rad", spread=1.0),
         Parameter("tilt_y", "rad", spread=1.0),
     )
     signature = "follows the robot's posture at all joints, as if it stood on a slope"
-    sees_bodies = True
+    depends_on = frozenset({"q", "bodies"})
     expandable = True
-    confused_with = ("wrong_inertia", "payload", "joint_spring", "effort_offset")
 
     @property
     def free_shapes(self) -> int:
@@ -52,7 +54,7 @@ class GravityTilt(RobotEffect):
         return 0
 
     @property
-    def told_shape(self) -> dict[str, Any]:
+    def reported_shape(self) -> dict[str, float]:
         """None: where the columns are exact is no property of the robot."""
         return {}
 

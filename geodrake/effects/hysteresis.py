@@ -12,11 +12,13 @@ from geodrake.effects.base import (
     JointEffect,
     JointMotion,
     Parameter,
+    Proposer,
     RobotMotion,
+    Shape,
     require_positive,
 )
-
-_USUAL = 0.02
+from geodrake.effects.coulomb_friction import CoulombFriction
+from geodrake.effects.viscous_friction import ViscousFriction
 
 
 @dataclass(frozen=True)
@@ -42,10 +44,19 @@ class Hysteresis(JointEffect):
     breakaway_angle: float
 
     name = "hysteresis"
+    law = "F z with Dahl's bristles z, ż = (v − |v| z) / θ"
+    list_position = 18
+    proposer = Proposer.BRISTLES
+    hidden_share = 0.1
+    tried_beside = (CoulombFriction, ViscousFriction)
+    shapes = (
+        Shape(
+            "breakaway_angle", "rad", grid=(0.003, 0.01, 0.03, 0.1, 0.3), scale="reach", usual=0.02
+        ),
+    )
     parameters = (Parameter("coulomb", "N·m", lower=0.0),)
     signature = "dry friction that after a reversal comes back over an angle, not at once"
-    confused_with = ("coulomb_friction", "stribeck_friction", "joint_spring", "backlash")
-    from_residual = True
+    depends_on = frozenset({"q", "v", "history"})
     state_count = 1
 
     def __post_init__(self) -> None:
@@ -102,8 +113,6 @@ class Hysteresis(JointEffect):
             reach *= 2
         return z
 
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[Hysteresis, ...]:
-        """A degree or so; a diagnosis tries what suits the joint's range of motion."""
-        del peak_speed
-        return (cls(joint, _USUAL),)
+    def course(self, along: Array) -> Array:
+        """The bristles' bend z along positions (N,), from no bend on."""
+        return self.bend(along)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geodrake.effects.base import Parameter, RobotMotion
+from geodrake.effects.base import Parameter, Proposer, RobotMotion
 from geodrake.effects.deflection import Deflection, DeflectionEffect
-from geodrake.effort_slopes import EffortSlopes
 
 
 @dataclass(frozen=True)
@@ -26,11 +25,15 @@ class JointElasticity(DeflectionEffect):
     """
 
     name = "joint_elasticity"
+    law = "the link gives way by its load over k, to first order in 1/k"
+    list_position = 50
+    complexity = 1
+    proposer = Proposer.BENDING
+    hidden_share = 0.0
+    other_bandwidths = (0.5,)
     parameters = (Parameter("compliance", "rad/(N·m)", lower=0.0),)
     signature = "follows what moving the joint on by its own load would change, at all joints"
-    confused_with = ("rotor_inertia", "effort_delay", "wrong_inertia", "joint_spring")
 
-    def deflection(self, motion: RobotMotion, slopes: EffortSlopes) -> Deflection:
+    def deflection(self, motion: RobotMotion) -> Deflection:
         """The load of the joint, as a spring of unit stiffness gives way to it."""
-        del slopes
         return Deflection.along(motion.load[:, motion.index(self.joint)], motion.time)

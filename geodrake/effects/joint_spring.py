@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter
+from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, Shape
 from geodrake.errors import ArgumentError
 
 
@@ -32,9 +32,13 @@ class JointSpring(JointEffect):
     center: float = 0.0
 
     name = "joint_spring"
+    law = "k (q − q_c)ⁿ + preload"
+    list_position = 30
+    complexity = 1
+    shapes = (Shape("exponent", grid=(1, 3)), Shape("center", "rad"))
     parameters = (Parameter("stiffness", "N·m/radⁿ", lower=0.0), Parameter("preload", "N·m"))
     signature = "follows the joint's position, whatever its speed"
-    confused_with = ("gravity_compensator", "gravity_tilt", "wrong_inertia", "joint_elasticity")
+    depends_on = frozenset({"q"})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -52,9 +56,3 @@ class JointSpring(JointEffect):
         """Of (q − q_c)^n by q."""
         n = self.exponent
         return [{"q": n * (joint.q - self.center) ** (n - 1)}, {}]
-
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[JointSpring, ...]:
-        """A linear and a cubic spring around q = 0."""
-        del peak_speed
-        return cls(joint), cls(joint, exponent=3)

@@ -22,9 +22,14 @@ class LoadDependentFriction(JointEffect):
     """
 
     name = "load_dependent_friction"
+    label = "load-dependent friction"
+    law = "k |τ_model| sgn v"
+    list_position = 15
+    complexity = 1
+    jumps = True
     parameters = (Parameter("load_factor", "1", lower=0.0),)
     signature = "a step at reversals whose height grows with the load on the joint"
-    confused_with = ("coulomb_friction", "effort_scale", "wrong_inertia")
+    depends_on = frozenset({"v", "load"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[|τ_model| sgn v]."""

@@ -8,9 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
+from geodrake.effects.base import (
+    Array,
+    Effect,
+    JointEffect,
+    JointMotion,
+    Parameter,
+    Shape,
+    require_positive,
+)
+from geodrake.effects.coulomb_friction import CoulombFriction
+from geodrake.effects.viscous_friction import ViscousFriction
 
-_EXPONENTS = (0.5, 1.5, 2.0, 3.0)
 _LEAST_RATIO = 1.25  # of the exponent to that of viscous friction
 
 
@@ -27,9 +36,12 @@ class NonlinearViscousFriction(JointEffect):
     exponent: float
 
     name = "nonlinear_viscous_friction"
+    law = "c |v|^α sgn v"
+    list_position = 14
+    shapes = (Shape("exponent", grid=(0.5, 1.5, 2.0, 3.0)),)
     parameters = (Parameter("viscous", "N·m·(s/rad)^α", lower=0.0),)
     signature = "follows the joint's speed along a curve and changes sign with it"
-    confused_with = ("viscous_friction", "coulomb_friction", "effort_delay", "aerodynamic_drag")
+    depends_on = frozenset({"v"})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,8 +63,7 @@ class NonlinearViscousFriction(JointEffect):
         """Whether the exponent is far enough from 1, at which this is viscous friction."""
         return bool(abs(np.log(self.exponent)) >= np.log(_LEAST_RATIO))
 
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[NonlinearViscousFriction, ...]:
-        """The exponents ½, 1½, 2 and 3."""
-        del peak_speed
-        return tuple(cls(joint, exponent) for exponent in _EXPONENTS)
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """With α < 1, dry and viscous friction, between which it stands; a drag refines nothing."""
+        return ((CoulombFriction, ViscousFriction),) if self.exponent < 1.0 else ()

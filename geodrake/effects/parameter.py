@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.arguments import instance, instances, integer, number, positive
+from geodrake.boundary.arguments import instance, instances, integer, number, positive
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -75,6 +76,30 @@ class CheckedFields:
                 integer(value, name)
 
 
+def whole_numbers(effect: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of fields of a class of effects, those of type `int` whole where they are floats.
+
+    A saved model holds all numbers as floats.
+
+    Args:
+        effect: Class of the effect.
+        values: Values by name of the field.
+
+    Raises:
+        ArgumentError: One of these is not whole.
+    """
+    whole = {field.name for field in fields(effect) if _declared(field.type) == "int"}
+    found = dict(values)
+    for name, value in values.items():
+        if name in whole and isinstance(value, float):
+            if not value.is_integer():
+                raise ArgumentError(
+                    f"{effect.name} needs a whole number as {name}; it got {value}."
+                )
+            found[name] = int(value)
+    return found
+
+
 def _declared(kind: Any) -> str:
     """The type of a field as it is written: `float`, `float | None`, `tuple[str, str]`."""
     words = kind.__name__ if type(kind) is type else str(kind).replace("typing.", "")
@@ -83,6 +108,10 @@ def _declared(kind: Any) -> str:
 
 def require_positive(effect: Any, *names: str) -> None:
     """Refuses shape parameters of an effect that are not positive and finite.
+
+    Args:
+        effect: The effect.
+        *names: Names of its shape parameters.
 
     Raises:
         ArgumentError: One of the named fields is not.

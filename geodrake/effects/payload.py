@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion
+from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion, Role, Values
 from geodrake.effects.gradient import RobotGradient
-from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS
+from geodrake.inertia import PARAMETER_NAMES, PARAMETER_UNITS, to_mass_com_inertia
 from geodrake.manifolds import Manifold, PhysicalInertia
 
 _NEVER_NEGATIVE = ("m", "Ixx", "Iyy", "Izz")
@@ -27,12 +27,31 @@ class Payload(BodyEffect):
     """
 
     name = "payload"
+    law = "ten inertial parameters, P ≻ 0"
+    list_position = 60
+    complexity = 1
+    role = Role.BODY
+    summary = "mass"
     parameters = tuple(
         Parameter(name, unit, lower=0.0 if name in _NEVER_NEGATIVE else -np.inf)
         for name, unit in zip(PARAMETER_NAMES, PARAMETER_UNITS, strict=True)
     )
-    signature = "follows gravity and acceleration at all joints up to the link that carries it"
-    confused_with = ("wrong_inertia", "rotor_inertia", "gravity_tilt", "effort_scale")
+    signature = "a body carried by the robot that its model does not have"
+    depends_on = frozenset({"q", "v", "vd"})
+
+    @classmethod
+    def unit_of(cls, name: str) -> str:
+        """Unit of a parameter, or of the mass or the centre of mass that results report."""
+        return {"mass": "kg", **{f"com_{axis}": "m" for axis in "xyz"}}.get(
+            name, super().unit_of(name)
+        )
+
+    def reported(self, parameters: Array, deviations: Array) -> tuple[Values, Values]:
+        """Mass and centre of mass, and their standard deviations."""
+        mass, com, _ = to_mass_com_inertia(parameters)
+        # To first order of the deviations, those of mass and moment taken as independent.
+        spread = np.hypot(deviations[1:4], com * deviations[0]) / mass
+        return _by_name(float(mass), com), _by_name(float(deviations[0]), spread)
 
     @property
     def manifold(self) -> Manifold:
@@ -51,3 +70,8 @@ class Payload(BodyEffect):
     def gradient(self, motion: RobotMotion, weights: Array) -> RobotGradient:
         """The weights themselves, of the link's inertial regressor."""
         return replace(RobotGradient.zero(motion), bodies={self.body: weights})
+
+
+def _by_name(mass: float, com: Array) -> Values:
+    x, y, z = com.tolist()
+    return {"mass": mass, "com_x": x, "com_y": y, "com_z": z}

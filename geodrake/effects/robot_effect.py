@@ -14,6 +14,7 @@ class RobotEffect(Effect):
     """An effect of the whole robot. Subclasses define `name`, `parameters`, `rows`."""
 
     places: ClassVar[str] = "robot"
+    depends_on: ClassVar[frozenset[str]] = frozenset({"q", "v", "vd", "load", "bodies"})
 
     @property
     def where(self) -> tuple[str, ...]:

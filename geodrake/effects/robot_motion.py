@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError
+from geodrake.robot.effort_slopes import EffortSlopes, effort_slopes
 
 Array = NDArray[np.float64]
 
@@ -48,7 +51,7 @@ class RobotMotion:
         body_columns: Maps a body name to its (N, nv, 10) inertial regressor.
         bodies: Poses and Jacobians of the bodies; None where nobody computes them.
         time: (N,) instants since the log began, s; None where samples are no series.
-        log: Number that tells a log from others; 0 for none.
+        log: Number that tells a log from others, from `log_number`; 0 for none.
         before: (M, nv) positions right before the first sample, none at the start of a log; None
             where samples do not follow each other in time.
         states: Effect -> (N, s) its hidden state, where it is known, as in a simulation.
@@ -106,8 +109,35 @@ class RobotMotion:
             )
         return self.bodies
 
+    @cached_property
+    def effort_slopes(self) -> EffortSlopes:
+        """Slopes of the bodies' effort with the motion.
+
+        Raises:
+            ArgumentError: Nobody knows the bodies here.
+        """
+        bodies = self.body_motions("An elastic or loose joint")
+        return effort_slopes(bodies.tree, bodies.q, self.v, self.vd, bodies.phi)
+
     @staticmethod
     def direction(v: Array, width: float | Array) -> Array:
-        """Smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0."""
+        """Smoothed sign of a velocity, tanh(v / width); the plain sign where the width is 0.
+
+        Args:
+            v: (...) velocities, rad/s or m/s.
+            width: Speed below which the sign fades, rad/s or m/s; broadcast.
+        """
         known = np.asarray(width) == 0
         return np.where(known, np.sign(v), np.tanh(v / np.where(known, 1.0, width)))
+
+
+def smoothed_sign(width: Array) -> Callable[[Array], Array]:
+    """`RobotMotion.direction` for widths (nv,) of all velocities, ready to be called often."""
+    if (width > 0).all():
+        return lambda v: np.tanh(v / width)
+    return lambda v: RobotMotion.direction(v, width)
+
+
+def log_number(name: str) -> int:
+    """A number that tells a log from others, by its name."""
+    return zlib.crc32(name.encode(errors="surrogateescape")) or 1

@@ -18,9 +18,13 @@ class RotorInertia(JointEffect):
     """
 
     name = "rotor_inertia"
+    law = "I v̇"
+    list_position = 40
+    complexity = 0
+    stated_as = "reflected rotor inertia"
     parameters = (Parameter("inertia", "kg·m²", lower=0.0),)
     signature = "follows the joint's own acceleration"
-    confused_with = ("wrong_inertia", "payload", "joint_elasticity", "effort_delay")
+    depends_on = frozenset({"vd"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[v̇]."""

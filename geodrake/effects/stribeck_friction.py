@@ -8,7 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
+from geodrake.effects.base import (
+    Array,
+    Effect,
+    JointEffect,
+    JointMotion,
+    Parameter,
+    Shape,
+    require_positive,
+)
+from geodrake.effects.coulomb_friction import CoulombFriction
+from geodrake.effects.viscous_friction import ViscousFriction
+
+_SHARES = tuple(np.geomspace(0.01, 0.3, 4).tolist())  # of the peak speed
 
 
 @dataclass(frozen=True)
@@ -29,9 +41,13 @@ class StribeckFriction(JointEffect):
     exponent: float = 1.0
 
     name = "stribeck_friction"
+    law = "(S − F) exp(−|v/v_s|^α) sgn v, on top of Coulomb friction"
+    list_position = 13
+    jumps = True
+    shapes = (Shape("stribeck_velocity", "rad/s", grid=_SHARES, scale="speed"),)
     parameters = (Parameter("excess", "N·m", lower=0.0),)
     signature = "extra friction near reversals that fades as the joint speeds up"
-    confused_with = ("coulomb_friction", "nonlinear_viscous_friction", "hysteresis")
+    depends_on = frozenset({"v"})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,7 +67,7 @@ class StribeckFriction(JointEffect):
         slope = -fading * steepness * np.sign(joint.v)
         return [{"v": slope * joint.sign_v, "sign_v": fading}]
 
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[StribeckFriction, ...]:
-        """Four Stribeck velocities from 1 % to 30 % of the peak speed."""
-        return tuple(cls(joint, float(v)) for v in peak_speed * np.geomspace(0.01, 0.3, 4))
+    @property
+    def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
+        """Dry friction, with viscous friction or without."""
+        return ((CoulombFriction,), (CoulombFriction, ViscousFriction))

@@ -8,9 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.effects.base import Array, JointEffect, JointMotion, Parameter, require_positive
-
-_USUAL = 6.0
+from geodrake.effects.base import (
+    Array,
+    JointEffect,
+    JointMotion,
+    Parameter,
+    Proposer,
+    Shape,
+    require_positive,
+)
 
 
 @dataclass(frozen=True)
@@ -27,10 +33,13 @@ class TorqueRipple(JointEffect):
     order: float
 
     name = "torque_ripple"
+    law = "a cos n q + b sin n q, n from the residual's spectrum over position"
+    list_position = 32
+    proposer = Proposer.WAVES
+    shapes = (Shape("order", usual=6.0),)
     parameters = (Parameter("cosine", "N·m"), Parameter("sine", "N·m"))
     signature = "waves over the joint's position, at any speed at the same places"
-    confused_with = ("gravity_compensator", "joint_spring")
-    from_residual = True
+    depends_on = frozenset({"q"})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -45,9 +54,3 @@ class TorqueRipple(JointEffect):
         """Both by q."""
         angle = self.order * joint.q
         return [{"q": -self.order * np.sin(angle)}, {"q": self.order * np.cos(angle)}]
-
-    @classmethod
-    def candidates(cls, joint: str, peak_speed: float) -> tuple[TorqueRipple, ...]:
-        """Six waves a turn, as of three phases; a diagnosis looks for the order instead."""
-        del peak_speed
-        return (cls(joint, _USUAL),)

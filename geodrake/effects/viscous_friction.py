@@ -18,9 +18,14 @@ class ViscousFriction(JointEffect):
     """
 
     name = "viscous_friction"
+    law = "c v"
+    list_position = 10
+    complexity = 0
+    stated_as = "damping"
+    usual = True
     parameters = (Parameter("viscous", "N·m·s/rad", lower=0.0),)
     signature = "grows in proportion to the joint's speed and changes sign with it"
-    confused_with = ("nonlinear_viscous_friction", "asymmetric_friction", "coupled_friction")
+    depends_on = frozenset({"v"})
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """[v]."""

@@ -1,4 +1,4 @@
-"""Excitation: which motion tells a robot's parameters best, and what a given one can tell.
+"""Excitation: from which motion parameters are identified best, and which from a given one.
 
     limits = motion_limits(model, acceleration=5.0)
     target = make_target(model, noise=0.1)                    # what is unknown, measured how well
@@ -6,7 +6,7 @@
     write_trajectory(result.trajectory, "motion.csv", model)
 
     rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
-    separation = make_separation(model, *rivals, noise=0.1)   # who is to be told from whom
+    separation = make_separation(model, *rivals, noise=0.1)   # who is to be distinguished from whom
     result = design_separation(separation, limits)
 
 A motion is judged by the eigenvalues of its information matrix, normalized so that neither frames
@@ -16,14 +16,10 @@ nor units nor the choice of base parameters matter ([Lee2019] Proposition 4.1).
 from geodrake.excitation.collision_geometry import Solid
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.criteria import CRITERIA, Criterion
-from geodrake.excitation.design import design_excitation, design_objective
-from geodrake.excitation.design_results import (
-    DesignOptions,
-    DesignProgress,
-    ExcitationResult,
-    SeedOutcome,
-)
+from geodrake.excitation.design import design_excitation
+from geodrake.excitation.design_results import DesignOptions, ExcitationResult
 from geodrake.excitation.families import FourierMotion, FreeSamples, MotionFamily, SplineMotion
+from geodrake.excitation.identifiability import LogIdentifiability, log_identifiability
 from geodrake.excitation.identifiable import (
     IdentifiableParameters,
     ReducedIdentification,
@@ -33,17 +29,10 @@ from geodrake.excitation.identifiable import (
 )
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.margins import LimitUse
 from geodrake.excitation.normalization import NORMALIZATIONS
 from geodrake.excitation.reduced_design import ReducedExcitation, design_reduced_excitation
-from geodrake.excitation.regressor_gradient import (
-    base_wrench_regressor_gradient,
-    inverse_dynamics_regressor_gradient,
-    regressor_jacobian,
-)
-from geodrake.excitation.reverse_recursion import MotionGradient
-from geodrake.excitation.rivals import Rival, make_rival
-from geodrake.excitation.separation import Pair, Separation
+from geodrake.excitation.rivals import make_rival
+from geodrake.excitation.separation import Separation
 from geodrake.excitation.target import Target, make_target
 from geodrake.excitation.tell_apart import design_separation, make_separation
 from geodrake.excitation.trajectory import ExcitationTrajectory
@@ -51,7 +40,6 @@ from geodrake.excitation.trajectory_files import (
     drake_trajectory,
     read_drake_trajectory,
     ros_joint_trajectory,
-    trajectory_content,
     write_trajectory,
 )
 
@@ -61,34 +49,27 @@ __all__ = [
     "CollisionWorld",
     "Criterion",
     "DesignOptions",
-    "DesignProgress",
     "ExcitationResult",
     "ExcitationTrajectory",
     "FourierMotion",
     "FreeSamples",
     "IdentifiableParameters",
-    "LimitUse",
+    "LogIdentifiability",
     "MotionFamily",
-    "MotionGradient",
     "MotionLimits",
     "Objective",
-    "Pair",
     "ReducedExcitation",
     "ReducedIdentification",
-    "Rival",
-    "SeedOutcome",
     "Separation",
     "Solid",
     "SplineMotion",
     "Target",
-    "base_wrench_regressor_gradient",
     "design_excitation",
-    "design_objective",
     "design_reduced_excitation",
     "design_separation",
     "drake_trajectory",
     "identifiable_parameters",
-    "inverse_dynamics_regressor_gradient",
+    "log_identifiability",
     "make_rival",
     "make_separation",
     "make_target",
@@ -96,8 +77,6 @@ __all__ = [
     "motion_limits",
     "read_drake_trajectory",
     "reduced_identification",
-    "regressor_jacobian",
     "ros_joint_trajectory",
-    "trajectory_content",
     "write_trajectory",
 ]

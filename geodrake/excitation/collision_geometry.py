@@ -15,16 +15,16 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.arguments import instance
+from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_meshes import in_memory, replace_stl
-from geodrake.model import RobotModel
-from geodrake.model_files import read_description
-from geodrake.model_files.description import drake_errors, drake_messages
-from geodrake.model_files.packages import add_packages
-from geodrake.model_files.values import drop
-from geodrake.model_files.xml_text import parse_xml
-from geodrake.plant import free_roots
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files import read_description
+from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.packages import add_packages
+from geodrake.robot.files.values import drop
+from geodrake.robot.files.xml_text import parse_xml
+from geodrake.robot.plant import free_roots
 
 _CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
 

@@ -44,7 +44,12 @@ def replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) 
 
 
 def in_memory(shape: Shape, label: str) -> Shape:
-    """A shape that needs no file: of a mesh, its convex hull."""
+    """A shape that needs no file: of a mesh, its convex hull.
+
+    Args:
+        shape: A shape of Drake's.
+        label: Name of the convex hull that takes a mesh's place.
+    """
     if not isinstance(shape, Mesh | Convex):
         return shape.Clone()
     hull = shape.GetConvexHull()

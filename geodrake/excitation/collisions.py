@@ -13,10 +13,10 @@ from pydrake.multibody.inverse_kinematics import MinimumDistanceLowerBoundConstr
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
-from geodrake.arguments import instance, instances, integer, number
+from geodrake.boundary.arguments import instance, instances, integer, number
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collision_geometry import Solid, add_collision_plant
-from geodrake.model import RobotModel
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class CollisionWorld:
 
         Returns:
             (N,) distances, negative where bodies overlap, and N pairs of names such as
-            "hand and table"; no more than `clearance` + 0.05 m is told apart from infinity.
+            "hand and table"; no more than `clearance` + 0.05 m is distinguished from infinity.
         """
         found, names = np.full(len(q), np.inf), [""] * len(q)
         for i, pairs in enumerate(self._pairs(q, self.clearance + _INFLUENCE)):

@@ -1,4 +1,4 @@
-"""Criteria of excitation: how much a motion tells, as one number, [Lee2019] §4.2.1 and §4.3.3.
+"""Criteria of excitation: how much a motion identifies, as one number, [Lee2019] §4.2.1 and §4.3.3.
 
 All are symmetric functions of the eigenvalues λ of a normalized information matrix; less is better.
 
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import instance, integer, number, real_array
+from geodrake.boundary.arguments import instance, integer, number, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]

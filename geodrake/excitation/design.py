@@ -1,4 +1,4 @@
-"""The most telling motion that a robot can execute, [Lee2019] §4.4."""
+"""The most informative motion that a robot can execute, [Lee2019] §4.4."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.arguments import function, instance, integer, integers
+from geodrake.boundary.arguments import function, instance, integer, integers
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design_results import (
@@ -27,7 +27,7 @@ from geodrake.excitation.nonlinear_solvers import check_solver, solve
 from geodrake.excitation.postures import check_start, possible_postures
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.target import Target, make_target
-from geodrake.model import RobotModel
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -46,11 +46,11 @@ def design_excitation(
     seeds: int | Sequence[int] = 3,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ExcitationResult:
-    """The motion within limits that tells a robot's parameters best.
+    """The motion within limits from which a robot's parameters are identified best.
 
     Args:
-        what: A robot, of which all inertias and the model's effects are to be told by efforts; or
-            a `Target`, which says what is unknown, what is measured and with which noise.
+        what: A robot, of which all inertias and the model's effects are to be identified from
+            efforts; or a `Target`: what is unknown, what is measured and with which noise.
         limits: What the robot may do; the limits of its model file if None.
         criterion: One of `CRITERIA`, or a `Criterion`.
         normalization: One of `NORMALIZATIONS`.
@@ -158,6 +158,12 @@ def make_problem(
 ) -> DesignProblem:
     """The design problem of options.
 
+    Args:
+        objective: What the motion shall make small.
+        limits: Limits by joint; None for those of the model.
+        family: The curves that the motion may be.
+        options: Samples, start, rest and collisions.
+
     Raises:
         ArgumentError: Limits leave no room or let samples be without bounds, or the ends leave no
             coefficient free.
@@ -243,7 +249,7 @@ class _Run:
                 solver=self.options.solver,
                 iterations=self.options.iterations,
                 seconds=left,
-                watch=lambda value, _: self._tell(number, value),
+                watch=lambda value, _: self._notify(number, value),
             )
             inside = within_limits(self.problem, reached.reshape(guess.shape), found)
             if self._value(inside) < self._value(found):
@@ -269,7 +275,7 @@ class _Run:
         motion = self.problem.trajectory(variables).motion(self.problem.times)
         return self.problem.objective.value(motion)
 
-    def _tell(self, number: int, value: float) -> None:
+    def _notify(self, number: int, value: float) -> None:
         self.evaluations += 1
         if self.progress is not None:
             self.progress(DesignProgress(number, self.starts, self.evaluations, value))

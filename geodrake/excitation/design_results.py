@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import instance, instances, integer, number, positive, real_array
+from geodrake.boundary.arguments import instance, instances, integer, number, positive, real_array
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.margins import LimitUse
 from geodrake.excitation.trajectory import ExcitationTrajectory
-from geodrake.motion import Motion
+from geodrake.logs.motion import Motion
 
 Array = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.effects import FittedEffect
 from geodrake.excitation.target import Target
-from geodrake.model import FittedEffect
-from geodrake.plant import effort_limits
+from geodrake.robot.plant import effort_limits
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ _SHARE = 0.02  # of the limit of effort
 def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
     """The effects of a target, those without values as large as such effects usually are.
 
-    Friction is there however light a load is, so that the load alone does not tell its size.
+    Friction is there however light a load is, so that the load alone does not give its size.
 
     Args:
         target: Its effects with parameters of zero are those of unknown size.

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from geodrake.arguments import integer, positive, real_array
+from geodrake.boundary.arguments import integer, positive, real_array
 from geodrake.errors import ArgumentError
 
 Array = NDArray[np.float64]
@@ -242,7 +242,7 @@ class SplineMotion(MotionFamily):
 class FreeSamples(MotionFamily):
     """Samples that need not follow each other: q, v and v̇ of each are coefficients.
 
-    They bound what a motion can tell, and suit robots that are measured point by point.
+    They bound what a motion can identify, and suit robots that are measured point by point.
 
     Attributes:
         samples: Number of samples.

@@ -39,15 +39,15 @@ def random_guess(problem: DesignProblem, postures: Array, rng: np.random.Generat
         ArgumentError: About none of a few postures there is such a motion.
     """
     for _ in range(_POSTURES):
-        held = problem.held(postures[int(rng.integers(len(postures)))])
+        resting = problem.resting(postures[int(rng.integers(len(postures)))])
         if problem.start is None:
-            direction = rng.uniform(-1.0, 1.0, held.shape)
-            moving = held + rng.uniform(*_FILL) * _room(problem, held, direction) * direction
+            direction = rng.uniform(-1.0, 1.0, resting.shape)
+            moving = resting + rng.uniform(*_FILL) * _room(problem, resting, direction) * direction
         else:
             moving = _from_corners(problem, rng)
         share = 1.0
         for _ in range(_STEPS):
-            guess = held + share * (moving - held)
+            guess = resting + share * (moving - resting)
             if limit_use(problem, guess, fine=_FINE).is_within:
                 return np.asarray(guess)
             share *= _SHRINK

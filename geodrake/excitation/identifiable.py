@@ -1,4 +1,4 @@
-"""What given motions can tell, and identification of that alone, [Lee2019] §4.5.1.
+"""What is identifiable from given motions, and identification of that alone, [Lee2019] §4.5.1.
 
 The normalized covariance of an estimate has eigenvalues λ₁ ≤ … ≤ λ_n: variances along principal
 directions, in squares of relative changes, whatever frames and units are. Directions of a variance
@@ -18,13 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import instance, instances, integer, number, real_array
+from geodrake.boundary.arguments import instance, instances, integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.normalization import normalizing_map
 from geodrake.excitation.target import Target
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.motion import Motion
-from geodrake.reduction import triangular_factor
+from geodrake.logs.motion import Motion
+from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _SAMPLES = 2000  # of which there is a regressor in memory at once
 
 @dataclass(frozen=True, eq=False)
 class IdentifiableParameters:
-    """Which combinations of p parameters data can tell to within a threshold.
+    """Which combinations of p parameters are identifiable to within a threshold.
 
     Attributes:
         variances: (n_B,) λ, ascending; infinite where the data say nothing. 10⁻² means a relative
@@ -69,16 +69,16 @@ class IdentifiableParameters:
 
     @property
     def counts(self) -> Array:
-        """(blocks,) how many parameters of every body, payload and effect are told: 0 to 10 or 1.
+        """(blocks,) identifiable parameters of every body, payload and effect: 0 to 10 or 1.
 
-        They add up to `kept`, and need not be whole: part of one can be told.
+        They add up to `kept`, and need not be whole: part of one can be.
         """
         return np.asarray(self.shares[:, : self.kept].sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class ReducedIdentification:
-    """Parameters found along the directions that data can tell.
+    """Parameters found along the directions that data identify.
 
     Attributes:
         parameters: (p,) φ*: bodies, payloads, further effects, in the target's order.
@@ -106,8 +106,8 @@ def measurement_factor(
         target: What is unknown, and the noise.
         motions: Motions, (N, ·) each.
         measured: For each motion (N, m) efforts (N·m or N), or base wrenches (N·m and N), less
-            those of bodies and effects that the target holds for known. None for what could be
-            told.
+            those of bodies and effects that the target takes as known. None for what could be
+            identified.
 
     Returns:
         (p, p) R with RᵀR = AᵀA of the whitened regressor; (p + 1, p + 1) of [A b] with
@@ -151,12 +151,13 @@ def _blocks(
 def identifiable_parameters(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> IdentifiableParameters:
-    """What data can tell, [Lee2019] steps a.1 to a.4.
+    """What is identifiable from data, [Lee2019] steps a.1 to a.4.
 
     Args:
         target: What is unknown; its nominal parameters are the prior.
         factor: `measurement_factor` of the data, with or without what was measured.
-        threshold: ε_λ, largest variance of what counts as told; 10⁻² is a deviation of a tenth.
+        threshold: ε_λ, largest variance of what counts as identifiable; 10⁻² is a deviation of
+            a tenth.
         kept: Number of directions instead of the threshold, as in step b.4.
 
     Raises:
@@ -169,7 +170,7 @@ def identifiable_parameters(
 def reduced_identification(
     target: Target, factor: ArrayLike, *, threshold: float = 1e-2, kept: int | None = None
 ) -> ReducedIdentification:
-    """Least squares along what data can tell, and the prior elsewhere, [Lee2019] step a.5.
+    """Least squares along what data identify, and the prior elsewhere, [Lee2019] step a.5.
 
     Args:
         target: What is unknown; its nominal parameters are the prior.

@@ -1,4 +1,4 @@
-"""What a motion tells about a target, as eigenvalues and as one number with its gradient."""
+"""What a motion says about a target, as eigenvalues and as one number with its gradient."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.arguments import instance, one_of, real_array
+from geodrake.boundary.arguments import instance, one_of, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.motion_gradient import regressor_motion_gradient
 from geodrake.excitation.normalization import NORMALIZATIONS, normalizing_map
 from geodrake.excitation.reverse_recursion import MotionGradient
 from geodrake.excitation.target import Measurement, Target
-from geodrake.motion import Motion
+from geodrake.logs.motion import Motion
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Objective:
     """A normalized criterion of a target, as a function of the motion.
 
     Attributes:
-        target: What shall be told.
+        target: What is to be identified.
         criterion: Function of the eigenvalues.
         normalization: "geometric", "diagonal" or "none"; see `geodrake.excitation.normalization`.
         base: (n_B, p) base parameters B, for the normalizations that depend on the choice; those
@@ -62,7 +62,7 @@ class Objective:
         X, K = measurement.regressor, self.normalizing_map
         if X.shape[0] * X.shape[1] < K.shape[1]:
             raise ArgumentError(
-                f"{X.shape[0]} samples of {X.shape[1]} measurements cannot tell {K.shape[1]} "
+                f"{X.shape[0]} samples of {X.shape[1]} measurements cannot identify {K.shape[1]} "
                 "parameters.",
                 advice="Use more samples.",
             )
@@ -93,7 +93,7 @@ class Objective:
         singular, V = _spectrum(A)
         if not singular[0] > 0:
             raise ArgumentError(
-                "The motion tells nothing of some parameters, so that the criterion is infinite.",
+                "The motion says nothing of some parameters, so that the criterion is infinite.",
                 advice="Start from a motion of all joints.",
             )
         value, slope = self.criterion.objective(2.0 * np.log(singular))

@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import instance, instances, number, positive, real_array
+from geodrake.boundary.arguments import instance, instances, number, positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
-from geodrake.model import RobotModel
-from geodrake.plant import effort_limits, position_limits, velocity_limits
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.plant import effort_limits, position_limits, velocity_limits
 
 Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None

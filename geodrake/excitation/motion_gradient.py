@@ -16,10 +16,10 @@ from geodrake.excitation.regressor_gradient import (
 )
 from geodrake.excitation.reverse_recursion import MotionGradient
 from geodrake.excitation.target import Measurement, Target
-from geodrake.identification.dataset import is_payload
+from geodrake.identification.logs.dataset import is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.model import RobotModel
-from geodrake.motion import Motion
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from geodrake.excitation.guess import within_limits
 from geodrake.excitation.margins import limit_use
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.program import build_program
-from geodrake.model_files.description import drake_messages
+from geodrake.robot.files.description import drake_messages
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.trajectory import joint_order
-from geodrake.model import RobotModel
-from geodrake.motion import Motion
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -18,10 +18,14 @@ _POSTURES = 400
 _ROUNDING = 1e-9
 
 
-def held_efforts(model: RobotModel, postures: Array) -> Array:
+def holding_efforts(model: RobotModel, postures: Array) -> Array:
     """(N, nv) efforts that hold a robot still in postures (N, nv) by joint, N·m or N.
 
     Dry friction is no help: what it would hold depends on how the robot came there.
+
+    Args:
+        model: The robot.
+        postures: (N, nv) positions by joint, rad or m.
     """
     q = postures[:, joint_order(model)]
     still = np.zeros_like(postures)
@@ -32,6 +36,12 @@ def check_start(
     model: RobotModel, limits: MotionLimits, start: Array, collisions: CollisionWorld | None
 ) -> None:
     """Refuses a start (nv,) by joint that the robot cannot hold.
+
+    Args:
+        model: The robot.
+        limits: Limits on positions and efforts, by joint.
+        start: (nv,) positions by joint, rad or m.
+        collisions: Bodies that must keep apart; None for no check.
 
     Raises:
         ArgumentError: It is outside the limits, needs more effort than there is, or is in
@@ -52,7 +62,7 @@ def check_start(
             advice="Move the robot inside first, or leave the start out.",
             joint=limits.joints[i],
         )
-    effort = np.abs(held_efforts(model, start[None])[0])
+    effort = np.abs(holding_efforts(model, start[None])[0])
     if (effort > limits.effort).any():
         i = int(np.argmax(effort / limits.effort))
         raise ArgumentError(
@@ -93,7 +103,7 @@ def possible_postures(
     shares = random.uniform(-1.0, 1.0, (_POSTURES, len(limits.joints)))
     shares *= np.linspace(0.0, 0.95, _POSTURES)[:, None]  # the middle, and then further out
     postures = limits.middle + limits.reach * shares
-    efforts = np.abs(held_efforts(model, postures))
+    efforts = np.abs(holding_efforts(model, postures))
     holds = (efforts <= limits.effort).all(axis=1)
     if not holds.any():
         least = int(np.argmin((efforts / limits.effort).max(axis=1)))

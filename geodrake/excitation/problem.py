@@ -21,8 +21,8 @@ from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.motion_gradient import effort_gradient
 from geodrake.excitation.trajectory import ExcitationTrajectory, joint_order
-from geodrake.model import RobotModel
-from geodrake.motion import Motion
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -34,10 +34,10 @@ _STILL = 1e-8  # relative error of a constant motion
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """The most telling motion of a family within limits, as a function of variables.
+    """The most informative motion of a family within limits, as a function of variables.
 
     Attributes:
-        objective: What the motion shall tell.
+        objective: What the motion is to identify.
         limits: What the robot may do.
         family: Motions to choose from.
         samples: Number of samples of a motion, by which information is counted.
@@ -139,7 +139,7 @@ class DesignProblem:
         found = np.linalg.lstsq(stacked, wanted)[0]
         return np.asarray(found) if np.abs(stacked @ found - wanted).max() < _STILL else None
 
-    def held(self, posture: Array) -> Array:
+    def resting(self, posture: Array) -> Array:
         """(f, nv) variables of a robot that stays in a posture (nv,).
 
         Raises:

@@ -1,4 +1,4 @@
-"""Motions for the parameters that can be told at all, [Lee2019] §4.5.2."""
+"""Motions for the parameters that are identifiable at all, [Lee2019] §4.5.2."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.arguments import instance, number
+from geodrake.boundary.arguments import instance, number
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design import design_excitation
@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ReducedExcitation:
-    """The best motion for as many parameters as can be told.
+    """The best motion for as many parameters as are identifiable.
 
     Attributes:
         result: The motion; its criterion has r in `kept`, and its value is at most the threshold.
@@ -46,7 +46,7 @@ def design_reduced_excitation(
     seeds: int = 1,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ReducedExcitation:
-    """The most parameters that a motion can tell well, and that motion, steps b.1 to b.3.
+    """The most parameters that a motion identifies well, and that motion, steps b.1 to b.3.
 
     The source takes off one direction after the other until the optimized criterion is below the
     threshold. The optimized criterion grows with r, and a motion designed for many directions says
@@ -64,7 +64,7 @@ def design_reduced_excitation(
         progress: As for `design_excitation`.
 
     Raises:
-        ArgumentError: As `design_excitation`; or no single direction can be told that well.
+        ArgumentError: As `design_excitation`; or no single direction is identifiable that well.
     """
     instance(target, "target", Target)
     number(threshold, "threshold")
@@ -85,27 +85,27 @@ def design_reduced_excitation(
         tried.append((count, result.value))
         return result
 
-    low, high = 0, target.base.rank + 1  # low can be told, high cannot
+    low, high = 0, target.base.rank + 1  # low is identifiable, high is not
     best, count, guess = None, target.base.rank, options.guess
-    told = guess  # by which motion `low` is
+    start = guess  # by which motion `low` is
     while high - low > 1:
         result = optimized(count, guess)
         guess = result.trajectory.coefficients
         if result.value <= threshold:
-            low, best, told = count, result, guess
+            low, best, start = count, result, guess
         else:
             high = count
             enough = _enough(result, criterion, threshold, most=high - 1)
             if enough > low:
-                low, best, told = enough, None, guess  # by a motion that was designed for more
+                low, best, start = enough, None, guess  # by a motion that was designed for more
         count = (low + high) // 2
     if not low:
         raise ArgumentError(
-            f"No motion found tells even one direction to {threshold:g}: the best has "
+            f"No motion found identifies even one direction to {threshold:g}: the best has "
             f"{min(value for _, value in tried):.3g}.",
             advice="Raise the threshold, give the robot more room and time, or measure better.",
         )
-    return ReducedExcitation(best or optimized(low, told), low, tuple(tried))
+    return ReducedExcitation(best or optimized(low, start), low, tuple(tried))
 
 
 def _enough(result: ExcitationResult, criterion: str, threshold: float, *, most: int) -> int:

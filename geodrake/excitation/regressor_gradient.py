@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geodrake.arguments import real_array
+from geodrake.boundary.arguments import real_array
 from geodrake.excitation.reverse_recursion import MotionGradient, reverse_recursion
-from geodrake.floating_base import on_a_free_world, wrench_map
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.kinematics import KinematicTree
-from geodrake.regressor import checked_samples
+from geodrake.robot.floating_base import on_a_free_world, wrench_map
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.regressor import checked_samples
 
 
 def inverse_dynamics_regressor_gradient(

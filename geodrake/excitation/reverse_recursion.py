@@ -1,7 +1,7 @@
 """The recursion of the regressor backwards: from weights of its entries to the motion.
 
 Per body, W's block is a regressor's inner product with "parameters" c (m, h, I) of its own for
-every velocity, so that with the row τ = t·f + s·n of `geodrake.recursion`
+every velocity, so that with the row τ = t·f + s·n of `geodrake.robot.recursion`
 
     ∂τ/∂t = m a + α × h + ω × (ω × h),       ∂τ/∂s = I α + ω × I ω + h × a,
     ∂τ/∂a = m t + s × h,                     ∂τ/∂α = h × t + I s,
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.joints import JointMotion
-from geodrake.kinematics import KinematicTree, Mobilizer
-from geodrake.recursion import Samples, motion_pieces, world_motion
+from geodrake.robot.joints import FrameMotion
+from geodrake.robot.kinematics import KinematicTree, Mobilizer
+from geodrake.robot.recursion import Samples, motion_pieces, world_motion
 
 _CYCLE = [0, 1, 2, 0, 1]
 _BEFORE = [2, 0, 1]
@@ -40,7 +40,13 @@ class MotionGradient:
 
 
 def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> MotionGradient:
-    """Gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb)."""
+    """Gradient of Σ W ∘ Y with respect to samples, for weights W (N, nv, 10 nb).
+
+    Args:
+        tree: The kinematic tree.
+        samples: Positions (N, nq), velocities (N, nv) and accelerations (N, nv) in Drake's order.
+        weights: (N, nv, 10 nb) W.
+    """
     result = MotionGradient(*(np.zeros(x.shape) for x in samples))
     for part, (q, v, _), motions in motion_pieces(tree, samples):
         covectors: list[Array | float] = [0.0] * len(motions)
@@ -91,7 +97,7 @@ def _body_covector(motion: Array, weights: Array) -> Array:
 def _move_back(
     mobilizer: Mobilizer, parent: Array, sample: tuple[Array, Array], motion: Array, covector: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """The reverse of `geodrake.recursion._move`.
+    """The reverse of `geodrake.robot.recursion._move`.
 
     Args:
         mobilizer: What moves B in P.
@@ -148,7 +154,7 @@ def _shift_back(p_MoBo_B: Array, motion: Array, covector: Array) -> tuple[Array,
     return at_Mo, moved
 
 
-def _by_rotation(joint: JointMotion, q: Array, R_PB: Array, spin: Array) -> Array:
+def _by_rotation(joint: FrameMotion, q: Array, R_PB: Array, spin: Array) -> Array:
     """Gradient (nq_j, n) with respect to positions, from that with respect to a rotation in B.
 
     The features are differentiated by a complex step, which is exact and the same for all joints.

@@ -1,4 +1,4 @@
-"""Effects that are to be told apart: where they are, which shapes they may have, how large."""
+"""Effects that are to be distinguished: where they are, which shapes they may have, how large."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from geodrake.arguments import instance, instances
+from geodrake.boundary.arguments import instance, instances
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.excitation.effect_sizes import sized_effects
 from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.target import Target
-from geodrake.model import RobotModel
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Rival:
-    """One of two effects that are to be told apart.
+    """One of two effects that are to be distinguished.
 
     Attributes:
         name: Name of the effect.
@@ -98,7 +98,12 @@ def make_rival(
 
 
 def known_sizes(model: RobotModel, effects: Sequence[Effect]) -> dict[Effect, Array]:
-    """Parameters of those effects that the model has, unless they are zero."""
+    """Parameters of those effects that the model has, unless they are zero.
+
+    Args:
+        model: The robot, with the effects that were fitted.
+        effects: Effects to look up.
+    """
     values = {fitted.effect: fitted.parameters for fitted in model.effects}
     return {e: values[e] for e in effects if e in values and np.any(values[e])}
 
@@ -107,6 +112,12 @@ def imitations(target: Target, truth: Effect, size: Array, rival: Effect) -> Arr
     """(k,) parameters with which a rival is most like an effect of known size, on random motion.
 
     None if the effects have nothing to do with each other.
+
+    Args:
+        target: The robot, with the random motion.
+        truth: The effect to be imitated.
+        size: Its parameters.
+        rival: The effect that imitates it within the bounds of its parameters.
     """
     seen = target.measure(target.random_motion).seen
     if seen is None:

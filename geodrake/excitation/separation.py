@@ -31,7 +31,7 @@ from geodrake.excitation.information import Objective
 from geodrake.excitation.motion_gradient import regressor_motion_gradient
 from geodrake.excitation.reverse_recursion import MotionGradient
 from geodrake.excitation.target import Measurement
-from geodrake.motion import Motion
+from geodrake.logs.motion import Motion
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -64,10 +64,10 @@ class Separation(Objective):
     """The separations of pairs as a criterion: the least of them, as large as can be.
 
     They stand in for the eigenvalues of an information matrix: E-optimality is 1/Δ of the pair that
-    is hardest to tell apart, with the smooth form of `Criterion`.
+    is hardest to distinguish, with the smooth form of `Criterion`.
 
     Attributes:
-        pairs: Who is to be told from whom.
+        pairs: Who is to be distinguished from whom.
         prior: (q, p) rows Λ^½ of what is known of each column's parameter.
         lower: (p,) least change of each column's parameter from its nominal value.
         upper: (p,) greatest change.
@@ -96,6 +96,10 @@ class Separation(Objective):
         """(N, nv) effort of the truth of a pair, and the most that its rival makes of it.
 
         Of several robots, that one's which the rival explains worst.
+
+        Args:
+            motion: N samples by joint.
+            pair: Index of the pair in `pairs`.
         """
         measurement = self.target.measure(motion)
         solutions = self._solve(measurement)[1][pair]
@@ -112,7 +116,7 @@ class Separation(Objective):
         """What a solver minimizes, and its gradient by the motion.
 
         Raises:
-            ArgumentError: The motion tells some pair not at all, whatever the noise.
+            ArgumentError: The motion distinguishes some pair not at all, whatever the noise.
         """
         measurement = self.target.measure(motion)
         separations, solutions = self._solve(measurement)

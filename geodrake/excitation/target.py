@@ -1,4 +1,4 @@
-"""What a motion shall tell: which parameters, measured by what, with which noise."""
+"""What a motion is to identify: which parameters, measured by what, with which noise."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from scipy.linalg import block_diag
 
-from geodrake.arguments import instance, instances, integer, real_array
-from geodrake.base_parameters import BaseParameters, base_parameters
-from geodrake.effects import Effect, RobotMotion
+from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.errors import ArgumentError
-from geodrake.floating_base import base_wrench_regressor
-from geodrake.identification.dataset import is_payload
-from geodrake.identification.unknowns import payload_reference
+from geodrake.identification.logs.dataset import is_payload
+from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.logs.motion import Motion
 from geodrake.manifolds import PhysicalInertia
-from geodrake.model import FittedEffect, RobotModel
-from geodrake.motion import Motion
-from geodrake.plant import position_limits, velocity_limits
-from geodrake.regressor import inverse_dynamics, inverse_dynamics_regressor
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.base_parameters import BaseParameters, base_parameters
+from geodrake.robot.floating_base import base_wrench_regressor
+from geodrake.robot.plant import position_limits, velocity_limits
+from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -53,7 +53,7 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Unknown parameters of a robot, and the measurements that shall tell them.
+    """Unknown parameters of a robot, and the measurements that are to identify them.
 
     Attributes:
         model: The robot.
@@ -142,7 +142,7 @@ class Target:
 
     @cached_property
     def base(self) -> BaseParameters:
-        """The combinations that can be told at all; their inertial part is that of the robot."""
+        """The combinations that are identifiable at all, those of the robot's inertias first."""
         X = self.measure(self.random_motion).regressor / self.noise[:, None]
         return base_parameters(X, extra=self.size - len(self.columns))
 
@@ -196,7 +196,7 @@ def make_target(
     X_WP: RigidTransform | None = None,
     seed: int = 0,
 ) -> Target:
-    """What a motion of a robot shall tell.
+    """What a motion of a robot is to identify.
 
     Args:
         model: The robot; its parameters are the nominal ones.
@@ -235,7 +235,7 @@ def make_target(
             )
     if not bodies and not ordered:
         raise ArgumentError(
-            "There is nothing to be told: no body and no effect is unknown.",
+            "There is nothing to identify: no body and no effect is unknown.",
             advice="Name bodies or effects.",
         )
     if X_WP is not None and any(not is_payload(fitted.effect) for fitted in ordered):
@@ -275,7 +275,7 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
         raise ArgumentError(
             f"The noise of {', '.join(wrong)} is not a positive number, from {least:g} to "
             f"{most:g}: {values.tolist()}.",
-            advice="Without noise every motion tells everything exactly. Give the deviation of the "
+            advice="Without noise, every motion identifies all exactly. Give the deviation of the "
             "measured efforts, such as 1 % of the largest one.",
             wrong=wrong,
         )

@@ -1,4 +1,4 @@
-"""Motions that tell two effects apart which logs so far could not.
+"""Motions that distinguish two effects which logs so far could not.
 
     limits = motion_limits(model, acceleration=5.0)
     rivals = [make_rival(name, model, limits) for name in ("coulomb_friction", "viscous_friction")]
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from geodrake.arguments import instance, positive
-from geodrake.effects import Effect
+from geodrake.boundary.arguments import instance, positive
+from geodrake.effects import Effect, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design import design_objective
@@ -29,11 +29,11 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.rivals import Rival, imitations, known_sizes, typical_sizes
 from geodrake.excitation.separation import Pair, Separation
 from geodrake.excitation.target import Target, make_target
-from geodrake.identification.dataset import is_payload
-from geodrake.identification.model_fit import SPREAD
-from geodrake.identification.unknowns import pullback_information
+from geodrake.identification.logs.dataset import is_payload
+from geodrake.identification.logs.model_fit import SPREAD
+from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
-from geodrake.model import FittedEffect, RobotModel
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def make_separation(
     sign_width: ArrayLike | None = None,
     spread: float = SPREAD,
 ) -> Separation:
-    """What telling two effects of a robot apart amounts to.
+    """What distinguishing two effects of a robot amounts to.
 
     Args:
         model: The robot. Its other effects may be refitted within what is known of them; if it has
@@ -73,7 +73,8 @@ def make_separation(
     rivals = (*first.effects, *second.effects)
     if set(first.effects) & set(second.effects):
         raise ArgumentError(
-            f"{first.name} cannot be told from itself.", advice="Name two different effects."
+            f"{first.name} cannot be distinguished from itself.",
+            advice="Name two different effects.",
         )
     common = [f for f in model.effects if f.effect not in rivals and len(f.effect.parameters)]
     unknown = [FittedEffect(effect, np.zeros(len(effect.parameters))) for effect in rivals]
@@ -104,7 +105,7 @@ def make_separation(
 def _different(separation: Separation) -> tuple[Pair, ...]:
     """The pairs of which one is not wholly explained by the other, whatever the motion.
 
-    An effect that contains another one explains it, so that these can be told apart one way only.
+    An effect that contains another one explains it: these can be distinguished one way only.
 
     Raises:
         ArgumentError: There is no such pair.
@@ -208,10 +209,10 @@ def design_separation(
     seeds: int | Sequence[int] = 3,
     progress: Callable[[DesignProgress], None] | None = None,
 ) -> ExcitationResult:
-    """The motion within limits that tells rivals apart best.
+    """The motion within limits that distinguishes rivals best.
 
     Args:
-        separation: Who is to be told from whom.
+        separation: Who is to be distinguished from whom.
         limits: What the robot may do; the limits of its model file if None.
         trajectory: The family of motions; a Fourier series of 10 s if None.
         options: How the design is made.

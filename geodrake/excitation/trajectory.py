@@ -10,12 +10,12 @@ from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 from scipy.interpolate import make_interp_spline
 
-from geodrake.arguments import instance, number, real_array
+from geodrake.boundary.arguments import instance, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
-from geodrake.model import RobotModel
-from geodrake.motion import JointLog, Motion
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,12 @@ class ExcitationTrajectory:
         return self.motion_of(self.states(times), np.atleast_1d(real_array(times, "times")))
 
     def motion_of(self, states: Array, times: Array | None = None) -> Motion:
-        """The motion in Drake's order of states (3, N, nv) by joint."""
+        """The motion in Drake's order of states (3, N, nv) by joint.
+
+        Args:
+            states: (3, N, nv) positions, velocities and accelerations by joint.
+            times: (N,) times, s; not used where the motion is free samples.
+        """
         q, v, vd = states
         return Motion(q[:, self.order], v, vd, times if self.family.timed else None)
 

@@ -11,13 +11,13 @@ from pydrake.common.yaml import yaml_load
 from pydrake.math import BsplineBasis
 from pydrake.trajectories import BsplineTrajectory
 
-from geodrake.arguments import file_path, instance
+from geodrake.boundary.arguments import file_path, instance
+from geodrake.boundary.escaping import quoted
+from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import ArgumentError, OutputError
-from geodrake.escaping import quoted
 from geodrake.excitation.trajectory import ExcitationTrajectory
-from geodrake.log_files import log_content
-from geodrake.model import RobotModel
-from geodrake.whole_files import Content, write_whole
+from geodrake.logs.files import log_content
+from geodrake.model.robot_model import RobotModel
 
 _LOGS = (".csv", ".txt", ".npz")
 _YAML = (".yaml", ".yml")
@@ -48,7 +48,7 @@ def write_trajectory(
 def trajectory_content(
     trajectory: ExcitationTrajectory, path: str | Path, model: RobotModel, *, rate: float = 100.0
 ) -> Content:
-    """What `write_trajectory` writes; arguments and errors are the same."""
+    """The content of the file; see `write_trajectory` for arguments and errors."""
     instance(trajectory, "trajectory", ExcitationTrajectory)
     instance(model, "model", RobotModel)
     path = file_path(path)

@@ -8,7 +8,7 @@ from typing import TypedDict, Unpack
 
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instances, positive
+from geodrake.boundary.arguments import instances, positive
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.identify import (
@@ -23,7 +23,7 @@ EQUAL = 1e-5
 """Greatest relative difference of two residuals that counts as none."""
 
 
-class IdentifyOptions(TypedDict, total=False):
+class SharedArguments(TypedDict, total=False):
     """Arguments of `identify` that are the same for all regularizers."""
 
     sigma: ArrayLike | None
@@ -59,7 +59,7 @@ def compare_regularizers(
     gamma: float,
     reference: str | Regularizer = "entropic",
     regularizers: Sequence[str | Regularizer] = tuple(REGULARIZERS),
-    **options: Unpack[IdentifyOptions],
+    **options: Unpack[SharedArguments],
 ) -> RegularizerComparison:
     """Solve with one regularizer and its γ, and with the others for the same residual.
 

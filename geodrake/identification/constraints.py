@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import number, real_array
+from geodrake.boundary.arguments import number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import LinearConstraints, checked
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, pseudo_inertia, pseudo_inertia_basis
@@ -151,7 +151,13 @@ def _com_rows(com_bounds: ArrayLike | None, prior: Array) -> list[LinearConstrai
 
 
 def checked_bounds(name: str, bounds: ArrayLike, shape: tuple[int, ...]) -> Array:
-    """Bounds as an array of a shape whose last axis is (least, greatest); infinite for none."""
+    """Bounds as an array of a shape whose last axis is (least, greatest); infinite for none.
+
+    Args:
+        name: What messages call the bounds.
+        bounds: What the caller passed.
+        shape: Shape they must have; its last axis is 2.
+    """
     array = real_array(bounds, name, shape, finite=False)
     low, high = array[..., 0], array[..., 1]
     usable = (low <= high) & (low < np.inf) & (high > -np.inf)

@@ -10,7 +10,7 @@ from geodrake.identification.fit import FitResult
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.regularizer import Regularizer
 from geodrake.inertia import Array, pseudo_inertia
-from geodrake.positive_definite import relative_logarithms
+from geodrake.inertia.positive_definite import relative_logarithms
 
 
 class Entropic(Regularizer):

@@ -12,7 +12,7 @@ from pydrake.solvers import MathematicalProgramResult
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from geodrake.arguments import instance
+from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.newton_program import NewtonProgram
@@ -28,10 +28,10 @@ from geodrake.identification.solvers import (
     solved_apart,
 )
 from geodrake.inertia import Array, pullback_metric
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 _NOTHING = 1e-24
-"""Share of the largest information up to which a parameter counts as untold: rounding's."""
+"""A parameter is not identifiable up to this share of the largest information: rounding's."""
 _BOUNDARY = 1e-5
 """Distance, in scaled units, within which a bound counts as reached."""
 
@@ -71,8 +71,8 @@ class FitResult:
         They count every row of data as independent: with correlated residuals, scale the
         information by the share of effective samples first.
         """
-        told = np.diagonal(self.information)
-        size = np.sqrt(np.where(told > _NOTHING * told.max(initial=0.0), told, 1.0))
+        known = np.diagonal(self.information)
+        size = np.sqrt(np.where(known > _NOTHING * known.max(initial=0.0), known, 1.0))
         values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
         known = values > len(values) * np.finfo(float).eps * values[-1]
         variances = (vectors[:, known] ** 2 / values[known]).sum(1)

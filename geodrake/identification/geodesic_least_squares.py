@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from geodrake.arguments import integer, one_of, positive
+from geodrake.boundary.arguments import integer, one_of, positive
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.identification.hyperplanes import Projections, covectors, project
 from geodrake.identification.identify import physical_prior
 from geodrake.identification.problem import whitened
 from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
-from geodrake.positive_definite import exponential, karcher_mean, logarithm, whitening
+from geodrake.inertia.positive_definite import exponential, karcher_mean, logarithm, whitening
 
 METHODS = ("newton", "cyclic")
 

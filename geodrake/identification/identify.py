@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instance, number, one_of
+from geodrake.boundary.arguments import instance, number, one_of
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
@@ -20,7 +20,7 @@ from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.riemannian import Riemannian
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical, pseudo_inertia
-from geodrake.repairs import nearest_physical
+from geodrake.robot.repairs import nearest_physical
 
 REGULARIZERS: dict[str, type[Regularizer]] = {
     kind.name: kind for kind in (Euclidean, Pullback, Entropic, Riemannian)

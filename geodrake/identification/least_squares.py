@@ -1,4 +1,4 @@
-"""Least squares without a regularizer, where the data alone must tell all parameters."""
+"""Least squares without a regularizer, where the data alone must identify all parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import qr, solve_triangular
 
-from geodrake.arguments import integer
+from geodrake.boundary.arguments import integer
 from geodrake.errors import IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.fit import FitResult, solve_fit
@@ -27,7 +27,7 @@ class LeastSquaresResult:
     Attributes:
         x: (p,) parameters; not all of them may be physical.
         residual: Their squared residual, the least there is.
-        rank: Number of parameters or combinations that the data tell.
+        rank: Number of parameters or combinations that the data identify.
         directions: (p − rank, p) directions that leave A x as it is.
     """
 
@@ -52,13 +52,13 @@ def least_squares(
         b: (m,) measurements.
         sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
         bodies: Number of bodies whose 10 parameters come first, to name directions by.
-        minimum_norm: Whether to take the x of least norm where the data do not tell x; the norm
+        minimum_norm: Whether to take the x of least norm where the data do not identify x; the norm
             depends on units and frames.
 
     Raises:
         ArgumentError: A shape or value is wrong.
-        IdentificationError: The data do not tell x; `directions` of its evidence holds what they
-            leave open, a row each.
+        IdentificationError: The data do not identify x; `directions` of its evidence holds what
+            they leave open, a row each.
     """
     integer(bodies, "bodies", lower=0)
     factor = whitened_factor(A, b, sigma=sigma)
@@ -105,7 +105,7 @@ def physical_least_squares(
 
     Raises:
         ArgumentError: A shape or value is wrong.
-        IdentificationError: The data do not tell all parameters, or the solver failed.
+        IdentificationError: The data do not identify all parameters, or the solver failed.
     """
     prior = physical_prior(prior)
     factor = whitened_factor(A, b, sigma=sigma)
@@ -123,7 +123,7 @@ def open_directions(factor: Array) -> Array:
         factor: (n, p + 1) factor [R r] of the data.
 
     Returns:
-        Rows of greatest value 1; none if the data tell all parameters.
+        Rows of greatest value 1; none if the data identify all parameters.
     """
     R = factor[:, :-1]
     p = R.shape[1]
@@ -146,7 +146,7 @@ def _undetermined(directions: Array, bodies: int) -> IdentificationError:
     named = "; ".join(_described(direction, bodies) for direction in directions[:_NAMED])
     more = f"; and {count - _NAMED} more" if count > _NAMED else ""
     return IdentificationError(
-        f"The data do not tell {count} of {p} directions of the parameters: {named}{more}.",
+        f"The data do not identify {count} of {p} directions of the parameters: {named}{more}.",
         advice="Use a regularizer, which takes them from the prior, or richer motion; "
         "minimum_norm=True of `least_squares` sets them to zero.",
         directions=directions,

@@ -37,7 +37,7 @@ class LocalMinima:
 
     @property
     def distinct(self) -> int:
-        """Number of different minima that were found, told apart by their costs."""
+        """Number of different minima that were found, distinguished by their costs."""
         found = np.sort(self.costs[np.isfinite(self.costs)])
         apart = self.distances[np.isfinite(self.costs)]
         if (apart < _SAME).all():

@@ -57,7 +57,7 @@ def _turned_basis(V: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LogCost:
-    """data ‖F z − f‖² + weight (zᵀ Λ z + γ Σ_i ½ ‖log S_i‖²), an `Objective`.
+    """data ‖F z − f‖² + weight (zᵀ Λ z + γ Σ_i ½ ‖log S_i‖²), an `SmoothCost`.
 
     Attributes:
         triangle: (p, p + 1) factor [F f] of the data.

@@ -186,7 +186,12 @@ def cold_start(weighted: WeightedProgram) -> Iterate:
 
 
 def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
-    """A start at coordinates (p,) near the minimum; their blocks may be at the boundary."""
+    """A start at coordinates (p,) near the minimum; their blocks may be at the boundary.
+
+    Args:
+        weighted: The program, with the weight to solve it for.
+        z: (p,) coordinates.
+    """
     program = weighted.program
     z = program.lifted(z, _LEAST_EIGENVALUE)
     S, slope = program.matrices(z), weighted.slope(z)
@@ -218,7 +223,12 @@ def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
 
 
 def continued(minimum: Minimum, weighted: WeightedProgram) -> Iterate:
-    """A start from the minimum of the same program with another weight."""
+    """A start from the minimum of the same program with another weight.
+
+    Args:
+        minimum: The minimum for another weight.
+        weighted: The program, with the weight to solve it for.
+    """
     point, before = minimum.point, minimum.weighted.gamma[:, None]
     gamma = weighted.gamma[:, None]
     # Z takes up the new slope of γ tr S, as long as it stays well inside: only S Z is then wrong.

@@ -11,7 +11,7 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, Rows
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 _SVEC = SYMMETRIC_BASIS.reshape(10, 16)
 IDENTITY = _SVEC @ np.eye(4).ravel()
@@ -22,7 +22,7 @@ _BARRIER = 1e-10
 _LEAST = 1e-11
 """Least weight of a barrier, relative to the misfit at the prior."""
 _UNDETERMINED = 1e-11
-_HOLD = 1e-5
+_FIXING = 1e-5
 
 
 def smat(coordinates: Array) -> Array:
@@ -47,7 +47,7 @@ class NewtonProgram:
         coordinates: Map to the parameters of the problem.
         data: (p, p + 1) triangle [M | d]; what d has beyond it is `floor`.
         prior: (k, p) root C of the quadratic prior.
-        held: (j, p) weak rows that hold directions which neither data nor prior determine.
+        fixing: (j, p) weak rows that fix directions which neither data nor prior determine.
         blocks: (n, 10) indices of the inertia blocks in z.
         begin: (n, 4, 4) matrices B.
         gamma: (n,) weights γ.
@@ -61,7 +61,7 @@ class NewtonProgram:
     coordinates: Coordinates
     data: Array
     prior: Array
-    held: Array
+    fixing: Array
     blocks: NDArray[np.intp]
     begin: Array
     gamma: Array
@@ -93,7 +93,7 @@ class NewtonProgram:
             coordinates=coordinates,
             data=triangle[:p],
             prior=prior,
-            held=_undetermined(np.vstack([triangle[:p, :p], prior]), blocks),
+            fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), blocks),
             blocks=blocks,
             begin=coordinates.starts - margins * coordinates.references,
             gamma=gamma,
@@ -126,7 +126,12 @@ class NewtonProgram:
         return self.begin + smat(z[self.blocks])
 
     def lifted(self, z: Array, least: float) -> Array:
-        """Coordinates z (p,) with no eigenvalue of S below a least one."""
+        """Coordinates z (p,) with no eigenvalue of S below a least one.
+
+        Args:
+            z: (p,) coordinates.
+            least: Least eigenvalue of every S; none are lifted if it is not positive.
+        """
         if least <= 0:
             return z
         values, vectors = np.linalg.eigh(self.matrices(z))
@@ -139,7 +144,7 @@ class NewtonProgram:
     def weighted(self, weight: float) -> WeightedProgram:
         """The program with the prior's weight w in its factor."""
         p = self.size
-        extra = np.vstack([np.sqrt(weight) * self.prior, self.held])
+        extra = np.vstack([np.sqrt(weight) * self.prior, self.fixing])
         triangle = self.data
         if len(extra):
             rows = np.column_stack([extra, np.zeros(len(extra))])
@@ -214,6 +219,6 @@ def _undetermined(rows: Array, blocks: NDArray[np.intp]) -> Array:
     factor = triangular_factor([rows[:, scalars]])
     _, sizes, directions = np.linalg.svd(factor)
     unknown = directions[sizes <= _UNDETERMINED * max(sizes[0], 1e-300)]
-    held = np.zeros((len(unknown), rows.shape[1]))
-    held[:, scalars] = _HOLD * unknown
-    return held
+    fixing = np.zeros((len(unknown), rows.shape[1]))
+    fixing[:, scalars] = _FIXING * unknown
+    return fixing

@@ -25,7 +25,13 @@ _TRIALS = 60
 
 
 def first_minimum(program: NewtonProgram, weight: float, start: Array | None = None) -> Minimum:
-    """The minimum for a weight, from parameters (p,) close to it or from the prior."""
+    """The minimum for a weight, from parameters (p,) close to it or from the prior.
+
+    Args:
+        program: The program.
+        weight: Weight w of the regularizer.
+        start: (p,) parameters close to the minimum; None to start from the prior.
+    """
     weighted = program.weighted(weight)
     if start is not None:
         try:
@@ -37,7 +43,12 @@ def first_minimum(program: NewtonProgram, weight: float, start: Array | None = N
 
 
 def next_minimum(minimum: Minimum, weight: float) -> Minimum:
-    """The minimum for another weight, from the one before it."""
+    """The minimum for another weight, from the one before it.
+
+    Args:
+        minimum: The minimum for the weight before.
+        weight: Weight w of the regularizer.
+    """
     weighted = minimum.weighted.program.weighted(weight)
     try:
         return minimize(weighted, continued(minimum, weighted))
@@ -108,7 +119,12 @@ def _leap(minimum: Minimum, wanted: float) -> float:
 
 
 def out_of_reach(bound: float, minimum: float) -> ArgumentError:
-    """What is wrong with a residual bound below the minimum that bodies reach."""
+    """What is wrong with a residual bound below the minimum that bodies reach.
+
+    Args:
+        bound: The residual bound that was asked for.
+        minimum: The least squared residual.
+    """
     return ArgumentError(
         f"residual_bound is {bound:.10g}, but the least squared residual that physical bodies "
         f"inside all constraints reach is {minimum:.10g}.",

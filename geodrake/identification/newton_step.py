@@ -45,7 +45,12 @@ class Iterate:
     forces: Array
 
     def moved(self, step: Iterate, length: float) -> Iterate:
-        """This point, a length of a step further."""
+        """This point, a length of a step further.
+
+        Args:
+            step: A change of each field.
+            length: Factor of the step.
+        """
         return Iterate(
             self.z + length * step.z,
             self.Z + length * step.Z,
@@ -215,7 +220,12 @@ class Linearization:
         return 1.0 / max(falls) if max(falls) > 0 else np.inf
 
     def excess(self, direction: Direction | None = None, length: float = 0.0) -> float:
-        """Mean of what S Z has beyond γ and of s λ, after a length of a step."""
+        """Mean of what S Z has beyond γ and of s λ, after a length of a step.
+
+        Args:
+            direction: The step; None to stay.
+            length: Factor of the step.
+        """
         S, Z, s, y = self._D, self._D, self.at.slack, self.at.multipliers
         if direction is not None:
             S, Z = S + length * direction.primal, Z + length * direction.dual

@@ -40,7 +40,12 @@ def cholesky(matrix: Array) -> Array:
 
 
 def solved(factor: Array, right: Array) -> Array:
-    """Solutions, shaped as the right sides (n,) or (n, m), by the (n, n) that `cholesky` gave."""
+    """Solutions, shaped as the right sides (n,) or (n, m), by the (n, n) that `cholesky` gave.
+
+    Args:
+        factor: (n, n) lower triangular factor.
+        right: (n,) or (n, m) right sides.
+    """
     return np.asarray(dpotrs(factor, right, lower=True)[0]) if len(right) else right
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from geodrake.arguments import instances, integer, real_array
+from geodrake.boundary.arguments import instances, integer, real_array
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import checked
 from geodrake.inertia import (

@@ -13,7 +13,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 from scipy.special import rel_entr
 
-from geodrake.arguments import instance
+from geodrake.boundary.arguments import instance
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.fit import FitResult, check_residual_bound, fit_result

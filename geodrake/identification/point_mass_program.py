@@ -17,7 +17,7 @@ from geodrake.identification.point_mass import PointMasses
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.solvers import EXACTLY, Tolerances, cone_multiplier, run_solver
 from geodrake.inertia import Array
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 _LEAST = 1e-6
 """Least share of its prior that a point mass keeps."""
@@ -43,7 +43,12 @@ class PointMassProgram:
 
     @classmethod
     def of(cls, points: PointMasses, problem: FitProblem) -> PointMassProgram:
-        """The program of a problem whose first columns are the points' bodies."""
+        """The program of a problem whose first columns are the points' bodies.
+
+        Args:
+            points: Point masses of the bodies, with their prior.
+            problem: The fit; its first columns are those of the bodies, ten each.
+        """
         p, R = problem.size, points.matrix()
         norms = np.linalg.norm(problem.factor[:, len(R) : p], axis=0)
         scales = np.diag(1.0 / np.where(norms > 0, norms, 1.0))

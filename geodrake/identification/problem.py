@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.arguments import instance, instances, integers, number, real_array
+from geodrake.boundary.arguments import instance, instances, integers, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 
 def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
@@ -33,7 +33,7 @@ def whitened_factor(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = Non
 
 
 def whitened(A: ArrayLike, b: ArrayLike, *, sigma: ArrayLike | None = None) -> Array:
-    """The rows [A | b]/σ, (m, p + 1); arguments and errors as of `whitened_factor`."""
+    """The rows [A | b]/σ, (m, p + 1); see `whitened_factor` for arguments and errors."""
     A = checked("A", A, (None, None))
     b = checked("b", b, (len(A),))
     data = np.column_stack([A, b])
@@ -141,7 +141,13 @@ class FitProblem:
 
 
 def checked(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """The values as finite floats of a shape, where None stands for any length."""
+    """The values as finite floats of a shape, where None stands for any length.
+
+    Args:
+        name: What messages call the values.
+        values: What the caller passed.
+        shape: Length of each axis; None for any.
+    """
     symbols = iter("mnk")
     wanted = tuple(next(symbols) if size is None else size for size in shape)
     return real_array(values, name, wanted)

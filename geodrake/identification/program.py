@@ -9,11 +9,11 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 from scipy.sparse import csc_matrix
 
-from geodrake.arguments import instance, real_array
+from geodrake.boundary.arguments import instance, real_array
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.exact import solve_exactly
+from geodrake.identification.conic_fit import solve_exactly
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.newton import solve_newton
 from geodrake.identification.problem import FitProblem
@@ -47,7 +47,12 @@ class Regularizer(ABC):
         """
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
-        """d² at a solution of `solve`."""
+        """d² at a solution of `solve`.
+
+        Args:
+            fit: A solution of `solve`.
+            prior: (nb, 10) physical prior Φ⁰.
+        """
         return self.divergence(fit.x[: prior.size].reshape(prior.shape), prior)
 
     def solve(
@@ -59,6 +64,12 @@ class Regularizer(ABC):
         alone; else by Drake's conic solver of that name alone. Where such a solver is not exact
         enough to keep bodies physical at the problem's margin, it tries ten and a hundred times
         that margin.
+
+        Args:
+            problem: The data, bounds and constraints.
+            prior: (nb, 10) physical prior Φ⁰.
+            gamma: Weight γ of d².
+            solver: None, "newton", or the name of a conic solver of Drake's.
         """
         regularized = self.regularize(problem, prior, gamma)
         if solver is None:

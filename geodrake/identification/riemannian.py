@@ -9,17 +9,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from geodrake.arguments import instances, integer
+from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.fit import FitResult
-from geodrake.identification.interior_point import Minimum
+from geodrake.identification.interior_point import LocalMinimum
 from geodrake.identification.problem import FitProblem
 from geodrake.identification.pullback import Pullback
 from geodrake.identification.regularizer import Regularizer
 from geodrake.identification.riemannian_fit import RiemannianSearch
 from geodrake.inertia import Array, pseudo_inertia
-from geodrake.positive_definite import relative_logarithms
+from geodrake.inertia.positive_definite import relative_logarithms
 
 STARTS = ("entropic", "pullback", "prior", "data")
 
@@ -87,7 +87,7 @@ class Riemannian(Regularizer):
         convex = search.inside(lambda inner: Entropic().solve(inner, prior, gamma, solver))
         first = search.start(convex.x)
         best, weight = search.meet_bound(first, convex.prior_weight)
-        found: dict[str, Minimum | None] = {"entropic": best}
+        found: dict[str, LocalMinimum | None] = {"entropic": best}
         for name, start in self._others(search, first, prior, gamma * weight).items():
             try:
                 found[name] = search.minimum(start(), weight)

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
+from scipy.optimize import brentq
 
 from geodrake.errors import IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates
 from geodrake.identification.fit import FitResult, fit_result
-from geodrake.identification.interior_point import Minimum, Region, minimize
+from geodrake.identification.interior_point import LocalMinimum, Region, minimize
 from geodrake.identification.local_minima import LocalMinima, RiemannianFit
 from geodrake.identification.log_distance import LogCost
 from geodrake.identification.problem import FitProblem, LinearConstraints
 from geodrake.inertia import Array
-from geodrake.reduction import triangular_factor
+from geodrake.robot.reduction import triangular_factor
 
 _MARGINS = (1e-4, 1e-6, 1e-8)
 """Shares of a constraint's scale by which a start is kept inside it; the first feasible one."""
@@ -53,7 +55,13 @@ class RiemannianSearch:
 
     @classmethod
     def of(cls, problem: FitProblem, prior: Array, gamma: float) -> RiemannianSearch:
-        """The search for a problem with a physical prior (nb, 10)."""
+        """The search for a problem with a physical prior (nb, 10).
+
+        Args:
+            problem: The data, bounds and constraints.
+            prior: (nb, 10) physical prior Φ⁰.
+            gamma: Weight γ of d².
+        """
         references = dict(zip(problem.inertia_blocks, prior, strict=True))
         problem = replace(problem, reference=references)
         coordinates = Coordinates.of(problem)
@@ -104,7 +112,12 @@ class RiemannianSearch:
         )
 
     def random_start(self, z: Array, random: np.random.Generator) -> Array:
-        """A point inside all constraints, as far as they allow on a random geodesic from z (p,)."""
+        """A point inside all constraints, as far as they allow on a random geodesic from z (p,).
+
+        Args:
+            z: (p,) coordinates of a point inside all constraints.
+            random: Source of randomness.
+        """
         L = np.linalg.cholesky(self.cost.matrices(z))
         directions = random.normal(size=(len(L), len(SYMMETRIC_BASIS)))
         rates, axes = np.linalg.eigh(np.einsum("bk,kij->bij", directions, SYMMETRIC_BASIS))
@@ -117,14 +130,20 @@ class RiemannianSearch:
             start = 0.8 * start + 0.2 * z
         return start
 
-    def minimum(self, z: Array, weight: float, *, warm: bool = False) -> Minimum:
-        """The minimum that z leads to with a weight w; inf leaves the data out."""
+    def minimum(self, z: Array, weight: float, *, warm: bool = False) -> LocalMinimum:
+        """The minimum that z leads to with a weight w; inf leaves the data out.
+
+        Args:
+            z: (p,) coordinates inside all constraints.
+            weight: w of the regularizer; inf leaves the data out.
+            warm: Whether z is close to the minimum, so that the barrier may start low.
+        """
         data, weight = (0.0, 1.0) if np.isinf(weight) else (1.0, weight)
         cost = replace(self.cost, data=data, weight=weight)
         cost = replace(cost, size=max(min(cost.value(z), cost.value(0.0 * z)), weight * cost.gamma))
         return minimize(cost, self.region, z, barrier=_WARM if warm else 1e-2)
 
-    def meet_bound(self, z: Array, weight: float) -> tuple[Minimum, float]:
+    def meet_bound(self, z: Array, weight: float) -> tuple[LocalMinimum, float]:
         """A minimum, and in the point-to-set form the weight w for which it meets the bound.
 
         Args:
@@ -144,38 +163,36 @@ class RiemannianSearch:
             weight = 1.0
         return self._root(z, weight, bound)
 
-    def _root(self, z: Array, weight: float, bound: float) -> tuple[Minimum, float]:
-        """Regula falsi (Illinois) on the logarithms of w and of the residual above its least."""
-        floor = self._floor
-        excess = bound - floor
-        found = self.minimum(z, weight)
-        low, high = None, None  # (log w, error)
-        at, side = float(np.log(weight)), 0
-        closest: tuple[float, Minimum, float] | None = None
-        for _ in range(_MOST_TRIALS):
+    def _root(self, z: Array, weight: float, bound: float) -> tuple[LocalMinimum, float]:
+        """Brent's method on the logarithms of w and of the residual above its least."""
+        excess = bound - self._floor
+        enough = _MEETS * min(bound, 1e3 * excess)
+        trials: list[tuple[float, LocalMinimum, float]] = []  # how far off, where, and its w
+
+        @cache
+        def error(log_weight: float) -> float:
+            weight = float(np.exp(log_weight))
+            start = trials[-1][1].z if trials else z
+            found = self.minimum(start, weight, warm=bool(trials))
             misfit = self.cost.misfit(found.z)
-            miss = abs(misfit - excess)
-            if closest is None or miss < closest[0]:
-                closest = (miss, found, float(np.exp(at)))
-            if miss <= _MEETS * min(bound, 1e3 * excess):
-                return found, float(np.exp(at))
-            if low and high and abs(high[0] - low[0]) < _NARROW:
-                break
-            error = float(np.log(max(misfit, np.finfo(float).tiny) / excess))
-            if error < 0:
-                low, high, side = (at, error), _halved(high, side == -1), -1
-            else:
-                low, high, side = _halved(low, side == 1), (at, error), 1
-            at = _next(low, high, at, error)
-            found = self.minimum(found.z, float(np.exp(at)), warm=True)
-        if closest is not None and closest[0] <= _NEARLY_MEETS * bound:
-            return closest[1:]  # rounding leaves no closer one
+            trials.append((abs(misfit - excess), found, weight))
+            if trials[-1][0] <= enough:
+                return 0.0
+            return float(np.log(max(misfit, np.finfo(float).tiny) / excess))
+
+        ends = _enclosed(error, float(np.log(weight)))
+        if ends is not None:
+            brentq(error, *ends, xtol=_NARROW, maxiter=_MOST_TRIALS, disp=False)
+        miss, found, weight = min(trials, key=lambda trial: trial[0])
+        if miss <= max(enough, _NEARLY_MEETS * bound):  # rounding may leave no closer one
+            return found, weight
+        residual = self._floor + self.cost.misfit(found.z)
         raise IdentificationError(
             f"No local minimum has the residual {bound:.6g}: as gamma changes, it jumps from one "
-            f"minimum to another; the nearest found has {misfit + floor:.6g}.",
+            f"minimum to another; the nearest found has {residual:.6g}.",
             advice="Take another residual bound, or the entropic regularizer, which is convex.",
-            residual=misfit + floor,
-            gamma=float(np.exp(at)) * self.cost.gamma,
+            residual=residual,
+            gamma=weight * self.cost.gamma,
         )
 
     @property
@@ -199,9 +216,16 @@ class RiemannianSearch:
         return replace(problem, lower=lower, upper=upper, constraints=constraints)
 
     def result(
-        self, best: Minimum, weight: float, minima: LocalMinima, elapsed: float
+        self, best: LocalMinimum, weight: float, minima: LocalMinima, elapsed: float
     ) -> RiemannianFit:
-        """The result of a minimum."""
+        """The result of a minimum.
+
+        Args:
+            best: The minimum.
+            weight: The w that it belongs to.
+            minima: What the other starts led to.
+            elapsed: Time of the search, s.
+        """
         problem, T = self.problem, self.coordinates.transform
         x = np.clip(self.coordinates.parameters(best.z), problem.lower, problem.upper)
         inverse = np.linalg.inv(T)
@@ -210,8 +234,13 @@ class RiemannianSearch:
         own = {**vars(fit), "information": 0.5 * (information + information.T)}
         return RiemannianFit(**own, minima=minima)
 
-    def compared(self, found: Mapping[str, Minimum | None], best: Minimum) -> LocalMinima:
-        """What several starts led to, against the best of them."""
+    def compared(self, found: Mapping[str, LocalMinimum | None], best: LocalMinimum) -> LocalMinima:
+        """What several starts led to, against the best of them.
+
+        Args:
+            found: Name of the start -> its minimum, or None where it led to none.
+            best: The best of the minima.
+        """
         S = self.cost.matrices(best.z)
         root = np.linalg.inv(np.linalg.cholesky(S))
         costs, distances = [], []
@@ -234,15 +263,14 @@ def _closer(lower: Array, upper: Array, margin: Array) -> tuple[Array, Array]:
     return lower + margin, upper - margin
 
 
-def _halved(end: tuple[float, float] | None, again: bool) -> tuple[float, float] | None:
-    """An end of the bracket that was kept twice counts half, which speeds up regula falsi."""
-    return (end[0], 0.5 * end[1]) if end is not None and again else end
-
-
-def _next(
-    low: tuple[float, float] | None, high: tuple[float, float] | None, at: float, error: float
-) -> float:
-    """Next log w: outwards until the root is enclosed, then between its ends."""
-    if low is None or high is None:
-        return at - np.clip(1.2 * error, -3.0, 3.0) - 1e-3 * np.sign(error)
-    return (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
+def _enclosed(error: Callable[[float], float], at: float) -> tuple[float, float] | None:
+    """Ends, outwards from a first guess, between which an increasing function has its root."""
+    here = error(at)
+    for _ in range(_MOST_TRIALS):
+        if here == 0.0:
+            return at, at
+        before, at = at, at - float(np.clip(1.2 * here, -3.0, 3.0) + 1e-3 * np.sign(here))
+        sign, here = np.sign(here), error(at)
+        if sign * here <= 0.0:
+            return min(before, at), max(before, at)
+    return None

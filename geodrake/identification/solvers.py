@@ -204,6 +204,10 @@ def run_solver(
 def cone_multiplier(result: MathematicalProgramResult, cone: Any) -> float:
     """Multiplier of a Lorentz cone's bound, of which residual bounds need one for their γ.
 
+    Args:
+        result: A solution.
+        cone: The binding of the Lorentz cone.
+
     Raises:
         ArgumentError: The solver gives none.
     """

@@ -11,6 +11,17 @@ inertia P(φ) = ∫ [x;1][x;1]ᵀ dm, and a body can exist just when P(φ) ≻ 0
 All functions broadcast over leading axes.
 """
 
+from geodrake.inertia.body_distances import (
+    entropic_divergence,
+    pullback_distance,
+    riemannian_distance,
+)
+from geodrake.inertia.ellipsoids import (
+    Ellipsoid,
+    bounding_ellipsoid,
+    equivalent_ellipsoid,
+    is_realizable,
+)
 from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
     PARAMETER_NAMES,
@@ -29,6 +40,8 @@ from geodrake.inertia.parameters import (
     rotational_inertia,
     to_mass_com_inertia,
 )
+from geodrake.inertia.perturbation import Perturbation, perturb
+from geodrake.inertia.positive_definite import karcher_mean
 from geodrake.inertia.principal import (
     PrincipalAxes,
     central_second_moment,
@@ -48,11 +61,16 @@ __all__ = [
     "PARAMETER_NAMES",
     "PARAMETER_UNITS",
     "Array",
+    "Ellipsoid",
+    "Perturbation",
     "PrincipalAxes",
+    "bounding_ellipsoid",
     "central_second_moment",
     "change_frame",
     "change_units",
     "dual",
+    "entropic_divergence",
+    "equivalent_ellipsoid",
     "from_dual",
     "from_mass_com_inertia",
     "from_point_masses",
@@ -61,10 +79,15 @@ __all__ = [
     "from_spatial_inertia_matrix",
     "inertial_parameters",
     "is_physical",
+    "is_realizable",
+    "karcher_mean",
+    "perturb",
     "principal_axes",
     "pseudo_inertia",
     "pseudo_inertia_basis",
+    "pullback_distance",
     "pullback_metric",
+    "riemannian_distance",
     "rotational_inertia",
     "spatial_inertia_matrix",
     "to_mass_com_inertia",

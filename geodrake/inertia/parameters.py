@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import Sizes, number, positive, real_array
+from geodrake.boundary.arguments import Sizes, number, positive, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia.kernels import (
     BASIS,
@@ -26,7 +26,13 @@ _IDENTITY = np.eye(3)
 
 
 def checked_phi(phi: ArrayLike, name: str = "phi", sizes: Sizes | None = None) -> Array:
-    """Inertial parameters (..., 10); ArgumentError if they are something else, or not finite."""
+    """Inertial parameters (..., 10); ArgumentError if they are something else, or not finite.
+
+    Args:
+        phi: What the caller passed.
+        name: What messages call it.
+        sizes: Lengths of the axes `...` so far; completed by this array.
+    """
     return real_array(phi, name, ("...", PARAMETERS_PER_BODY), sizes)
 
 

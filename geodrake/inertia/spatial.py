@@ -8,8 +8,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context
 
-from geodrake.arguments import instance, real_array
-from geodrake.bodies import Member, check_context, check_plant, lumped_bodies
+from geodrake.boundary.arguments import instance, real_array
+from geodrake.inertia.bodies import Member, check_context, check_plant, lumped_bodies
 from geodrake.inertia.kernels import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.parameters import (
     change_frame,
@@ -92,8 +92,7 @@ def inertial_parameters(plant: MultibodyPlant, context: Context | None = None) -
         context: Where to read the parameters; the plant's default values if None.
 
     Returns:
-        (nb, 10) parameters of `geodrake.bodies.lumped_bodies(plant)`, each in the frame of its
-        representative.
+        (nb, 10) parameters of `lumped_bodies(plant)`, each in the frame of its representative.
 
     Raises:
         ArgumentError: It is no plant, or the context belongs to another system.

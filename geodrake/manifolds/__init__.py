@@ -17,6 +17,13 @@ from geodrake.manifolds.constrained_inertia import ConstrainedInertia
 from geodrake.manifolds.inertia import PhysicalInertia
 from geodrake.manifolds.interval import Free, Interval, Positive
 from geodrake.manifolds.product import Product
+from geodrake.manifolds.projections import (
+    Polyhedron,
+    affine_set,
+    bregman_projection,
+    halfspace,
+    slab,
+)
 
 __all__ = [
     "ConstrainedInertia",
@@ -24,6 +31,11 @@ __all__ = [
     "Interval",
     "Manifold",
     "PhysicalInertia",
+    "Polyhedron",
     "Positive",
     "Product",
+    "affine_set",
+    "bregman_projection",
+    "halfspace",
+    "slab",
 ]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import Shape, Sizes, real_array
+from geodrake.boundary.arguments import Shape, Sizes, number, real_array
 from geodrake.errors import ArgumentError
-from geodrake.manifolds.mirror import MirrorLine
+from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
 
 Array = NDArray[np.float64]
 
@@ -53,16 +53,31 @@ class Manifold(abc.ABC):
         return self.calc_metric(self._points(x))
 
     def inverse_metric_times(self, x: ArrayLike, b: ArrayLike) -> Array:
-        """g(x)⁻¹ b, (..., n), without building g: the natural gradient of a covector b (..., n)."""
+        """g(x)⁻¹ b, (..., n), without building g: the natural gradient of a covector b (..., n).
+
+        Args:
+            x: (..., n) points inside the set.
+            b: (..., n) covectors; leading axes are broadcast.
+        """
         return self.calc_inverse_metric_times(*self._point_and(x, b, "b"))
 
     def divergence(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set."""
+        """Bregman divergence D(x‖y) ≥ 0 (...), zero just when x = y; both inside the set.
+
+        Args:
+            x: (..., n) points inside the set.
+            y: (..., n) points inside the set; leading axes are broadcast.
+        """
         sizes: Sizes = {}
         return self.calc_divergence(self._points(x, "x", sizes), self._points(y, "y", sizes))
 
     def longest_step(self, x: ArrayLike, v: ArrayLike) -> Array:
-        """The time (...) at which the straight line x + t v leaves the set, inf for never."""
+        """The time (...) at which the straight line x + t v leaves the set, inf for never.
+
+        Args:
+            x: (..., n) points inside the set.
+            v: (..., n) changes of the point in a unit of time.
+        """
         return self.calc_longest_step(*self._point_and(x, v, "v"))
 
     def frame(self, x: ArrayLike) -> Array:
@@ -70,11 +85,44 @@ class Manifold(abc.ABC):
         return self.calc_frame(self._points(x, shape=(self.dimension,)))
 
     def mirror_line(self, x: ArrayLike, b: ArrayLike) -> MirrorLine:
-        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero."""
+        """The points y(t) with ∇h(y(t)) = ∇h(x) + t b, for x and b (n,) and b not zero.
+
+        Args:
+            x: (n,) point inside the set.
+            b: (n,) covector, not zero.
+        """
         x, b = self._points(x, shape=(self.dimension,)), real_array(b, "b", (self.dimension,))
         if not b.any():
             raise ArgumentError("A mirror line leads nowhere where b is zero.")
         return self.calc_mirror_line(x, b)
+
+    def mirror_span(self, x: ArrayLike, rows: ArrayLike) -> MirrorSpan:
+        """The points y(λ) with ∇h(y(λ)) = ∇h(x) + Aᵀ λ.
+
+        Args:
+            x: (n,) point inside the set.
+            rows: (k, n) covectors A.
+        """
+        x = self._points(x, shape=(self.dimension,))
+        return self.calc_mirror_span(x, real_array(rows, "rows", ("k", self.dimension)))
+
+    def point_of_gradient(self, gradient: ArrayLike, near: ArrayLike) -> Array:
+        """The point y (n,) with a gradient ∇h(y): the mirror map, backward.
+
+        Args:
+            gradient: (n,) the gradient; one that no point has is refused.
+            near: (n,) point inside the set, from which y is looked for if it has no closed form.
+        """
+        near = self._points(near, "near", shape=(self.dimension,))
+        gradient = real_array(gradient, "gradient", (self.dimension,))
+        y = self.calc_point_of_gradient(gradient, near)
+        if not self.calc_contains(y):
+            raise ArgumentError(
+                f"gradient must be that of a point of {type(self).__name__}; none was found for "
+                f"{gradient.tolist()}.",
+                name="gradient",
+            )
+        return y
 
     def retract(self, x: ArrayLike, v: ArrayLike) -> Array:
         """The point (..., n) that a step v (..., n) from x leads to, inside however long v is.
@@ -85,8 +133,24 @@ class Manifold(abc.ABC):
         down so that it reaches the edge only in the limit. Where the result is so close to the edge
         that rounding puts it outside, or beyond 1e60, the step is shortened: repeated long steps do
         not overflow.
+
+        Args:
+            x: (..., n) points inside the set.
+            v: (..., n) steps, of any length; leading axes are broadcast.
         """
         return self.calc_retract(*self._point_and(x, v, "v"))
+
+    def natural_step(self, x: ArrayLike, b: ArrayLike, time: float) -> Array:
+        """`retract` along −time g(x)⁻¹ b (..., n): the natural gradient of b, followed for a time.
+
+        The same point up to rounding, and sooner where there is a way without g⁻¹.
+
+        Args:
+            x: (..., n) points inside the set.
+            b: (..., n) covectors; leading axes are broadcast.
+            time: How long to follow −g(x)⁻¹ b.
+        """
+        return self.calc_natural_step(*self._point_and(x, b, "b"), number(time, "time"))
 
     def _points(
         self,
@@ -149,8 +213,39 @@ class Manifold(abc.ABC):
         return np.asarray(scale[:, None] * np.linalg.inv(L).T)
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
-        """Kernel of `mirror_line`."""
-        return _newton_line(self, x, b)
+        """Kernel of `mirror_line`; of points and covectors (..., n) it is the line of all."""
+        span = self.calc_mirror_span(x, b[None])
+
+        def point(t: float) -> Array:
+            return span.point(np.array([t]))
+
+        speed = float(np.sqrt(span.products[0, 0]))
+        return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), np.inf, scale_of(speed))
+
+    def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
+        """Kernel of `mirror_span`.
+
+        Of points (..., n) and rows (k, ..., n) it is the span of all points together.
+        """
+        flat = rows.reshape(len(rows), x.size)
+        pulls = self.calc_inverse_metric_times(x, rows).reshape(flat.shape)
+        start = self.calc_gradient(x)
+
+        def point(multipliers: Array) -> Array:
+            added = (multipliers @ flat).reshape(start.shape)
+            return self.calc_point_of_gradient(start + added, x)
+
+        return MirrorSpan(((flat, pulls),), point)
+
+    def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
+        """Kernel of `point_of_gradient`, of gradients and points (..., n).
+
+        Where there is no such point, what comes is outside of the manifold, or not a number.
+        """
+        y = np.empty_like(near)
+        for index in np.ndindex(near.shape[:-1]):
+            y[index] = _with_gradient(self, gradient[index], near[index])
+        return y
 
     def lift(self) -> Lift | None:
         """A manifold with easier mirror lines that this one is a flat part of; None if none."""
@@ -167,6 +262,10 @@ class Manifold(abc.ABC):
             share = np.where(outside, 0.5 * share, share)
             point = np.where(outside[..., None], self._retract(x, share[..., None] * v), point)
         return np.where(self._well_inside(point)[..., None], point, x)
+
+    def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
+        """Kernel of `natural_step`."""
+        return self.calc_retract(x, -time * self.calc_inverse_metric_times(x, b))
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         """Whether points are inside by more than rounding."""
@@ -222,28 +321,17 @@ class Lift:
         return cls(manifold, np.eye(n), np.zeros(n), places, np.zeros((0, n)), np.zeros(0))
 
 
-def _newton_line(manifold: Manifold, x: Array, b: Array) -> MirrorLine:
-    """The mirror line of any barrier: each point by Newton's method; NaN where there is none."""
-    start = manifold.calc_gradient(x)
-
-    def point(t: float) -> Array:
-        try:
-            return _with_gradient(manifold, start + t * b, x)
-        except (ArgumentError, np.linalg.LinAlgError):  # at the edge, on the way to infinity
-            return np.full(len(x), np.nan)
-
-    length = float(np.sqrt(b @ manifold.calc_inverse_metric_times(x, b)))
-    return MirrorLine(point, lambda t: float(b @ point(t)), np.inf, 1.0 / length)
-
-
 def _with_gradient(manifold: Manifold, wanted: Array, y: Array) -> Array:
     """The point (n,) with a wanted gradient, from a first guess y; NaN if it is not found."""
-    for _ in range(_MOST_STEPS):
-        off = wanted - manifold.calc_gradient(y)
-        step = manifold.calc_inverse_metric_times(y, off)
-        length = float(np.sqrt(max(float(off @ step), 0.0)))
-        share = 1.0 if length < _SHORT else 1.0 / (1.0 + length)
-        y = y + min(share, _SHARE_OF_EDGE * float(manifold.calc_longest_step(y, step))) * step
-        if length < _EXACT:
-            return y
+    try:
+        for _ in range(_MOST_STEPS):
+            off = wanted - manifold.calc_gradient(y)
+            step = manifold.calc_inverse_metric_times(y, off)
+            length = float(np.sqrt(max(float(off @ step), 0.0)))
+            share = 1.0 if length < _SHORT else 1.0 / (1.0 + length)
+            y = y + min(share, _SHARE_OF_EDGE * float(manifold.calc_longest_step(y, step))) * step
+            if length < _EXACT:
+                return y
+    except (ArgumentError, np.linalg.LinAlgError):  # at the edge, on the way to infinity
+        pass
     return np.full(len(y), np.nan)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geodrake.arguments import Sizes, positive, real_array
+from geodrake.boundary.arguments import Sizes, positive, real_array
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds.base import Array, Lift, Manifold, excess
 from geodrake.manifolds.inertia import PhysicalInertia
@@ -25,7 +25,7 @@ class ConstrainedInertia(Manifold):
     scale of a constraint, so that α has no unit.
 
     Attributes:
-        normals: (m, 10) rows aₖᵀ, such as `geodrake.ellipsoids.realizability_row`.
+        normals: (m, 10) rows aₖᵀ, such as `geodrake.inertia.ellipsoids.realizability_row`.
         offsets: (m,) values bₖ.
         weight: α > 0.
     """

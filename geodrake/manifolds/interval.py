@@ -8,13 +8,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.arguments import Sizes, integer, real_array
-from geodrake.arguments.arrays import LARGEST
+from geodrake.boundary.arguments import Sizes, integer, real_array
+from geodrake.boundary.arguments.arrays import LARGEST
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
-from geodrake.manifolds.mirror import MirrorLine
+from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
+_USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a slack by, on the fast way
 _MOST = 10**6  # parameters
 _LEAST_SLACK = 1e-150  # whose inverse square is still a number
 
@@ -52,18 +53,40 @@ class Interval(Manifold):
         return len(self.lower)
 
     @cached_property
+    def _bounds(self) -> tuple[Array, Array]:
+        """The lower and the upper bounds (n,)."""
+        return np.array(self.lower), np.array(self.upper)
+
+    @cached_property
     def _flat(self) -> NDArray[np.bool_]:
         """Which parameters have no bound, (n,)."""
         return np.isinf(self.lower) & np.isinf(self.upper)
 
+    @cached_property
+    def _one_sided(self) -> NDArray[np.bool_]:
+        """Which parameters have one bound, (n,)."""
+        return np.isfinite(self.lower) ^ np.isfinite(self.upper)
+
+    @cached_property
+    def _only_bound(self) -> Array:
+        """The bounds of those."""
+        lower, upper = self._bounds
+        return np.where(np.isfinite(lower), lower, upper)[self._one_sided]
+
+    @cached_property
+    def _only_lower(self) -> bool:
+        """Whether all parameters have a lower bound and no upper one, as coefficients do."""
+        return bool(np.isfinite(self.lower).all() and np.isinf(self.upper).all())
+
     def _slacks(self, x: Array) -> tuple[Array, Array]:
         """Distances to the lower and the upper bounds."""
-        return x - np.array(self.lower), np.array(self.upper) - x
+        lower, upper = self._bounds
+        return x - lower, upper - x
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether l < x < u in every parameter (...)."""
-        below, above = self._slacks(np.where(np.isfinite(x), x, 0.0))
-        return np.asarray((np.isfinite(x) & (below > 0) & (above > 0)).all(-1))
+        lower, upper = self._bounds
+        return np.asarray(((x > lower) & (x < upper)).all(-1))
 
     def calc_barrier(self, x: Array) -> Array:
         """h(x), [Lee2019] Eq. (5.3.35)."""
@@ -72,6 +95,8 @@ class Interval(Manifold):
 
     def calc_gradient(self, x: Array) -> Array:
         """∇h(x), (..., n)."""
+        if self._only_lower:
+            return np.asarray(-1.0 / (x - self._bounds[0]))
         below, above = self._slacks(x)
         return np.where(self._flat, x, 1.0 / above - 1.0 / below)
 
@@ -85,6 +110,9 @@ class Interval(Manifold):
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
+        if self._only_lower:
+            slack = x - self._bounds[0]
+            return np.asarray(slack * slack * b)
         return b / self._curvature(x)
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
@@ -108,36 +136,65 @@ class Interval(Manifold):
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """In closed form for each parameter: 1/slack is linear in t, or a quadratic equation."""
-        low, high = np.array(self.lower), np.array(self.upper)
-        curved, simple = np.isfinite(low) & np.isfinite(high), np.isfinite(low) ^ np.isfinite(high)
-        sign = np.where(np.isfinite(low), 1.0, -1.0)[simple]  # away from the bound
-        bound = np.where(np.isfinite(low), low, high)[simple]
-        slack = sign * (x[simple] - bound)
-        rates, force = sign * b[simple] * slack, self.calc_gradient(x)
+        span, one = self.calc_mirror_span(x, b[None]), self._one_sided
 
         def point(t: float) -> Array:
-            y = np.where(self._flat, x + t * b, x)
-            y[simple] = bound + sign * slack / (1.0 - t * rates)
-            y[curved] = _balanced(low[curved], high[curved], (force + t * b)[curved])
-            return y
+            return span.point(np.array([t]))
 
-        def value(t: float) -> float:
-            return float(b @ point(t))
+        most = float(((x[..., one] - self._only_bound) * b[..., one]).max(initial=0.0))
+        longest = 1.0 / most if most > 0 else np.inf
+        speed = float(np.sqrt(span.products[0, 0]))
+        return MirrorLine(point, lambda t: float(np.vdot(b, point(t))), longest, scale_of(speed))
 
-        most = float(rates.max(initial=0.0))
-        speed = float(np.sqrt((b * b / self._curvature(x)).sum()))
-        return MirrorLine(point, value, 1.0 / most if most > 0 else np.inf, 1.0 / speed)
+    def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
+        """Each parameter by itself; NaN where there is no point of one."""
+        if self._only_lower:
+            return _span_above(x, rows, self._bounds[0])
+        flat, start = rows.reshape(len(rows), x.size), self.calc_gradient(x)
+        scaled = (rows / np.sqrt(self._curvature(x))).reshape(flat.shape)
+
+        def point(multipliers: Array) -> Array:
+            added = (multipliers @ flat).reshape(x.shape)
+            return self.calc_point_of_gradient(start + added, x)
+
+        return MirrorSpan(((scaled, scaled),), point)
+
+    def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
+        """Each parameter by itself; NaN where there is no point of one."""
+        lower, upper = self._bounds
+        if self._only_lower:
+            return np.asarray(lower + 1.0 / _positive(-gradient))
+        one, two = self._one_sided, np.isfinite(lower) & np.isfinite(upper)
+        away = np.where(np.isfinite(lower[one]), 1.0, -1.0)  # from the bound
+        y = gradient.copy()
+        y[..., one] = self._only_bound + away / _positive(-away * gradient[..., one])
+        y[..., two] = _balanced(lower[two], upper[two], gradient[..., two])
+        return y
+
+    def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
+        """Where all have a lower bound only, the geodesic without its cautions, if it is short."""
+        if self._only_lower:
+            slack = x - self._bounds[0]
+            growth = slack * b
+            growth *= -time
+            if np.vdot(growth, growth) <= _USUAL_GROWTH**2:
+                stepped = np.expm1(growth)
+                stepped *= slack
+                stepped += x
+                if (stepped > self._bounds[0]).all() and np.vdot(stepped, stepped) < LARGEST:
+                    return np.asarray(stepped)
+        return super().calc_natural_step(x, b, time)
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         return self.calc_contains(x) & (np.abs(x) < LARGEST).all(-1)
 
     def _retract(self, x: Array, v: Array) -> Array:
         """Each parameter by itself: geodesic with one bound, the slowed line with two."""
-        lower, upper = np.array(self.lower), np.array(self.upper)
+        lower, upper = self._bounds
         below, above = self._slacks(x)
-        bounded = np.isfinite(self.lower) ^ np.isfinite(self.upper)
-        sign = np.where(np.isinf(self.lower), -1.0, 1.0)  # away from the bound
-        slack = np.where(bounded, np.where(np.isinf(self.lower), above, below), 1.0)
+        bounded = self._one_sided
+        sign = np.where(np.isinf(lower), -1.0, 1.0)  # away from the bound
+        slack = np.where(bounded, np.where(np.isinf(lower), above, below), 1.0)
         growth = np.clip(sign * v / slack, -_LONGEST_GROWTH, _LONGEST_GROWTH)
         change = np.where(bounded, np.maximum(slack * np.expm1(growth), _LEAST_SLACK - slack), 0.0)
         geodesic = x + sign * change
@@ -148,6 +205,24 @@ class Interval(Manifold):
         least = np.maximum(np.nextafter(lower, np.inf), lower + _LEAST_SLACK)
         most = np.minimum(np.nextafter(upper, -np.inf), upper - _LEAST_SLACK)
         return np.clip(point, least, most)
+
+
+def _span_above(x: Array, rows: Array, lower: Array) -> MirrorSpan:
+    """The span of parameters that have a lower bound only: 1/slack is linear in λ."""
+    slack = x - lower
+    scaled = rows.reshape(len(rows), x.size) * slack.ravel()
+
+    def point(multipliers: Array) -> Array:
+        left = _positive(1.0 - multipliers @ scaled).reshape(x.shape)
+        return np.asarray(lower + slack / left)
+
+    return MirrorSpan(((scaled, scaled),), point)
+
+
+def _positive(x: Array) -> Array:
+    """The numbers, with NaN put in for those that are not above zero."""
+    x[x <= 0] = np.nan
+    return x
 
 
 def _balanced(lower: Array, upper: Array, force: Array) -> Array:

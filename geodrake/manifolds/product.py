@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,15 +10,69 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from geodrake.arguments import instances, real_array
+from geodrake.boundary.arguments import instances, real_array
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Lift, Manifold
-from geodrake.manifolds.mirror import MirrorLine, joined
+from geodrake.manifolds.inertia import PhysicalInertia
+from geodrake.manifolds.interval import Interval
+from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, joined
+
+
+@dataclass(frozen=True, eq=False)
+class _FactorGroup:
+    """Factors of one kind and weight.
+
+    Attributes:
+        manifold: What they all are.
+        places: (k, n) their coordinates.
+        weight: Weight of their barriers.
+    """
+
+    manifold: Manifold
+    places: NDArray[np.intp]
+    weight: float
+
+    @cached_property
+    def _span(self) -> slice | None:
+        """Where the coordinates are, if they follow each other: slices take a third of the time."""
+        start = int(self.places[0, 0]) if self.places.size else 0
+        following = np.arange(start, start + self.places.size).reshape(self.places.shape)
+        return slice(start, following.size + start) if (following == self.places).all() else None
+
+    @cached_property
+    def _shapes(self) -> tuple[tuple[int, int], tuple[int]]:
+        """Of the coordinates, and of them in a row."""
+        k, n = self.places.shape
+        return (k, n), (k * n,)
+
+    def part(self, x: Array) -> Array:
+        """The coordinates (..., k, n) among those of the product (..., N)."""
+        if self._span is None:
+            return x[..., self.places]
+        return x[..., self._span].reshape(x.shape[:-1] + self._shapes[0])
+
+    def light(self, covectors: Array) -> Array:
+        """What acts on the barrier, divided by its weight."""
+        return covectors if self.weight == 1.0 else covectors / self.weight
+
+    def heavy(self, covectors: Array) -> Array:
+        """What acts on the barrier, times its weight."""
+        return covectors if self.weight == 1.0 else covectors * self.weight
+
+    def put(self, values: Array, x: Array) -> None:
+        """Writes coordinates (..., k, n) to their places in those of the product (..., N)."""
+        if self._span is None:
+            x[..., self.places] = values
+        else:
+            x[..., self._span] = values.reshape(x.shape[:-1] + self._shapes[1])
 
 
 @dataclass(frozen=True)
 class Product(Manifold):
     """Several manifolds side by side, h = Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.41)–(5.3.44).
+
+    Kernels take all bodies of one weight at once, and all bounded parameters: fast enough for an
+    update at every sample.
 
     Attributes:
         manifolds: The factors, in the order of their coordinates.
@@ -30,6 +84,8 @@ class Product(Manifold):
 
     def __post_init__(self) -> None:
         manifolds = instances(self.manifolds, "manifolds", Manifold)
+        if not manifolds:
+            raise ArgumentError("A product needs a manifold; there is none in `manifolds`.")
         given = (1.0,) * len(manifolds) if np.size(self.weights) == 0 else self.weights
         weights = real_array(given, "weights", (len(manifolds),))
         if not (weights > 0).all():
@@ -47,24 +103,67 @@ class Product(Manifold):
 
     @cached_property
     def _factors(self) -> tuple[tuple[Manifold, float, slice], ...]:
-        """Every factor with its weight and where its coordinates are."""
-        ends = np.cumsum([manifold.dimension for manifold in self.manifolds]).tolist()
-        slices = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
-        return tuple(zip(self.manifolds, self.weights, slices, strict=True))
+        """Every factor that is no product itself, with its weight and where its coordinates are."""
+        factors, start = [], 0
+        for factor, weight in _leaves(self):
+            factors.append((factor, weight, slice(start, start + factor.dimension)))
+            start += factor.dimension
+        return tuple(factors)
+
+    @cached_property
+    def least_weight(self) -> float:
+        """The least weight of a factor; 1 if there is none below."""
+        return min((1.0, *(weight for _, weight, _ in self._factors)))
+
+    @cached_property
+    def _groups(self) -> tuple[_FactorGroup, ...]:
+        """Bodies together, intervals as one manifold, and every other factor by itself."""
+        bodies: dict[float, list[NDArray[np.intp]]] = {}
+        intervals: dict[float, list[tuple[Interval, NDArray[np.intp]]]] = {}
+        groups = []
+        for factor, weight, part in self._factors:
+            places = np.arange(part.start, part.stop)
+            if isinstance(factor, PhysicalInertia):
+                bodies.setdefault(weight, []).append(places)
+            elif isinstance(factor, Interval):
+                intervals.setdefault(weight, []).append((factor, places))
+            else:
+                groups.append(_FactorGroup(factor, places[None], weight))
+        for weight, rows in bodies.items():
+            groups.append(_FactorGroup(PhysicalInertia(), np.array(rows), weight))
+        for weight, members in intervals.items():
+            lower = tuple(bound for factor, _ in members for bound in factor.lower)
+            upper = tuple(bound for factor, _ in members for bound in factor.upper)
+            places = np.concatenate([places for _, places in members])
+            groups.append(_FactorGroup(Interval(lower, upper), places[None], weight))
+        return tuple(groups)
+
+    def _filled(self, function: Callable[..., Array], *vectors: Array) -> Array:
+        """Values (..., n) of a function of a group and of its coordinates (..., k, n_g)."""
+        # (What has fewer leading axes than the rest is not repeated: the functions broadcast.)
+        same = vectors[0].shape == vectors[-1].shape
+        filled = np.empty(
+            vectors[0].shape if same else np.broadcast_shapes(*[x.shape for x in vectors])
+        )
+        for group in self._groups:
+            group.put(function(group, *[group.part(x) for x in vectors]), filled)
+        return filled
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether x is inside every factor (...)."""
-        inside = [factor.calc_contains(x[..., part]) for factor, _, part in self._factors]
-        return np.logical_and.reduce(inside)
+        inside = [g.manifold.calc_contains(g.part(x)) for g in self._groups]
+        return np.logical_and.reduce(np.concatenate(inside, -1), -1)
 
     def calc_barrier(self, x: Array) -> Array:
         """Σ wᵢ hᵢ(xᵢ), [Lee2019] Eq. (5.3.42)."""
-        return _sum(w * factor.calc_barrier(x[..., part]) for factor, w, part in self._factors)
+        return _sum(g.weight * g.manifold.calc_barrier(g.part(x)).sum(-1) for g in self._groups)
 
     def calc_gradient(self, x: Array) -> Array:
         """The factors' gradients times their weights, (..., n)."""
-        parts = [w * factor.calc_gradient(x[..., part]) for factor, w, part in self._factors]
-        return np.concatenate(parts, -1)
+        gradient = np.empty(x.shape)
+        for group in self._groups:
+            group.put(group.heavy(group.manifold.calc_gradient(group.part(x))), gradient)
+        return gradient
 
     def calc_metric(self, x: Array) -> Array:
         """diag(wᵢ gᵢ(xᵢ)), [Lee2019] Eq. (5.3.43)."""
@@ -75,24 +174,20 @@ class Product(Manifold):
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """gᵢ(xᵢ)⁻¹ bᵢ / wᵢ factor by factor, [Lee2019] Eq. (B.4.19)."""
-        parts = [
-            factor.calc_inverse_metric_times(x[..., part], b[..., part]) / w
-            for factor, w, part in self._factors
-        ]
-        return np.concatenate(parts, -1)
+        return self._filled(
+            lambda g, x, b: g.manifold.calc_inverse_metric_times(x, g.light(b)), x, b
+        )
 
     def calc_divergence(self, x: Array, y: Array) -> Array:
         """Σ wᵢ Dᵢ(xᵢ‖yᵢ), [Lee2019] Eq. (5.3.44)."""
         return _sum(
-            w * f.calc_divergence(x[..., part], y[..., part]) for f, w, part in self._factors
+            g.weight * g.manifold.calc_divergence(g.part(x), g.part(y)).sum(-1)
+            for g in self._groups
         )
 
     def calc_longest_step(self, x: Array, v: Array) -> Array:
         """The least of the factors' times (...)."""
-        times = [
-            factor.calc_longest_step(x[..., part], v[..., part])
-            for factor, _, part in self._factors
-        ]
+        times = [g.manifold.calc_longest_step(g.part(x), g.part(v)).min(-1) for g in self._groups]
         return np.minimum.reduce(times)
 
     def calc_frame(self, x: Array) -> Array:
@@ -104,10 +199,14 @@ class Product(Manifold):
 
     def calc_mirror_line(self, x: Array, b: Array) -> MirrorLine:
         """Factor by factor; those that b has nothing of stay."""
-        used = [(f, w, part) for f, w, part in self._factors if b[part].any()]
-        return joined(
-            [(part, w, f.calc_mirror_line(x[part], b[part] / w)) for f, w, part in used], x
-        )
+        lines = []
+        for group in self._groups:
+            used = group.part(b).any(-1)
+            if used.any():
+                places = group.places[used]
+                line = group.manifold.calc_mirror_line(x[places], group.light(b[places]))
+                lines.append((places, group.weight, line))
+        return joined(lines, x)
 
     def lift(self) -> Lift | None:
         """The lifts of the factors side by side, if there are any."""
@@ -125,13 +224,49 @@ class Product(Manifold):
             np.concatenate([a.values for a in lifts]),
         )
 
+    def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
+        """Each factor by itself."""
+        points, halves = [], []
+        for group in self._groups:
+            own = group.manifold.calc_mirror_span(group.part(x), group.part(rows))
+            points.append((group, own.point))
+            for left, right in own.halves:
+                halves.append((group.light(left), right))
+
+        def point(multipliers: Array) -> Array:
+            y = np.empty(x.shape)
+            for group, own in points:
+                group.put(own(group.light(multipliers)), y)
+            return y
+
+        return MirrorSpan(tuple(halves), point)
+
+    def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
+        """Each factor by itself."""
+        y = np.empty(near.shape)
+        for group in self._groups:
+            own = group.light(group.part(gradient))
+            group.put(group.manifold.calc_point_of_gradient(own, group.part(near)), y)
+        return y
+
     def calc_retract(self, x: Array, v: Array) -> Array:
         """Each factor by itself."""
-        x, v = np.broadcast_arrays(x, v)
-        parts = [
-            factor.calc_retract(x[..., part], v[..., part]) for factor, _, part in self._factors
-        ]
-        return np.concatenate(parts, -1)
+        return self._filled(lambda g, x, v: g.manifold.calc_retract(x, v), x, v)
+
+    def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
+        """Each factor by itself."""
+        return self._filled(
+            lambda g, x, b: g.manifold.calc_natural_step(x, b, time / g.weight), x, b
+        )
+
+
+def _leaves(product: Product) -> Iterator[tuple[Manifold, float]]:
+    """The factors of a product and of the products in it, with their weights."""
+    for factor, weight in zip(product.manifolds, product.weights, strict=True):
+        if isinstance(factor, Product):
+            yield from ((leaf, weight * own) for leaf, own in _leaves(factor))
+        else:
+            yield factor, weight
 
 
 def _sum(terms: Iterable[Array]) -> Array:

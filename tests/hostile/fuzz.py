@@ -11,24 +11,20 @@ none, or change a file after it failed. What broke that is kept in a folder, to 
 import argparse
 import json
 import os
-import select
 import shlex
 import signal
 import sys
 import tempfile
 import time
 from collections import Counter
-from contextlib import suppress
 from pathlib import Path
 
 import hypothesis
 from fuzz_cases import COMMANDS, FILES, cases, inside
-from hostile import SECONDS, changed, check_words, contents, fill, read_json, run_here
+from hostile import changed, check_words, contents, fill, read_json, run_forked, run_here
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
-
-INTERNAL = 70  # exit code of a fork that never came to its command
 
 
 def verdict(case, folder):
@@ -36,7 +32,7 @@ def verdict(case, folder):
     fill(folder)
     (folder / FILES[case.kind]).write_bytes(case.data)
     before = contents(folder)
-    status, out, err = run_forked(case.words, folder)
+    status, out, err = run_forked(shlex.split(case.words), folder)
     if status is None:
         return "hang", False, out + err
     if os.WIFSIGNALED(status):
@@ -53,49 +49,6 @@ def verdict(case, folder):
     except AssertionError as error:
         return str(error).partition(":")[0], False, out + err
     return ("result" if code == 0 else "refused"), True, out + err
-
-
-def run_forked(words, folder):
-    """Wait status (None after a hang) and output of a command in a forked process."""
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        process = os.fork()
-        if process == 0:
-            _become(words, folder, out, err)
-        handle = os.pidfd_open(process)
-        in_time = bool(select.select([handle], [], [], SECONDS)[0])
-        os.close(handle)
-        if not in_time:
-            os.kill(process, signal.SIGKILL)
-        status = os.waitpid(process, 0)[1]
-        texts = []
-        for file in (out, err):
-            file.seek(0)
-            texts.append(file.read().decode("utf-8", errors="replace"))
-    return status if in_time else None, *texts
-
-
-def _become(words, folder, out, err):
-    """Turn a forked process into one that runs the command and ends."""
-    code = INTERNAL
-    try:
-        for file, descriptor in ((out, 1), (err, 2)):
-            os.dup2(file.fileno(), descriptor)
-        sys.stdout, sys.stderr = (
-            os.fdopen(descriptor, "w", encoding="utf-8", closefd=False) for descriptor in (1, 2)
-        )
-        os.chdir(folder)
-        sys.argv = ["geodrake", *shlex.split(words)]
-        from geodrake.cli import main
-
-        main()
-        code = 0
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    finally:
-        with suppress(Exception):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
 
 
 def warm_up():

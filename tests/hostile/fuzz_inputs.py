@@ -76,7 +76,6 @@ from geodrake.effects import JointEffect, Parameter
 class HangingHose(JointEffect):
     name = "hanging_hose"
     parameters = (Parameter("cosine", "N·m", 0.0, 10.0), Parameter("sine", "N·m"))
-    confused_with = ("joint_spring",)
     signature = "a cosine of the position"
 
     def columns(self, joint):

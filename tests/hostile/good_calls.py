@@ -19,16 +19,22 @@ from pydrake.trajectories import PiecewisePolynomial
 
 import geodrake
 from geodrake import effects, inertia
-from geodrake.adaptation import (
+from geodrake.control.adaptation import (
     AdaptationLaw,
     FunctionSet,
     ProjectedLaw,
     mass_limits,
     parameter_manifold,
 )
-from geodrake.base_parameters import structural_base_parameters
-from geodrake.control_regressor import ControlModel
-from geodrake.ellipsoids import equivalent_ellipsoid
+from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
+from geodrake.control.regressor import ControlModel
+from geodrake.control.systems import (
+    EffectForce,
+    PassivityBasedAdaptiveController,
+    Safeguards,
+    VaryingGains,
+)
+from geodrake.effects import FittedEffect
 from geodrake.excitation import (
     Criterion,
     DesignOptions,
@@ -42,29 +48,56 @@ from geodrake.excitation import (
     measurement_factor,
     motion_limits,
 )
-from geodrake.identification import (
-    BodyConstraints,
-    PointMasses,
-    identify,
-    whitened_factor,
+from geodrake.excitation.design import design_objective
+from geodrake.excitation.regressor_gradient import (
+    base_wrench_regressor_gradient,
+    inverse_dynamics_regressor_gradient,
+    regressor_jacobian,
 )
+from geodrake.identification import BodyConstraints, PointMasses, identify
 from geodrake.identification.identify import build_problem
-from geodrake.kinematics import KinematicTree
-from geodrake.log_files import read_log, write_log
+from geodrake.identification.models import IdentificationSettings
+from geodrake.identification.models.identify import with_effects
+from geodrake.identification.newton import newton_sweep, solve_newton
+from geodrake.identification.problem import LinearConstraints, whitened_factor
+from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+from geodrake.logs.files import read_log, write_log
+from geodrake.logs.motion import JointLog, Motion
 from geodrake.manifolds import ConstrainedInertia, Interval, PhysicalInertia, Positive, Product
 from geodrake.manifolds import Free as FreeManifold
-from geodrake.model import FittedEffect, RobotModel
-from geodrake.model_identification import IdentificationSettings
-from geodrake.motion import JointLog, Motion
-from geodrake.online_estimation import FilteredRegressor, SampleUpdate
-from geodrake.projections import Polyhedron
-from geodrake.systems import (
-    EffectForce,
-    PassivityBasedAdaptiveController,
-    Safeguards,
-    VaryingGains,
+from geodrake.manifolds.projections import Polyhedron
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.base_parameters import structural_base_parameters
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.transmission import FunctionTransmission, LinearTransmission
+
+MODULES = (
+    "excitation.identifiability",
+    "control.adaptation",
+    "control.loops",
+    "control.regressor",
+    "control.rollout",
+    "control.systems",
+    "diagnosis.drafting",
+    "identification.models",
+    "inertia.body_distances",
+    "inertia.ellipsoids",
+    "inertia.perturbation",
+    "inertia.positive_definite",
+    "manifolds.projections",
+    "model.export",
+    "robot.base_parameters",
+    "robot.floating_base",
+    "robot.regressor",
+    "robot.transmission",
+    "diagnosis",
+    "effects",
+    "excitation",
+    "identification",
+    "inertia",
+    "manifolds",
 )
-from geodrake.transmission import FunctionTransmission, LinearTransmission
+"""Where the public callables are, those that are inside of others first."""
 
 PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 
@@ -123,7 +156,6 @@ NO_DOOR = {
             "effects.JointPairEffect",
             "effects.RobotEffect",
             "excitation.MotionFamily",
-            "identification.QuadraticRegularizer",
             "identification.Regularizer",
             "manifolds.Manifold",
             "systems.AdaptiveController",
@@ -146,59 +178,30 @@ NO_DOOR = {
             "diagnosis.Step",
             "drafting.Correlate",
             "drafting.Draft",
-            "drafting.DraftedEffect",
-            "drafting.Factor",
-            "drafting.Formula",
-            "drafting.Term",
-            "excitation.DesignProgress",
             "excitation.ExcitationResult",
             "excitation.ExcitationTrajectory",
             "excitation.IdentifiableParameters",
-            "excitation.LimitUse",
-            "excitation.MotionGradient",
-            "excitation.Pair",
+            "identifiability.LogIdentifiability",
             "excitation.ReducedExcitation",
             "excitation.ReducedIdentification",
-            "excitation.Rival",
-            "excitation.SeedOutcome",
             "excitation.Separation",
             "excitation.Target",
             "export.Export",
-            "identification.FitProgram",
             "identification.FitResult",
-            "identification.GeodesicLeastSquaresResult",
             "identification.IdentificationResult",
-            "identification.LeastSquaresResult",
-            "identification.LocalMinima",
-            "identification.PointMassFit",
             "identification.RegularizerComparison",
             "inertia.PrincipalAxes",
             "loops.AdaptiveLoop",
-            "model_identification.Alternative",
-            "model_identification.BodyChange",
-            "model_identification.ModelIdentification",
+            "models.ModelIdentification",
             "perturbation.Perturbation",
-            "rollout.JointDeparture",
             "rollout.Rollout",
-            "rollout.Window",
         ),
         "a result: a function makes it",
     ),
     **dict.fromkeys(
         (
-            "control_regressor.ControlSample",
-            "control_regressor.EffectColumns",
-            "control_regressor.OnlineTree",
-            "control_regressor.RigidSample",
-        ),
-        "evaluated once a sample, of what ControlModel.of has checked",
-    ),
-    **dict.fromkeys(
-        (
-            "drafting.draft_rest",
             "drafting.rest_correlates",
             "drafting.source_of",
-            "excitation.trajectory_content",
             "export.check_export",
             "export.distributed",
             "floating_base.on_a_free_world",
@@ -208,15 +211,19 @@ NO_DOOR = {
         "a part of a public function, which has the door",
     ),
     "effects.catalogue": "it has no arguments",
+    "effects.Proposer": "names to choose from",
+    "effects.Role": "names to choose from",
+    "effects.WrongInertia": "it has no instance",
     "inertia.pseudo_inertia_basis": "it has no arguments",
 }
 """Public callables without a row of wrong calls, and why."""
 
 
 def public_callables():
-    """Every public callable by name."""
-    for name in geodrake._MODULES:
-        module = import_module(f"geodrake.{name}")
+    """Every public callable by name, at the module of `MODULES` that it comes from."""
+    seen = set()
+    for path in MODULES:
+        module, name = import_module(f"geodrake.{path}"), path.rpartition(".")[2]
         listed = getattr(module, "__all__", None)
         own = [
             key
@@ -225,7 +232,8 @@ def public_callables():
         ]
         for key in own if listed is None else listed:
             value = getattr(module, key)
-            if inspect.isclass(value) or callable(value):
+            if (inspect.isclass(value) or callable(value)) and id(value) not in seen:
+                seen.add(id(value))
                 yield f"{name}.{key}", value
     yield "load_model", geodrake.load_model
     yield "save_model", geodrake.save_model
@@ -391,7 +399,7 @@ def _inertia(t):
 
 
 def _geometry(t):
-    m = geodrake.positive_definite
+    m = geodrake.inertia.positive_definite
     P, Q = t.P, 1.5 * t.P[::-1]
     for name in ("distance", "log_det_divergence", "logarithm", "relative_logarithms"):
         yield f"positive_definite.{name}", Call(getattr(m, name), {"P1": P, "P2": Q})
@@ -414,7 +422,7 @@ def _geometry(t):
             },
         ),
     )
-    m = geodrake.body_distances
+    m = geodrake.inertia.body_distances
     pair = {"phi1": t.phi, "phi2": t.other}
     for name in ("riemannian_distance", "entropic_divergence", "divergence_parts"):
         yield f"body_distances.{name}", Call(getattr(m, name), pair)
@@ -423,7 +431,7 @@ def _geometry(t):
         "body_distances.pullback_distance",
         Call(m.pullback_distance, {**pair, "reference": t.phi}),
     )
-    m = geodrake.ellipsoids
+    m = geodrake.inertia.ellipsoids
     e = t.ellipsoid
     yield (
         "ellipsoids.Ellipsoid",
@@ -454,7 +462,7 @@ def _geometry(t):
     yield (
         "perturbation.perturb",
         Call(
-            geodrake.perturbation.perturb,
+            geodrake.inertia.perturbation.perturb,
             {
                 "phi": t.phi,
                 "count": 3,
@@ -488,27 +496,20 @@ def _manifolds(t):
     )
     two = np.array([[0.3, 0.4], [0.5, 0.6]])
     together = np.hstack([t.phi, two])
-    cases = {
+    points = {
         "Interval": (Interval((0.0, -1.0), (1.0, 2.0)), two),
         "Positive": (Positive(2), two),
         "Free": (FreeManifold(2), two),
         "PhysicalInertia": (PhysicalInertia(), t.phi),
         "ConstrainedInertia": (ConstrainedInertia(rows, np.array([0.01])), t.phi),
         "Product": (Product((PhysicalInertia(), Positive(2))), together),
-    }
-    points = {
-        **cases,
-        "BatchedProduct": (
-            geodrake.adaptation.BatchedProduct((PhysicalInertia(), Positive(2))),
-            together,
+        "ConstantMetric": (
+            geodrake.control.adaptation.ConstantMetric(2 * np.eye(2), 0.5 * np.eye(2)),
+            two,
         ),
     }
-    points["ConstantMetric"] = (
-        geodrake.adaptation.ConstantMetric(2 * np.eye(2), 0.5 * np.eye(2)),
-        two,
-    )
     for name, (manifold, x) in points.items():
-        package = "adaptation" if name in ("BatchedProduct", "ConstantMetric") else "manifolds"
+        package = "adaptation" if name == "ConstantMetric" else "manifolds"
         y, v = x[::-1], 0.01 * x
         methods = {
             "barrier": {"x": x},
@@ -520,6 +521,9 @@ def _manifolds(t):
             "retract": {"x": x, "v": v},
             "frame": {"x": x[0]},
             "mirror_line": {"x": x[0], "b": v[0]},
+            "mirror_span": {"x": x[0], "rows": v},
+            "point_of_gradient": {"gradient": manifold.calc_gradient(y[0]), "near": x[0]},
+            "natural_step": {"x": x, "b": v, "time": 0.1},
         }
         for method, arguments in methods.items():
             yield (
@@ -537,7 +541,7 @@ def _manifolds(t):
 
 
 def _projections(t):
-    m = geodrake.projections
+    m = geodrake.manifolds.projections
     limits = {"lower": np.array([0.5]), "upper": np.array([1.0])}
     yield (
         "projections.Polyhedron",
@@ -569,13 +573,13 @@ def _projections(t):
 
 
 def _dynamics(t):
-    m = geodrake.regressor
+    m = geodrake.robot.regressor
     samples = {"plant": t.plant, "q": t.q, "v": t.v, "vd": t.vd}
     for name in ("inverse_dynamics_regressor", "regressor_pieces"):
         yield f"regressor.{name}", Call(getattr(m, name), samples)
     yield "regressor.body_regressor", Call(m.body_regressor, {**samples, "body": 1})
     yield "regressor.inverse_dynamics", Call(m.inverse_dynamics, {**samples, "phi": t.phi})
-    m = geodrake.floating_base
+    m = geodrake.robot.floating_base
     wrench = np.arange(1.0, 31.0).reshape(5, 6)
     yield (
         "floating_base.base_wrench_regressor",
@@ -593,8 +597,8 @@ def _dynamics(t):
         ),
     )
     yield "floating_base.body_poses", Call(m.body_poses, {"plant": t.plant, "q": t.q})
-    m = geodrake.base_parameters
-    Y = geodrake.regressor.inverse_dynamics_regressor(t.plant, t.q, t.v, t.vd)
+    m = import_module("geodrake.robot.base_parameters")
+    Y = geodrake.robot.regressor.inverse_dynamics_regressor(t.plant, t.q, t.v, t.vd)
     yield (
         "base_parameters.base_parameters",
         Call(m.base_parameters, {"regressor": Y, "extra": 0, "tolerance": 1e-8}),
@@ -624,7 +628,7 @@ def _dynamics(t):
 
 
 def _transmission(t):
-    m = geodrake.transmission
+    m = geodrake.robot.transmission
     J = np.array([[1.0, 0.0], [1.0, 2.0], [0.5, 0.5]])
     yield (
         "transmission.LinearTransmission",
@@ -657,6 +661,10 @@ def _transmission(t):
             {"size": (2, 2), "position": own.position, "derivative": own.derivative},
         ),
     )
+    yield "transmission.gears", Call(m.gears, {"ratios": np.array([2.0, -50.0])})
+    yield "transmission.rolling_joint", Call(m.rolling_joint, {"share": 0.4})
+    yield "transmission.SideBySide", Call(m.SideBySide, {"parts": (t.linear, own)})
+    yield "transmission.InSequence", Call(m.InSequence, {"stages": (t.linear, own)})
     efforts = t.v
     for name, each in (("LinearTransmission", t.linear), ("FunctionTransmission", own)):
         methods = {
@@ -674,7 +682,7 @@ def _transmission(t):
 
 
 def _adaptation(t):
-    m = geodrake.adaptation
+    m = geodrake.control.adaptation
     n, p = len(t.control.prior), t.control.prior
     yield (
         "adaptation.AdaptationLaw",
@@ -691,14 +699,6 @@ def _adaptation(t):
     yield (
         "adaptation.euclidean_adaptation",
         Call(m.euclidean_adaptation, {"dimension": 3, "gamma": 2.0}),
-    )
-    yield (
-        "adaptation.BatchedProduct",
-        Call(
-            m.BatchedProduct,
-            {"manifolds": (PhysicalInertia(), Positive(2)), "weights": (1.0, 2.0)},
-            infinite=True,
-        ),
     )
     yield (
         "adaptation.ConstantMetric",
@@ -775,7 +775,7 @@ def _adaptation(t):
             infinite=True,
         ),
     )
-    Y = geodrake.regressor.inverse_dynamics_regressor(t.plant, t.q, t.v, t.vd)
+    Y = geodrake.robot.regressor.inverse_dynamics_regressor(t.plant, t.q, t.v, t.vd)
     yield (
         "adaptation.prediction_covector",
         Call(
@@ -801,11 +801,11 @@ def _adaptation(t):
 
 
 def _intersection(first, second):
-    return geodrake.adaptation.intersection(first, second)
+    return geodrake.control.adaptation.intersection(first, second)
 
 
 def _systems(t):
-    m = geodrake.systems
+    m = geodrake.control.systems
     p = t.control.prior
     both = {"time_step": 0.002, "parameters": p, "truth": p, "safeguards": Safeguards(100.0)}
     yield (
@@ -917,7 +917,7 @@ def _systems(t):
         ),
     )
     yield (
-        "control_regressor.ControlModel",
+        "regressor.ControlModel",
         Call(ControlModel.of, {"model": t.model, "sign_width": np.full(2, 0.01)}),
     )
     yield (
@@ -954,14 +954,16 @@ def _track(builder, motion, controller_plant):
     plant = pendulum_plant(0.001, gains=True)
     if isinstance(builder, DiagramBuilder):
         builder.AddSystem(plant)
-    geodrake.systems.add_tracking_drives(builder, plant, motion, controller_plant=controller_plant)
+    geodrake.control.systems.add_tracking_drives(
+        builder, plant, motion, controller_plant=controller_plant
+    )
 
 
 def _loop(builder, controller, motion, **options):
     plant = pendulum_plant()
     if isinstance(builder, DiagramBuilder):
         builder.AddSystem(plant)
-    geodrake.loops.add_adaptive_loop(builder, plant, controller, motion, **options)
+    geodrake.control.loops.add_adaptive_loop(builder, plant, controller, motion, **options)
 
 
 def _effects(t):
@@ -989,6 +991,8 @@ def _effects(t):
         "log": {"joint": Free(joint)},
     }
     for kind in m.catalogue():
+        if kind is m.WrongInertia:  # of which there is no instance
+            continue
         arguments = {**places[kind.places], **shapes.get(kind, {})}
         yield f"effects.{kind.__name__}", Call(kind, arguments)
     yield (
@@ -997,6 +1001,13 @@ def _effects(t):
             m.Parameter,
             {"name": Free("size"), "unit": Free("N·m"), "lower": 0.0, "upper": 1.0, "spread": 1.0},
             infinite=True,
+        ),
+    )
+    yield (
+        "effects.Shape",
+        Call(
+            m.Shape,
+            {"name": "width", "unit": "rad", "grid": (0.1, 0.2), "scale": "speed", "usual": 0.1},
         ),
     )
     yield "effects.effect_class", Call(m.effect_class, {"name": "payload", "extra": ()})
@@ -1071,7 +1082,7 @@ def _identification(t):
         "identification.physical_least_squares",
         Call(m.physical_least_squares, {**fit, "solver": "clarabel"}),
     )
-    yield "identification.whitened_factor", Call(m.whitened_factor, data)
+    yield "identification.whitened_factor", Call(whitened_factor, data)
     yield "identification.build_fit", Call(m.build_fit, {"problem": t.problem}, infinite=True)
     yield (
         "identification.solve_fit",
@@ -1080,11 +1091,11 @@ def _identification(t):
     entropic = replace(t.problem, entropic={0: (t.phi[0], 1.0), 10: (t.phi[1], 1.0)})
     yield (
         "identification.solve_newton",
-        Call(m.solve_newton, {"problem": entropic, "start": t.phi.ravel(), "weight": 1.0}),
+        Call(solve_newton, {"problem": entropic, "start": t.phi.ravel(), "weight": 1.0}),
     )
     yield (
         "identification.newton_sweep",
-        Call(m.newton_sweep, {"problem": entropic, "weights": np.array([1.0, 2.0])}),
+        Call(newton_sweep, {"problem": entropic, "weights": np.array([1.0, 2.0])}),
     )
     bounds = np.array([[0.1, 50.0], [0.1, 50.0]])
     boxes = np.tile([-1.0, 1.0], (2, 3, 1))
@@ -1106,7 +1117,7 @@ def _identification(t):
     yield (
         "identification.LinearConstraints",
         Call(
-            lambda **values: replace(t.problem, constraints=m.LinearConstraints(**values)),
+            lambda **values: replace(t.problem, constraints=LinearConstraints(**values)),
             {"matrix": np.eye(20)[:1], "lower": np.array([0.0]), "upper": np.array([9.0])},
             infinite=True,
         ),
@@ -1297,7 +1308,7 @@ def _excitation(t):
     yield (
         "excitation.design_objective",
         Call(
-            m.design_objective,
+            design_objective,
             {"objective": Objective(t.target), **design},
             slow=True,
             infinite=True,
@@ -1343,16 +1354,16 @@ def _excitation(t):
     weights = np.ones((5, 2, 20))
     yield (
         "excitation.inverse_dynamics_regressor_gradient",
-        Call(m.inverse_dynamics_regressor_gradient, {**samples, "weights": weights}),
+        Call(inverse_dynamics_regressor_gradient, {**samples, "weights": weights}),
     )
     yield (
         "excitation.base_wrench_regressor_gradient",
         Call(
-            m.base_wrench_regressor_gradient,
+            base_wrench_regressor_gradient,
             {**samples, "weights": np.ones((5, 6, 20)), "X_WP": np.eye(4)},
         ),
     )
-    yield "excitation.regressor_jacobian", Call(m.regressor_jacobian, samples)
+    yield "excitation.regressor_jacobian", Call(regressor_jacobian, samples)
     found = design_excitation(t.target, **design)
     made = found.trajectory
     yield (
@@ -1415,26 +1426,29 @@ def _diagnosis(t):
     yield (
         "drafting.draft_effects",
         Call(
-            geodrake.drafting.draft_effects, {**logs, **sought, **options}, slow=True, infinite=True
+            geodrake.diagnosis.drafting.draft_effects,
+            {**logs, **sought, **options},
+            slow=True,
+            infinite=True,
         ),
     )
-    m = geodrake.model_identification
+    m = geodrake.identification.models
     yield (
-        "model_identification.identify_model",
+        "models.identify_model",
         Call(
             m.identify_model,
             {
                 **logs,
                 "settings": IdentificationSettings(),
                 "effects": (effects.CoulombFriction("elbow"),),
-                "tell": lambda text: None,
+                "progress": lambda text: None,
             },
             slow=True,
             infinite=True,
         ),
     )
     yield (
-        "model_identification.IdentificationSettings",
+        "models.IdentificationSettings",
         Call(
             m.IdentificationSettings,
             {"regularizer": "entropic", "residual_ratio": 1.1, "total_mass": 3.0, **options},
@@ -1443,17 +1457,34 @@ def _diagnosis(t):
         ),
     )
     yield (
-        "model_identification.with_effects",
+        "models.with_effects",
         Call(
-            m.with_effects,
+            with_effects,
             {"model": t.model, "effects": (effects.CoulombFriction("elbow"),)},
+            infinite=True,
+        ),
+    )
+    yield (
+        "identifiability.log_identifiability",
+        Call(
+            geodrake.excitation.identifiability.log_identifiability,
+            {
+                **logs,
+                "effects": (effects.CoulombFriction("elbow"),),
+                "threshold": 0.01,
+                "noise": 0.1,
+                "progress": lambda text: None,
+                **options,
+            },
+            slow=True,
+            allows={"noise": ("two numbers",)},  # one a joint
             infinite=True,
         ),
     )
     yield (
         "rollout.roll_out",
         Call(
-            geodrake.rollout.roll_out,
+            geodrake.control.rollout.roll_out,
             {**logs, "horizon": 0.2, "most": 2, "bandwidth": 8.0, "progress": lambda *_: None},
             slow=True,
             infinite=True,
@@ -1473,10 +1504,10 @@ def _files(t):
         "save_model",
         Call(geodrake.save_model, {"model": t.model, "path": folder() / "saved.yaml"}),
     )
-    yield "export.export_model", Call(geodrake.export.export_model, {"model": t.model})
+    yield "export.export_model", Call(geodrake.model.export.export_model, {"model": t.model})
     yield (
         "export.save_export",
-        Call(geodrake.export.save_export, {"model": t.model, "path": folder() / "new.urdf"}),
+        Call(geodrake.model.export.save_export, {"model": t.model, "path": folder() / "new.urdf"}),
     )
     yield (
         "log_files.read_log",
@@ -1547,7 +1578,7 @@ def _files(t):
         ),
     )
     yield (
-        "model.FittedEffect",
+        "effects.FittedEffect",
         Call(
             FittedEffect,
             {

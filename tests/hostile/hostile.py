@@ -15,7 +15,11 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
+import time
+import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -23,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from typer.testing import CliRunner
 
+from geodrake.cli import main
 from geodrake.cli.app import app
 
 ROOT = Path(__file__).parents[2]
@@ -30,6 +35,7 @@ PENDULUM = ROOT / "models" / "double_pendulum.urdf"
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
 SECONDS = 30  # that nothing may hang for
+INTERNAL = 70  # exit code of a copy that never came to its command
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\u2028\u2029]")
 _NO_NUMBER = re.compile(r"(?<![\w.'\"])[-+]?(nan|inf)(?![\w'\"])")
@@ -50,8 +56,9 @@ class Row:
         make: Makes the input in the folder.
         code: Exit code.
         writes: Files that a command which ends well writes.
-        apart: Whether it runs in a process of its own, such as what once ended the process.
-        environment: Variables of that process; None takes one out.
+        apart: Whether it runs in a copy of this process, such as what once ended the process.
+        environment: Variables of that copy, or else of a process that is started for it, of
+            which None takes one out.
     """
 
     name: str
@@ -66,14 +73,22 @@ class Row:
     def __str__(self):
         return self.name
 
+    def run(self, arguments):
+        """Exit code, standard output and standard error of the command."""
+        if self.apart:
+            return run_apart(arguments)
+        return run_started(arguments, self.environment) if self.environment else run_here(arguments)
+
     def check(self, folder, monkeypatch):
         """Run the row in an empty folder and assert all that is promised."""
         fill(folder)
         self.make(folder)
         before = contents(folder)
         monkeypatch.chdir(folder)
-        run = run_apart if self.apart or self.environment else run_here
-        code, out, err = run(shlex.split(self.command), self.environment)
+        if self.apart:
+            for name, value in self.environment.items():
+                monkeypatch.setenv(name, value)
+        code, out, err = self.run(shlex.split(self.command))
         assert code == self.code, f"exit code {code}\n{out}\n{err}"
         check_words(out, err)
         if code:
@@ -178,9 +193,8 @@ def _nulls(value, place):
         yield from _nulls(item, f"{place}/{str(key).replace('~', '~0').replace('/', '~1')}")
 
 
-def run_here(arguments, environment=None):
+def run_here(arguments):
     """Exit code, standard output and standard error of a command in this process."""
-    del environment
 
     def hang(*_):
         raise HangError(f"geodrake {shlex.join(arguments)} has not ended in {SECONDS} s")
@@ -197,9 +211,63 @@ def run_here(arguments, environment=None):
     return result.exit_code, result.stdout, result.stderr
 
 
-def run_apart(arguments, environment=None):
-    """The same in a process of its own; a negative code is the signal that ended it."""
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", **(environment or {})}
+def run_apart(arguments):
+    """The same in a copy of this process; a negative code is the signal that ended it."""
+    status, out, err = run_forked(arguments, Path.cwd())
+    if status is None:
+        raise HangError(f"geodrake {shlex.join(arguments)} has not ended in {SECONDS} s")
+    return os.waitstatus_to_exitcode(status), out, err
+
+
+def run_forked(arguments, folder):
+    """Wait status (None after a hang) and output of a command in a copy of this process."""
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        with warnings.catch_warnings():
+            # pytest-xdist has a thread, of which the copy needs nothing.
+            warnings.filterwarnings("ignore", r"This process .* is multi-threaded")
+            process = os.fork()
+        if process == 0:
+            _become(arguments, folder, out, err)
+        end = time.monotonic() + SECONDS
+        while not (ended := os.waitpid(process, os.WNOHANG))[0] and time.monotonic() < end:
+            time.sleep(0.002)
+        in_time, status = ended[0] == process, ended[1]
+        if not in_time:
+            os.kill(process, signal.SIGKILL)
+            os.waitpid(process, 0)
+        texts = []
+        for file in (out, err):
+            file.seek(0)
+            texts.append(file.read().decode("utf-8", errors="replace"))
+    return status if in_time else None, *texts
+
+
+def _become(arguments, folder, out, err):
+    """Turn a forked process into one that runs the command and ends."""
+    code = INTERNAL
+    try:
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        for file, descriptor in ((out, 1), (err, 2)):
+            os.dup2(file.fileno(), descriptor)
+        sys.stdout, sys.stderr = (
+            os.fdopen(descriptor, "w", encoding="utf-8", closefd=False) for descriptor in (1, 2)
+        )
+        os.chdir(folder)
+        sys.argv = ["geodrake", *arguments]
+        main()
+        code = 0
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else int(end.code is not None)
+    finally:
+        with suppress(Exception):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def run_started(arguments, environment):
+    """The same in a process that is started for it, with variables of its own."""
+    variables = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", **environment}
     done = subprocess.run(
         [sys.executable, "-m", "geodrake", *arguments],
         env={name: value for name, value in variables.items() if value is not None},

@@ -23,12 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.errors import GeodrakeError
-from geodrake.identification import (
-    PointMasses,
-    PointMassEuclidean,
-    PointMassKL,
-    identify,
-)
+from geodrake.identification import PointMasses, PointMassEuclidean, PointMassKL, identify
 from geodrake.inertia import (
     from_mass_com_inertia,
     is_physical,

@@ -5,7 +5,7 @@ import pytest
 from good_calls import NO_DOOR, Call, good_calls, public_callables
 from wrong_calls import HELD, ended, given, outcomes
 
-from geodrake.arguments import instances, integer, number, one_or_each, real_array
+from geodrake.boundary.arguments import instances, integer, number, one_or_each, real_array
 from geodrake.errors import ArgumentError
 
 CALLS = good_calls()

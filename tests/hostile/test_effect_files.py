@@ -10,7 +10,7 @@ HEAD = """
 from dataclasses import dataclass
 import os, sys, warnings
 import numpy as np
-from geodrake.effects import BodyEffect, JointEffect, Parameter
+from geodrake.effects import BodyEffect, JointEffect, Parameter, Proposer, Role
 """
 CLASS = """
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ FILES = [
         LOAD + " --json -",
         code=0,
         make=file(effect(before="print('hello')\nwarnings.warn('own')\n")),
-        apart=True,
+        environment={"PYTHONWARNINGS": "default"},
     ),
     Row(
         "it changes the folder",
@@ -186,12 +186,61 @@ CLASSES = [
     refused("no rows", effect(base="BodyEffect", method="colums"), "Own", "rows"),
     refused("a place that there is not", effect(more='places = "moon"'), "Own", "moon"),
     refused("a place of a wrong kind", effect(more="places = 3"), "Own", "places"),
-    refused("confused with numbers", effect(more="confused_with = (1, 2)"), "Own", "confused_with"),
-    refused(
-        "confused with a word", effect(more='confused_with = "payload"'), "Own", "confused_with"
-    ),
+    refused("a role in words", effect(more='role = "force"'), "Own", "role"),
+    refused("shapes in words", effect(more='shapes = ("width",)'), "Own", "shapes"),
+    refused("a signal that there is not", effect(more='depends_on = {"moon"}'), "Own", "moon"),
+    refused("a complexity in words", effect(more='complexity = "high"'), "Own", "complexity"),
     refused("a signature that is no word", effect(more="signature = 3"), "Own", "signature"),
     refused("a number of states below zero", effect(more="state_count = -1"), "state_count"),
+]
+
+NO_RELATIONS = {
+    "companion": ('"viscous_friction"', "3", "(JointEffect,)"),
+    "contains": ('("coulomb_friction",)', "JointEffect"),
+    "tried_beside": ("(3,)", "(None,)", "(int,)"),
+    "at_each_joint": ('("rotor_inertia",)',),
+    "other_bandwidths": ('("a",)', "(-1.0,)", "(0,)", "(np.nan,)", "(True,)", "2.0"),
+    "proposer": ('"waves"', "True", "Proposer.BENDING", "Proposer.SHARED_ACTUATOR"),
+    "complexity": ("True", "2.0"),
+    "hidden_share": ("True", '"much"'),
+    "jumps": ("1",),
+}
+"""Class attributes that are not what `Effect` says: each ended in an error of Python's."""
+
+ATTRIBUTES = [
+    refused(
+        "a slip in a declaration", effect(more="signatrue = 'waves'"), "signatrue", "signature"
+    ),
+    refused("another slip", effect(more="depend_on = frozenset({'q'})"), "depend_on", "depends_on"),
+    refused("a property hidden", effect(more="shape = 3"), "shape = 3", "method"),
+    refused("a method hidden", effect(more="candidates = 1"), "candidates = 1", "method"),
+    refused("a manifold hidden", effect(more="manifold = None"), "manifold = None", "method"),
+    refused(
+        "one of two effects lacks its columns",
+        effect() + effect(name='"other"', method="colums").removeprefix(HEAD).replace("Own", "Two"),
+        "Two",
+        "lacks columns",
+    ),
+]
+RELATIONS = [
+    refused(f"{name} = {value}", effect(more=f"{name} = {value}"), "Own", name)
+    for name, values in NO_RELATIONS.items()
+    for value in values
+]
+RELATIONS += [
+    refused(f"a joint's {role}", effect(more=f"role = Role.{role}"), "Own", f"Role.{role}", base)
+    for role, base in {
+        "BODY": "Payload",
+        "SCALE": "EffortScale",
+        "DELAY": "EffortDelay",
+        "DEFLECTION": "DeflectionEffect",
+        "EPISODE": "Episode",
+        "INERTIA": "WrongInertia",
+    }.items()
+]
+RELATIONS += [
+    refused("waves without an order", effect(more="proposer = Proposer.WAVES"), "Own", "order"),
+    refused("no course", effect(more="proposer = Proposer.WARMING"), "Own", "course"),
 ]
 
 COLUMNS = [
@@ -341,6 +390,10 @@ CANDIDATES = [
 ]
 
 
-@pytest.mark.parametrize("row", FILES + CLASSES + COLUMNS + CANDIDATES, ids=str)
+@pytest.mark.parametrize(
+    "row",
+    [*FILES, *CLASSES, *ATTRIBUTES, *RELATIONS, *COLUMNS, *CANDIDATES],
+    ids=str,
+)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

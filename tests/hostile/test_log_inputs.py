@@ -15,7 +15,8 @@ from hostile import HEADER, Row, table, write_log
 from numpy.lib import format as npy
 
 from geodrake.errors import LogError
-from geodrake.log_files import columns, read_log
+from geodrake.logs.files import column_names as columns
+from geodrake.logs.files import read_log
 
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"

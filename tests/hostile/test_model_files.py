@@ -1102,6 +1102,7 @@ PACKAGES = [
             (),
             make,
             code=0,
+            apart=True,
             environment={"ROS_PACKAGE_PATH": value},
         )
         for value, make in (

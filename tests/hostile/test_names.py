@@ -10,10 +10,7 @@ from hostile import PENDULUM, Row, fill, read_json, run_here, table, write_log
 from rich.console import Console
 
 from geodrake import load_model
-from geodrake.cli.tables import make_console
-from geodrake.drafting import Draft, DraftedEffect, Factor, Formula, Term, source_of
-from geodrake.effects import load_effect_file
-from geodrake.escaping import (
+from geodrake.boundary.escaping import (
     docstring_text,
     html_text,
     identifiers,
@@ -22,9 +19,14 @@ from geodrake.escaping import (
     printable,
     quoted,
 )
-from geodrake.log_files import read_log
-from geodrake.log_files import write_log as write_joint_log
-from geodrake.motion import JointLog
+from geodrake.cli.tables import make_console
+from geodrake.diagnosis.drafting import Draft, source_of
+from geodrake.diagnosis.drafting.formula import Factor, Formula, Term
+from geodrake.diagnosis.drafting.results import DraftedEffect
+from geodrake.effects import load_effect_file
+from geodrake.logs.files import read_log
+from geodrake.logs.files import write_log as write_joint_log
+from geodrake.logs.motion import JointLog
 
 yaml = pytest.importorskip("yaml")
 

@@ -5,11 +5,11 @@ from itertools import chain
 import pytest
 from hostile import Row, fill
 
-from geodrake.diagnosis.compare import compare
 from geodrake.errors import ArgumentError
 from geodrake.excitation import FourierMotion, FreeSamples, SplineMotion
-from geodrake.filtering import design_filter
-from geodrake.saved_model import load_model
+from geodrake.identification.logs.compare import compare
+from geodrake.logs.filtering import design_filter
+from geodrake.model.saved_model import load_model
 
 DATA = "robot.urdf log.csv"
 NO_FLOATS = ("wide", "''", "1,5", "0x10")

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json, run_here
 
+from geodrake.boundary.whole_files import check_writable, write_together, write_whole
 from geodrake.errors import OutputError
-from geodrake.log_files import write_log
-from geodrake.motion import JointLog
-from geodrake.whole_files import check_writable, write_together, write_whole
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
 
 ALL = "--save kept.yaml --json kept.json --report kept.html"
 GEODRAKE = f"{shlex.quote(sys.executable)} -m geodrake"

@@ -15,7 +15,7 @@ from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json
 
 from geodrake import load_model
 from geodrake.diagnosis import compare
-from geodrake.visualization import render_comparison
+from geodrake.report import render_comparison
 
 COMPARE = "compare robot.urdf log.csv --json new.json --report new.html"
 WRITES = ("new.json", "new.html")
@@ -251,7 +251,7 @@ def test_a_signal_between_files_waits_until_all_are_there(at, tmp_path):
 
 BEFORE_RENAMING = """
 import os, signal
-import geodrake.whole_files as files
+import geodrake.boundary.whole_files as files
 write = files._Part.write
 def stopped(self, content):
     os.kill(os.getpid(), signal.SIGTERM)

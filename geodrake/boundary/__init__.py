@@ -1,0 +1,5 @@
+"""What comes in from a user and goes out to one: arguments, files, text, interrupts.
+
+Every public function checks what it is given by `arguments`, every file is read through
+`input_files` and written through `whole_files`, and every text that is shown passes `escaping`.
+"""

@@ -1,0 +1,34 @@
+"""Interrupts that wait until what must not be left half done is done."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+_SIGNALS = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)
+
+
+@contextmanager
+def deferred_interrupts() -> Iterator[Callable[[], bool]]:
+    """Let interrupts wait; they are delivered at the end.
+
+    Yields:
+        Whether one has come.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False  # interrupts go to the main thread alone
+        return
+    arrived: list[int] = []
+    before = {}
+    try:
+        for number in _SIGNALS:
+            if signal.getsignal(number) not in (signal.SIG_IGN, None):
+                before[number] = signal.signal(number, lambda given, _: arrived.append(given))
+        yield lambda: bool(arrived)
+    finally:
+        for held, handler in before.items():
+            signal.signal(held, handler)
+        for waiting in dict.fromkeys(arrived):
+            signal.raise_signal(waiting)

@@ -1,0 +1,237 @@
+"""The one writer of files: whole or not at all, and several together or none of them.
+
+A file is written under a temporary name beside its target and then renamed. Permissions and owner
+of a file that is replaced stay, and a symbolic link stays one: what it points to is replaced.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import itertools
+import os
+import re
+import shutil
+import stat
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from geodrake.boundary.interrupts import deferred_interrupts
+from geodrake.errors import OutputError
+
+Content = str | bytes | Callable[[BinaryIO], object]
+"""What goes into a file: text, bytes, or a function that writes them."""
+
+_MOST_BYTES = 230  # of a name that a temporary one may repeat; file systems take 255
+
+
+def write_whole(path: str | Path, content: Content) -> None:
+    """Write a file; text in UTF-8.
+
+    Args:
+        path: Target. A symbolic link stays, and what it points to is replaced.
+        content: Text, bytes, or a function that writes bytes to a file.
+
+    Raises:
+        OutputError: It cannot be written; what was there is as it was.
+    """
+    write_together({Path(path): content})
+
+
+def write_together(contents: Mapping[Path, Content]) -> None:
+    """Write several files, all of them or none.
+
+    Interrupts wait until the files are there; one that comes before the first is renamed leaves
+    none of them.
+
+    Args:
+        contents: Target -> what goes into it.
+
+    Raises:
+        OutputError: One cannot be written; what was there is as it was.
+    """
+    with deferred_interrupts() as interrupted, ExitStack() as stack:
+        parts = []
+        for path, content in contents.items():
+            with _refusing(path):
+                parts.append(stack.enter_context(_Part(path)))
+                parts[-1].write(content)
+        if goes_on := not interrupted():
+            _rename(parts)
+    if not goes_on:  # the handler of the interrupt did not end the program
+        write_together(contents)
+
+
+def check_writable(path: str | Path) -> None:
+    """Refuse a target that cannot be written, before the work that makes its content.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    path = Path(path)
+    with deferred_interrupts(), _refusing(path), _Part(path):
+        pass
+
+
+class _Part:
+    """A file that is written beside its target, and locked so long that no one clears it away.
+
+    Args:
+        path: What is to be written; through a symbolic link, its target.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.target = Path(os.path.realpath(path))
+        self._before: Path | None = None
+
+    def __enter__(self) -> _Part:
+        replaced = _status(self.target)
+        _clear_left_overs(self.target)
+        self._file, self._temporary = _new_file(self.target)
+        if replaced is not None:
+            with suppress(OSError):  # only root may give files away
+                os.fchown(self._file.fileno(), replaced.st_uid, replaced.st_gid)
+            with suppress(OSError):  # file systems without permissions
+                os.fchmod(self._file.fileno(), stat.S_IMODE(replaced.st_mode))
+        return self
+
+    def write(self, content: Content) -> None:
+        """Fill the file. Halves of surrogate pairs, as in names that are not UTF-8, are escaped."""
+        if callable(content):
+            content(self._file)
+        else:
+            if isinstance(content, str):
+                content = content.encode("utf-8", "backslashreplace")
+            self._file.write(content)
+        self._file.flush()
+
+    def keep_before(self) -> None:
+        """Keep what is replaced, so that it can be brought back."""
+        if _status(self.target) is None:
+            return
+        self._before = _free_name(self.target)
+        try:
+            self._before.hardlink_to(self.target)
+        except OSError:  # a file system without links
+            shutil.copy2(self.target, self._before)
+
+    def rename(self) -> None:
+        """Put the file in its place."""
+        self._temporary.replace(self.target)
+
+    def bring_back(self) -> None:
+        """Undo `rename`."""
+        if self._before is None:
+            self.target.unlink()
+        else:
+            self._before.replace(self.target)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for left in (self._temporary, self._before):
+            if left is not None:
+                with suppress(OSError):
+                    left.unlink(missing_ok=True)
+        with suppress(OSError):  # a full disk was told by write() already
+            self._file.close()
+
+
+def _rename(parts: list[_Part]) -> None:
+    """Put all files in their places, or none.
+
+    Raises:
+        OutputError: One cannot be put there.
+    """
+    done: list[_Part] = []
+    try:
+        for part in parts if len(parts) > 1 else ():
+            with _refusing(part.path):
+                part.keep_before()
+        for part in parts:
+            with _refusing(part.path):
+                part.rename()
+            done.append(part)
+    except BaseException:
+        for part in reversed(done):
+            with suppress(OSError):
+                part.bring_back()
+        raise
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, ValueError) as error:  # a ValueError for names that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(
+            f"Cannot write {path}: {reason}.",
+            advice="Choose another place.",
+            path=path,
+            reason=str(reason),
+        ) from error
+
+
+def _status(target: Path) -> os.stat_result | None:
+    """What is at a target now, None for nothing.
+
+    Raises:
+        OSError: It is a folder, a device or anything else that cannot be replaced by a file.
+    """
+    try:
+        status = target.stat()
+    except FileNotFoundError:
+        return None
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is there and is a folder, no file")
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "it is there and is no file")
+    return status
+
+
+def _stem(target: Path) -> str:
+    """What temporary names of a target begin with."""
+    name = os.fsencode(target.name)
+    short = len(name) <= _MOST_BYTES
+    return f".{target.name if short else hashlib.sha256(name).hexdigest()[:16]}."
+
+
+def _free_name(target: Path) -> Path:
+    names = (f"{_stem(target)}{number}.part" for number in itertools.count(os.getpid()))
+    return next(path for path in map(target.with_name, names) if not os.path.lexists(path))
+
+
+def _new_file(target: Path) -> tuple[BinaryIO, Path]:
+    """A new file beside a target, locked."""
+    while True:
+        path = _free_name(target)
+        try:
+            file = path.open("xb")
+        except FileExistsError:  # another thread was quicker
+            continue
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        with suppress(FileNotFoundError):  # cleared away before it was locked
+            if os.path.samestat(path.stat(), os.fstat(file.fileno())):
+                return file, path
+        file.close()
+
+
+def _clear_left_overs(target: Path) -> None:
+    """Remove what killed runs left of this very target; what is being written is locked."""
+    pattern = re.compile(rf"{re.escape(_stem(target))}\d+\.part")
+    with suppress(OSError), os.scandir(target.parent) as entries:
+        left = [e.name for e in entries if pattern.fullmatch(e.name) and e.is_file()]
+        for path in map(target.with_name, left):
+            with suppress(OSError), path.open("rb+") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                path.unlink()

@@ -1,0 +1,50 @@
+"""Models in the loop: adaptation laws, online estimation, LeafSystems, closed loops, rollouts."""
+
+from geodrake.control.adaptation import (
+    ProjectedLaw,
+    euclidean_adaptation,
+    natural_adaptation,
+    parameter_manifold,
+    pullback_adaptation,
+)
+from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
+from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
+from geodrake.control.regressor import ControlModel
+from geodrake.control.rollout import Rollout, roll_out
+from geodrake.control.systems import (
+    AdaptiveComputedTorqueController,
+    BregmanProjectionEstimator,
+    DelayedEffort,
+    EffectForce,
+    FixedGains,
+    LogSource,
+    ModelResidual,
+    PassivityBasedAdaptiveController,
+    VaryingGains,
+    add_tracking_drives,
+)
+
+__all__ = [
+    "AdaptiveComputedTorqueController",
+    "AdaptiveLoop",
+    "BregmanProjectionEstimator",
+    "ControlModel",
+    "DelayedEffort",
+    "EffectForce",
+    "FilteredRegressor",
+    "FixedGains",
+    "LogSource",
+    "ModelResidual",
+    "PassivityBasedAdaptiveController",
+    "ProjectedLaw",
+    "Rollout",
+    "SampleUpdate",
+    "VaryingGains",
+    "add_adaptive_loop",
+    "add_tracking_drives",
+    "euclidean_adaptation",
+    "natural_adaptation",
+    "parameter_manifold",
+    "pullback_adaptation",
+    "roll_out",
+]

@@ -1,0 +1,61 @@
+"""Parameter adaptation: pure update laws on barrier-Hessian manifolds, [Lee2019] §5.4.
+
+A controller whose tracking error V_t obeys V̇_t ≤ (p̂ − p)ᵀ b, for the truth p and the estimate p̂,
+gives the covector b; a law moves the estimate, so that V_t + γ D(p‖p̂) never rises:
+
+    p̂̇ = −γ⁻¹ g(p̂)⁻¹ b                                                     [Lee2019] Eq. (5.4.51)
+
+Parameters are one vector [φ, μ], in the order of `geodrake.control.regressor.ControlModel`.
+"""
+
+from geodrake.control.adaptation.constraints import (
+    ConvexSet,
+    FunctionSet,
+    LinearSet,
+    body_limits,
+    center_of_mass_box,
+    inside_ellipsoid,
+    intersection,
+    mass_limits,
+    parameter_limits,
+)
+from geodrake.control.adaptation.covectors import (
+    computed_torque_covector,
+    error_weight,
+    prediction_covector,
+    tracking_energy,
+)
+from geodrake.control.adaptation.flat import ConstantMetric
+from geodrake.control.adaptation.law import (
+    AdaptationLaw,
+    UpdateLaw,
+    euclidean_adaptation,
+    natural_adaptation,
+    pullback_adaptation,
+)
+from geodrake.control.adaptation.projected import ProjectedLaw
+from geodrake.control.adaptation.robot_manifold import parameter_manifold
+
+__all__ = [
+    "AdaptationLaw",
+    "ConstantMetric",
+    "ConvexSet",
+    "FunctionSet",
+    "LinearSet",
+    "ProjectedLaw",
+    "UpdateLaw",
+    "body_limits",
+    "center_of_mass_box",
+    "computed_torque_covector",
+    "error_weight",
+    "euclidean_adaptation",
+    "inside_ellipsoid",
+    "intersection",
+    "mass_limits",
+    "natural_adaptation",
+    "parameter_limits",
+    "parameter_manifold",
+    "prediction_covector",
+    "pullback_adaptation",
+    "tracking_energy",
+]

@@ -1,0 +1,207 @@
+"""Convex sets for estimates: c(p) ≤ 0, and the linear ones that robots have."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.boundary.arguments import instance, integer, integers, number, real_array
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia.ellipsoids import realizability_row
+from geodrake.manifolds.projections import Polyhedron
+
+_MOST = 10_000  # parameters of one robot
+
+
+class ConvexSet(abc.ABC):
+    """The points p (n,) with c(p) ≤ 0 for k convex functions c, [Lee2019] Eq. (5.4.54)."""
+
+    @abc.abstractmethod
+    def values(self, p: Array) -> Array:
+        """c(p) (k,)."""
+
+    @abc.abstractmethod
+    def gradients(self, p: Array) -> Array:
+        """∇c(p) (k, n), one row for each c; any subgradient where there is no gradient."""
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionSet(ConvexSet):
+    """A convex set from functions of your own.
+
+    Attributes:
+        function: Maps p (n,) to c(p), a number or (k,).
+        gradient: Maps p (n,) to ∇c(p), (n,) or (k, n).
+    """
+
+    function: Callable[[Array], ArrayLike]
+    gradient: Callable[[Array], ArrayLike]
+
+    def __post_init__(self) -> None:
+        for name in ("function", "gradient"):
+            if not callable(given := getattr(self, name)):
+                raise ArgumentError(f"{name} must be a function; it is {given!r}.")
+
+    def values(self, p: Array) -> Array:
+        """c(p) (k,)."""
+        return np.atleast_1d(np.asarray(self.function(p), float))
+
+    def gradients(self, p: Array) -> Array:
+        """∇c(p) (k, n)."""
+        return np.atleast_2d(np.asarray(self.gradient(p), float))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearSet(ConvexSet):
+    """The polyhedron lower ≤ A p ≤ upper as a convex set.
+
+    Attributes:
+        polyhedron: The polyhedron.
+    """
+
+    polyhedron: Polyhedron
+
+    def __post_init__(self) -> None:
+        instance(self.polyhedron, "polyhedron", Polyhedron)
+
+    @cached_property
+    def _rows(self) -> tuple[Array, Array]:
+        """G (k, n) and g (k,) with the set as G p ≤ g."""
+        above, below = np.isfinite(self.polyhedron.upper), np.isfinite(self.polyhedron.lower)
+        matrix = self.polyhedron.matrix
+        G = np.concatenate([matrix[above], -matrix[below]])
+        return G, np.concatenate([self.polyhedron.upper[above], -self.polyhedron.lower[below]])
+
+    def values(self, p: Array) -> Array:
+        """How far each limit is exceeded (k,)."""
+        G, g = self._rows
+        return np.asarray(G @ p - g)
+
+    def gradients(self, p: Array) -> Array:
+        """Outward normals (k, n)."""
+        return self._rows[0]
+
+
+def body_limits(
+    size: int, body: int, rows: ArrayLike, *, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf
+) -> Polyhedron:
+    """Limits on linear functions of one body's parameters: lower ≤ rows φ ≤ upper.
+
+    Args:
+        size: Length n of the parameter vector.
+        body: Index of the body.
+        rows: (k, 10) or (10,) coefficients.
+        lower: (k,) or one least value.
+        upper: (k,) or one greatest value.
+
+    Raises:
+        ArgumentError: There is no such body, or shapes do not fit.
+    """
+    rows = real_array(rows, "rows")
+    rows = real_array(rows[None] if rows.ndim == 1 else rows, "rows", ("k", PARAMETERS_PER_BODY))
+    integer(size, "size", lower=0, upper=_MOST)
+    first = PARAMETERS_PER_BODY * integer(body, "body", lower=0)
+    if first > size - PARAMETERS_PER_BODY:
+        raise ArgumentError(f"There is no body {body}, ten parameters a body, in {size} of them.")
+    matrix = np.zeros((len(rows), size))
+    matrix[:, first : first + PARAMETERS_PER_BODY] = rows
+    return Polyhedron(matrix, _of_rows(lower, len(rows)), _of_rows(upper, len(rows)))
+
+
+def mass_limits(size: int, body: int, lower: float, upper: float) -> Polyhedron:
+    """The mass of a body between two values, kg.
+
+    Args:
+        size: Length n of the parameter vector.
+        body: Index of the body.
+        lower: Least mass, kg; −inf for none.
+        upper: Greatest mass, kg; inf for none.
+    """
+    limits = {
+        "lower": number(lower, "lower", finite=False),
+        "upper": number(upper, "upper", finite=False),
+    }
+    return body_limits(size, body, np.eye(PARAMETERS_PER_BODY)[0], **limits)
+
+
+def center_of_mass_box(size: int, body: int, lower: ArrayLike, upper: ArrayLike) -> Polyhedron:
+    """The centre of mass p_BoBcm_B of a body between two corners (3,), m: m l ≤ h ≤ m u.
+
+    Args:
+        size: Length n of the parameter vector.
+        body: Index of the body.
+        lower: (3,) lower corner l in B, m.
+        upper: (3,) upper corner u in B, m; above l in every coordinate.
+    """
+    lower, upper = real_array(lower, "lower", (3,)), real_array(upper, "upper", (3,))
+    if not (lower < upper).all():
+        raise ArgumentError(
+            f"A box has a lower corner (3,) below an upper one; got {lower.tolist()} and "
+            f"{upper.tolist()}."
+        )
+    identity = np.eye(PARAMETERS_PER_BODY)
+    moment, mass = identity[1:4], identity[0]
+    rows = np.concatenate([moment - lower[:, None] * mass, upper[:, None] * mass - moment])
+    return body_limits(size, body, rows, lower=0.0)
+
+
+def inside_ellipsoid(size: int, body: int, quadric: ArrayLike) -> Polyhedron:
+    """The mass of a body inside of an ellipsoid as far as its second moments show: tr(P Q) ≥ 0.
+
+    Args:
+        size: Length n of the parameter vector.
+        body: Index of the body.
+        quadric: (4, 4) Q with [x;1]ᵀ Q [x;1] ≥ 0 inside ([Lee2019] Eq. (3.5.46)).
+    """
+    return body_limits(
+        size, body, realizability_row(real_array(quadric, "quadric", (4, 4))), lower=0.0
+    )
+
+
+def parameter_limits(
+    size: int, indices: Sequence[int], lower: ArrayLike, upper: ArrayLike
+) -> Polyhedron:
+    """Single parameters, such as friction coefficients, between two values each.
+
+    Args:
+        size: Length n of the parameter vector.
+        indices: (k,) which parameters.
+        lower: (k,) or one least value.
+        upper: (k,) or one greatest value.
+
+    Raises:
+        ArgumentError: There is no such parameter, or shapes do not fit.
+    """
+    integer(size, "size", lower=1, upper=_MOST)
+    matrix = np.eye(size)[list(integers(indices, "indices", lower=0, upper=size - 1))]
+    return Polyhedron(matrix, _of_rows(lower, len(matrix)), _of_rows(upper, len(matrix)))
+
+
+def intersection(*polyhedra: Polyhedron) -> Polyhedron:
+    """The points that are in all polyhedra.
+
+    Raises:
+        ArgumentError: There are none, or they are of different numbers of parameters.
+    """
+    sizes = {instance(each, "a polyhedron", Polyhedron).matrix.shape[1] for each in polyhedra}
+    if len(sizes) != 1:
+        raise ArgumentError(
+            f"An intersection is of polyhedra of one number of parameters; got {sorted(sizes)}."
+        )
+    return Polyhedron(
+        np.concatenate([each.matrix for each in polyhedra]),
+        np.concatenate([each.lower for each in polyhedra]),
+        np.concatenate([each.upper for each in polyhedra]),
+    )
+
+
+def _of_rows(limits: ArrayLike, count: int) -> Array:
+    """Limits (k,) from one for all rows, or one for each; Polyhedron tells of a wrong shape."""
+    limits = real_array(limits, "limits", finite=False)
+    return np.full(count, limits) if limits.ndim == 0 else limits

@@ -1,0 +1,162 @@
+"""Update laws: how the estimate of the parameters moves with the covector b of a controller."""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.boundary.arguments import instance, integer, one_of, positive, real_array
+from geodrake.control.adaptation.flat import ConstantMetric
+from geodrake.errors import ArgumentError
+from geodrake.manifolds import Manifold
+from geodrake.manifolds.base import Array
+
+_MOST = 10_000  # parameters of one law
+
+Integrator = Literal["geodesic", "euler"]
+
+
+class UpdateLaw(abc.ABC):
+    """How an estimate p̂ moves with a covector b for which V̇_t ≤ (p̂ − p)ᵀ b.
+
+    With V = V_t + `parameter_error`, V never rises, [Lee2019] Proposition 5.7.
+    """
+
+    @abc.abstractmethod
+    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
+        """The rate of the estimate (n,), for a continuous integrator.
+
+        Args:
+            parameters: (n,) estimate p̂.
+            b: (n,) covector, such as Yᵀ r.
+        """
+
+    @abc.abstractmethod
+    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
+        """The estimate (n,) after b has acted for dt seconds.
+
+        Args:
+            parameters: (n,) estimate.
+            b: (n,) covector that drives the law, constant for the step.
+            dt: Length of the step, s.
+        """
+
+    @abc.abstractmethod
+    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
+        """V_p, what a Lyapunov function has for the error of estimates (..., n).
+
+        Args:
+            truth: (n,) true parameters.
+            parameters: (..., n) estimates.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptationLaw(UpdateLaw):
+    """The geometric adaptation law of a manifold.
+
+        p̂̇ = −γ⁻¹ g(p̂)⁻¹ b,   V_p = γ D(p‖p̂)                      [Lee2019] Eq. (5.4.49), (5.4.51)
+
+    See `natural_adaptation`, `pullback_adaptation` and `euclidean_adaptation`, which differ in the
+    manifold alone.
+
+    Attributes:
+        manifold: Where the parameters live. g is the Hessian of its barrier, without the factors 2
+            of [Lee2019] (B.4.20), and a weight w of a factor divides its speed, Eq. (B.4.19).
+        gamma: γ > 0; adaptation is as fast as γ⁻¹.
+        integrator: "geodesic" steps stay inside of the manifold however long they are; "euler" is
+            p̂ + dt p̂̇, the source's, and may leave it.
+    """
+
+    manifold: Manifold
+    gamma: float = 1.0
+    integrator: Integrator = "geodesic"
+
+    def __post_init__(self) -> None:
+        instance(self.manifold, "manifold", Manifold)
+        positive(self.gamma, "gamma")
+        one_of(self.integrator, "integrator", ("geodesic", "euler"))
+
+    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
+        """−γ⁻¹ g(p̂)⁻¹ b (n,), [Lee2019] Eq. (5.4.51); zero if b is not finite."""
+        b = _finite(b)
+        p = np.asarray(parameters, float)
+        return self.manifold.calc_inverse_metric_times(p, b) / -self.gamma
+
+    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
+        """The estimate (n,) after dt seconds, by the integrator; as it was if b is not finite."""
+        b = _finite(b)
+        if self.integrator == "euler":
+            return np.asarray(parameters, float) + dt * self.rate(parameters, b)
+        return self.manifold.calc_natural_step(np.asarray(parameters, float), b, dt / self.gamma)
+
+    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+        """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n): no |Y p̂|² falls faster along −Yᵀ Y p̂.
+
+        Args:
+            parameters: (n,) estimate p̂.
+            rows: (k, n) regressor Y.
+        """
+        p, rows = np.asarray(parameters, float), np.asarray(rows, float)
+        return self.manifold.calc_mirror_span(p, rows).squared_length / self.gamma
+
+    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
+        """γ D(p‖p̂) (...), [Lee2019] Eq. (5.4.49)."""
+        p, estimate = np.asarray(truth, float), np.asarray(parameters, float)
+        return np.asarray(self.gamma * self.manifold.calc_divergence(p, estimate))
+
+
+def _finite(b: ArrayLike) -> Array:
+    """A covector, or nothing in place of one that a faulty sensor spoiled."""
+    b = np.asarray(b, float)
+    # (The sum of squares is the cheaper test, and may overflow where no part is infinite.)
+    return b if isfinite(np.vdot(b, b)) or np.isfinite(b).all() else np.zeros_like(b)
+
+
+def natural_adaptation(
+    manifold: Manifold, gamma: float = 1.0, *, integrator: Integrator = "geodesic"
+) -> AdaptationLaw:
+    """The natural law, [Lee2019] Eq. (5.4.51): estimates stay physical and no unit matters.
+
+    Args:
+        manifold: Such as `parameter_manifold(model)`.
+        gamma: γ.
+        integrator: As in `AdaptationLaw`.
+    """
+    return AdaptationLaw(manifold, gamma, integrator)
+
+
+def pullback_adaptation(manifold: Manifold, at: ArrayLike, gamma: float = 1.0) -> AdaptationLaw:
+    """The law with the constant gain Γ = γ g(p̂₀), [Lee2019] §5.5.
+
+    Args:
+        manifold: The manifold whose metric is taken.
+        at: (n,) the initial estimate p̂₀, inside of the manifold.
+        gamma: γ.
+    """
+    n = instance(manifold, "manifold", Manifold).dimension
+    at = real_array(at, "at", (n,))
+    if not manifold.contains(at):
+        raise ArgumentError(
+            f"A pullback law needs an initial estimate ({manifold.dimension},) inside of the "
+            f"manifold; got {at.tolist()}."
+        )
+    return AdaptationLaw(ConstantMetric.of(manifold, at), gamma)
+
+
+def euclidean_adaptation(dimension: int, gamma: float = 1.0) -> AdaptationLaw:
+    """The law with the gain Γ = γ 𝟙, [Lee2019] Eq. (5.4.48).
+
+    Units matter, and nothing keeps the estimate physical.
+
+    Args:
+        dimension: Number n of parameters.
+        gamma: γ of the gain Γ = γ 𝟙.
+    """
+    identity = np.eye(integer(dimension, "dimension", lower=1, upper=_MOST))
+    return AdaptationLaw(ConstantMetric(identity, identity), gamma)

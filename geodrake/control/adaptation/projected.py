@@ -1,0 +1,230 @@
+"""Update laws that keep an estimate inside of a convex set, [Lee2019] §5.4.2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import nnls
+
+from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.control.adaptation.constraints import ConvexSet, LinearSet
+from geodrake.control.adaptation.law import AdaptationLaw, UpdateLaw
+from geodrake.errors import ArgumentError, ConvergenceError, GeodrakeError
+from geodrake.inertia import Array
+from geodrake.manifolds import Manifold, Product
+from geodrake.manifolds.projections import Polyhedron, bregman_projection
+from geodrake.manifolds.projections.half_space import half_space_projection
+
+_MOST_CUTS = 60
+_SHORTENED = (8.0, 2.0)  # lengths in the metric of steps in place of ones that are too long
+_CUT_TOLERANCE = 1e-9  # distance outside of the set, in the metric, that counts as inside
+_ROUNDING = 1e-13  # of a limit, relative to its terms
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedLaw(UpdateLaw):
+    """An adaptation law whose estimate stays in a convex set C that holds the truth.
+
+    The rate is projected onto the limits that bind, Eq. (5.4.57), and a step that ends outside of C
+    is taken back by the Bregman projection, Eq. (5.4.59). Neither makes V greater. With several
+    limits at once, the projection of the rate is the nearest rate that breaks none of them. An
+    estimate that begins outside of C stays outside by its rate alone: begin with `project` of it.
+
+    Attributes:
+        law: The law inside of C.
+        constraints: C; a `Polyhedron`, or any `ConvexSet`.
+        margin: Distance in the manifold's metric below which a limit binds.
+
+    Raises:
+        ArgumentError: A polyhedron has another number of parameters, or the margin is negative.
+    """
+
+    law: AdaptationLaw
+    constraints: ConvexSet | Polyhedron
+    margin: float = 1e-6
+
+    def __post_init__(self) -> None:
+        n = instance(self.law, "law", AdaptationLaw).manifold.dimension
+        number(self.margin, "margin", lower=0.0)
+        if not isinstance(self.constraints, ConvexSet | Polyhedron):
+            raise ArgumentError(
+                f"constraints must be a Polyhedron or a ConvexSet; got {self.constraints!r}."
+            )
+        convex = self._set
+        if isinstance(convex, LinearSet) and convex.polyhedron.matrix.shape[1] != n:
+            raise ArgumentError(
+                f"The law moves {n} parameters; the limits are on "
+                f"{convex.polyhedron.matrix.shape[1]}."
+            )
+
+    @cached_property
+    def _set(self) -> ConvexSet:
+        given = self.constraints
+        return LinearSet(given) if isinstance(given, Polyhedron) else given
+
+    @cached_property
+    def _parts(self) -> tuple[_LimitedPart, ...]:
+        """For a polyhedron: what can be projected apart."""
+        if not isinstance(self._set, LinearSet):
+            return ()
+        return _separate(self.law.manifold, self._set.polyhedron)
+
+    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
+        """The rate of the law, made tangent to the limits that bind ([Lee2019] Eq. (5.4.57))."""
+        p = np.asarray(parameters, float)
+        v = self.law.rate(p, b)
+        values, normals = self._set.values(p), self._set.gradients(p)
+        leaving = normals @ v > 0
+        if not leaving.any():
+            return v
+        # Limits that do not bind are far from it, so the metric is only asked about those near it.
+        pulls = self.law.manifold.calc_inverse_metric_times(p, normals)
+        lengths = np.sqrt((normals * pulls).sum(-1))
+        active = values >= -self.margin * lengths
+        if not (active & leaving).any():
+            return v
+        a, w = normals[active] / lengths[active, None], pulls[active] / lengths[active, None]
+        return v - _least_push(a @ w.T, a @ v) @ w
+
+    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
+        """The estimate after dt seconds, projected onto C ([Lee2019] Eq. (5.4.59)).
+
+        Steps may be of any length. Only where the end of one is so near to the edge of the manifold
+        that rounding hides its projection, it is shortened to eight, and then to two in the
+        manifold's metric.
+
+        Raises:
+            ConvergenceError: No step can be projected onto C, most likely because C does not meet
+                the manifold.
+        """
+        p = self.law.step(parameters, b, dt)
+        if not (self._set.values(p) > 0).any():
+            return p
+        try:
+            return self.project(p)
+        except GeodrakeError:
+            # vᵀ g v = −γ⁻¹ vᵀ b for the rate v, without g.
+            speed = -np.dot(self.law.rate(parameters, b), b) / self.law.gamma
+        length = float(dt * np.sqrt(max(speed, 0.0)))
+        for most in _SHORTENED:
+            if length > most:
+                try:
+                    return self.project(self.law.step(parameters, b, dt * most / length))
+                except GeodrakeError:
+                    continue
+        return self.project(parameters)
+
+    def project(self, parameters: ArrayLike) -> Array:
+        """The Bregman projection of an estimate (n,) onto C; itself if it is in C.
+
+        Raises:
+            ConvergenceError: C does not meet the manifold.
+            ArgumentError: The estimate is not inside of the manifold, as after an Euler step.
+        """
+        p = real_array(parameters, "parameters", (self.law.manifold.dimension,))
+        if not (self._set.values(p) > 0).any():
+            return p
+        if not isinstance(self._set, LinearSet):
+            return _project_by_cuts(self.law.manifold, p, self._set)
+        projected = p.copy()
+        for part in self._parts:
+            projected[part.places] = part.project(p[part.places])
+        return projected
+
+    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
+        """That of the law inside of C."""
+        return self.law.parameter_error(truth, parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class _LimitedPart:
+    """Limits on some factors of a product, and those factors."""
+
+    manifold: Product
+    places: NDArray[np.intp]
+    limits: LinearSet
+
+    def project(self, x: Array) -> Array:
+        """The Bregman projection of x (n,) onto the limits."""
+        values, normals = self.limits.values(x), self.limits.gradients(x)
+        sizes = _ROUNDING * np.abs(normals)
+        outside = np.flatnonzero(values > sizes @ np.abs(x))
+        if not len(outside):
+            return x
+        if not self.manifold.calc_contains(x):
+            return bregman_projection(self.manifold, x, self.limits.polyhedron)
+        # The projection onto one half-space is the one onto all, if it is inside of all.
+        for row in outside:
+            limit = float(normals[row] @ x - values[row])
+            y = half_space_projection(self.manifold, x, normals[row], limit)
+            if (self.limits.values(y) <= sizes @ np.abs(y)).all():
+                return y
+        return bregman_projection(self.manifold, x, self.limits.polyhedron)
+
+
+def _separate(manifold: Manifold, polyhedron: Polyhedron) -> tuple[_LimitedPart, ...]:
+    """Splits a projection on a product where no limit ties two factors together."""
+    rows = np.arange(len(polyhedron.matrix))
+    if not isinstance(manifold, Product):
+        manifold = Product((manifold,))
+    ends = np.cumsum([factor.dimension for factor in manifold.manifolds])
+    places = np.split(np.arange(manifold.dimension), ends[:-1])
+    used = np.array([(polyhedron.matrix[:, at] != 0).any(1) for at in places])  # (factors, rows)
+    label = np.arange(len(places))
+    for row in rows:
+        tied = np.flatnonzero(used[:, row])
+        if len(tied):
+            label[np.isin(label, label[tied])] = label[tied[0]]
+    parts = []
+    for name in np.unique(label[used.any(1)]):
+        factors = np.flatnonzero(label == name)
+        own = rows[used[factors].any(0)]
+        at = np.concatenate([places[factor] for factor in factors])
+        weights = tuple(manifold.weights[factor] for factor in factors)
+        part = Product(tuple(manifold.manifolds[factor] for factor in factors), weights)
+        limits = polyhedron.lower[own], polyhedron.upper[own]
+        limited = Polyhedron(polyhedron.matrix[np.ix_(own, at)], *limits)
+        parts.append(_LimitedPart(part, at, LinearSet(limited)))
+    return tuple(parts)
+
+
+def _project_by_cuts(manifold: Manifold, p: Array, convex: ConvexSet) -> Array:
+    """Projects onto half-spaces around a convex set, with new ones where the last point is outside.
+
+    A half-space that touches c at y, c(y) + ∇c(y)ᵀ (x − y) ≤ 0, holds the whole set, so every
+    projection is at least as near to p as the one onto the set, and the last one is inside of it.
+    """
+    point = p
+    matrix, upper = np.zeros((0, len(p))), np.zeros(0)
+    for _ in range(_MOST_CUTS):
+        values, normals = convex.values(point), convex.gradients(point)
+        lengths = np.sqrt((normals * manifold.calc_inverse_metric_times(p, normals)).sum(-1))
+        outside = values > _CUT_TOLERANCE * lengths
+        if not outside.any():
+            return point
+        rows = normals[outside] / lengths[outside, None]
+        matrix = np.concatenate([matrix, rows])
+        upper = np.concatenate([upper, rows @ point - values[outside] / lengths[outside]])
+        cuts = Polyhedron(matrix, np.full(len(upper), -np.inf), upper)
+        point = bregman_projection(manifold, p, cuts)
+    raise ConvergenceError(
+        f"No point of the set was found after {_MOST_CUTS} cuts; the last one is outside by "
+        f"{convex.values(point).max():.3g}.",
+        advice="Check that the functions are convex, and their gradients against differences.",
+        last=point,
+    )
+
+
+def _least_push(G: Array, a_v: Array) -> Array:
+    """λ ≥ 0 (k,) of least ½ λᵀ G λ − λᵀ a_v, with G the products of unit normals."""
+    if len(a_v) == 1:
+        return np.maximum(a_v, 0.0) / G[0]
+    # G = Sᵀ S, and S may be singular where normals depend on each other.
+    values, axes = np.linalg.eigh(G)
+    kept = values > 1e-12 * values[-1]
+    root = np.sqrt(values[kept])
+    multipliers, _ = nnls(root[:, None] * axes[:, kept].T, (axes[:, kept].T @ a_v) / root)
+    return np.asarray(multipliers)

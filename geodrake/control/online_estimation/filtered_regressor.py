@@ -1,0 +1,162 @@
+"""Regressor rows of inverse dynamics from samples without accelerations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+
+import numpy as np
+
+from geodrake.boundary.arguments import integer, positive
+from geodrake.control.regressor import ControlModel
+from geodrake.control.regressor.control_model import ControlSample, checked_control
+from geodrake.errors import GeodrakeError
+from geodrake.inertia import Array
+
+_MOST_FILTERS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class FilteredRegressor:
+    """Low-passed inverse dynamics, from positions, velocities and efforts.
+
+    The effort is d/dt (Y_p p) − Y_c p, so over a sampling interval its mean is
+
+        Ȳ p = mean effort,   Ȳ = (Y_p(t) − Y_p(t − h)) / h − mean Y_c,
+
+    which needs no acceleration. Both sides pass through the same low-pass filters λ / (s + λ), so
+    that the rows stay true and the noise of velocities does not get through. An interval at whose
+    ends something is missing is left out of both sides, which keeps the rows true as well. Where a
+    sensor only repeats its last state, the interval goes on to its next one.
+
+    The memory of the filter is one vector, so that a Drake Context can hold it.
+
+    Attributes:
+        control: The robot.
+        period: Sampling interval h, s.
+        bandwidth: λ, 1/s.
+        order: Number of filters after each other.
+        held_effort: Whether the effort at an instant is the one that acted since the last instant,
+            as that of a sampled controller; else it is a sample of an effort that changes smoothly.
+    """
+
+    control: ControlModel
+    period: float
+    bandwidth: float = 20.0
+    order: int = 2
+    held_effort: bool = False
+
+    def __post_init__(self) -> None:
+        checked_control(self.control)
+        positive(self.period, "period")
+        positive(self.bandwidth, "bandwidth")
+        integer(self.order, "order", lower=1, upper=_MOST_FILTERS)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (nv, p) of the regressor."""
+        return len(self.control.joints), len(self.control.prior)
+
+    @property
+    def size(self) -> int:
+        """Length of the memory: a number, and for every filter a regressor and its efforts."""
+        return 1 + (self.order + 1) * (self._entries + len(self.control.joints))
+
+    @cached_property
+    def _entries(self) -> int:
+        rows, columns = self.shape
+        return rows * columns
+
+    @cached_property
+    def _weights(self) -> tuple[Array, Array]:
+        """Factors of (Y_p, Y_c), and of the effort, in what `_ends` gives."""
+        of_effort = [1.0, 0.0] if self.held_effort else [0.5, -0.5]
+        h = self.period
+        return np.array([[1 / h, -0.5], [1 / h, 0.5]]), np.array(of_effort)[:, None]
+
+    @cached_property
+    def _pass(self) -> float:
+        """Share of what is new that one filter lets through."""
+        return float(-np.expm1(-self.bandwidth * self.period))
+
+    def start(self) -> Array:
+        """The memory before the first sample."""
+        return np.zeros(self.size)
+
+    def advanced(
+        self,
+        memory: Array,
+        q: Array,
+        qd: Array,
+        effort: Array,
+        *,
+        sample: ControlSample | None = None,
+        repeated: bool = False,
+    ) -> Array:
+        """The memory after one more sample; whatever is not finite ends an interval.
+
+        Args:
+            memory: (size,) of the last sample, not changed.
+            q: (nq,) positions.
+            qd: (nv,) velocities.
+            effort: (nv,) efforts.
+            sample: The robot at q, q̇ and v = q̇, if that is known already.
+            repeated: Whether positions and velocities are no new measurement but the last one: then
+                the effort alone is new.
+        """
+        if not (_finite(q) and _finite(qd) and _finite(effort)):
+            return self.skipped(memory)
+        if sample is None:
+            sample = self.control.at(q, qd, qd, np.zeros_like(qd))
+        try:
+            now, following = self._ends(sample, effort)
+        except GeodrakeError:  # of an effect that has no finite columns
+            return self.skipped(memory)
+        if not _finite(now):
+            return self.skipped(memory)
+        after = memory.copy()
+        stack = after[1:].reshape(self.order + 1, -1)
+        periods = float(memory[0])
+        if repeated and periods:
+            stack[-1] += following - now
+            after[0] += 1.0
+            return after
+        if periods:
+            # The interval's rows are [now] − [before], with the filters linear in both.
+            rows = np.subtract(now, stack[-1], out=now)
+            share = self._pass
+            if periods > 1:
+                rows /= periods
+                share = 1.0 - (1.0 - share) ** periods
+            for i in range(self.order):
+                step = np.subtract(rows, stack[i])
+                step *= share
+                rows = np.add(stack[i], step, out=stack[i])
+        stack[-1], after[0] = following, 1.0
+        return after
+
+    def skipped(self, memory: Array) -> Array:
+        """The memory after a sample that is missing."""
+        after = memory.copy()
+        after[0] = 0.0
+        return after
+
+    def rows(self, memory: Array) -> tuple[Array, Array]:
+        """Filtered regressor Y (nv, p) and efforts (nv,), N·m or N: Y p = effort."""
+        last = memory[1:].reshape(self.order + 1, -1)[self.order - 1]
+        return last[: self._entries].reshape(self.shape), last[self._entries :]
+
+    def _ends(self, sample: ControlSample, effort: Array) -> tuple[Array, Array]:
+        """What a sample adds to the interval that it ends, and takes off the one it begins."""
+        of_regressors, of_effort = self._weights
+        ends = np.empty((2, self._entries + len(effort)))
+        both = sample.momentum_regressors.reshape(2, -1)
+        np.matmul(of_regressors, both, out=ends[:, : self._entries])
+        np.multiply(of_effort, effort, out=ends[:, self._entries :])
+        return ends[0], ends[1]
+
+
+def _finite(x: Array) -> bool:
+    """Whether all of x are numbers, and not absurdly large ones: by their sum of squares."""
+    return isfinite(np.vdot(x, x))

@@ -1,0 +1,82 @@
+"""One step toward the slabs of a sample."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from geodrake.inertia import Array
+from geodrake.manifolds import Product
+
+_SHARING = 1e-2  # of a row's squared length, added to it
+_NOTHING = 1e-300  # squared length of a row that says nothing
+
+
+def slab_step(
+    manifold: Product,
+    p: Array,
+    Y: Array,
+    effort: Array,
+    tolerance: Array,
+    *,
+    relaxation: float = 1.0,
+) -> Array:
+    """One step of Newton's method toward the slabs |Y p − effort| ≤ ε that an estimate is outside.
+
+    The Bregman projection onto them, [Lee2019] Eq. (2.2.11), is the y with ∇h(y) = ∇h(p) − Yᵀ λ for
+    multipliers λ of the rows that bind: a handful of unknowns, however many parameters there are.
+    For one of many samples one step is enough. It has its own way to be short, at most one in the
+    manifold's metric, and rows that nearly depend on each other share what they ask for, so that
+    samples that contradict each other do little. With the truth in the slabs, it comes nearer.
+
+    Args:
+        manifold: Where the estimate lives.
+        p: (n,) estimate inside of the manifold.
+        Y: (k, n) rows.
+        effort: (k,) their values.
+        tolerance: (k,) ε > 0 of each.
+        relaxation: Share of the step that is made, in (0, 1]: less follows noise less.
+
+    Returns:
+        The estimate (n,); itself if it is in all slabs. Rounding may leave it outside of the
+        manifold, or not a number.
+    """
+    error = Y @ p - effort
+    error -= np.minimum(np.maximum(error, -tolerance), tolerance)  # zero in the slab
+    (bound,) = error.nonzero()
+    if not len(bound):
+        return p
+    if len(bound) < len(error):
+        Y, error = Y.take(bound, 0), error.take(bound)
+    span = manifold.calc_mirror_span(p, Y)
+    multipliers = _multipliers(_softened(span.products), error)
+    length = sqrt(max(float(error @ multipliers) / manifold.least_weight, 0.0))
+    return span.point(multipliers * (-relaxation / (1.0 + length)))
+
+
+def _softened(products: Array) -> Array:
+    """The products, changed by a share of each row's squared length that is added to it.
+
+    Rows of any length do no harm: Cholesky's decomposition does not depend on their units.
+    """
+    squares = products.ravel()[:: len(products) + 1]
+    squares *= 1.0 + _SHARING
+    squares += _NOTHING
+    return products
+
+
+def _multipliers(products: Array, error: Array) -> Array:
+    """Newton's multipliers (k,) of rows outside of their slabs; none pulls a row further out."""
+    # (LAPACK itself: at so few unknowns the checks of numpy.linalg.solve cost more than solving.)
+    _, found, failed = dposv(products, error)
+    if failed:
+        found = np.linalg.solve(products, error)
+    (right,) = (found * error >= 0).nonzero()
+    if len(right) == len(error):
+        return np.asarray(found)
+    multipliers = np.zeros(len(error))
+    if len(right):
+        multipliers[right] = _multipliers(products[right[:, None], right], error[right])
+    return multipliers

@@ -1,0 +1,333 @@
+"""A robot model as a controller sees it: one parameter vector, one sample at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.boundary.arguments import instance, one_or_each
+from geodrake.control.regressor.online_tree import OnlineTree
+from geodrake.control.regressor.rigid_bodies import RigidSample
+from geodrake.effects import Effect, JointMotion, RobotMotion, Role
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.dependencies import Trial
+from geodrake.effects.effect_columns import EffectColumns, Seen
+from geodrake.effects.robot_motion import smoothed_sign
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.kinematics import KinematicTree
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ControlModel:
+    """What is constant about a robot, for the regressor of every sample.
+
+    Parameters are one vector p = [φ, μ]: φ of the nb bodies, ten each, and μ of the effects.
+
+    Attributes:
+        tree: Kinematics of the rigid bodies.
+        effects: The effects, in the order of their parameters.
+        bodies: Names of the nb bodies.
+        joints: Names of the nv velocities.
+        prior: (p,) parameters of the robot model.
+        measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
+    """
+
+    tree: OnlineTree
+    effects: tuple[Effect, ...]
+    bodies: tuple[str, ...]
+    joints: tuple[str, ...]
+    prior: Array
+    measured_friction: bool
+    _columns: EffectColumns
+    _turning: bool  # whether effects other than payloads depend on accelerations
+    _sign_width: Array
+    _direction: Callable[[Array], Array]
+    _positions: NDArray[np.intp]
+    _single: NDArray[np.bool_]
+    _all_single: bool
+    _payloads: tuple[tuple[int, slice], ...]
+    _scales: tuple[tuple[int, int], ...]
+    _kinematics: KinematicTree
+    _total_phi: Array
+
+    @classmethod
+    def of(
+        cls,
+        model: RobotModel,
+        *,
+        sign_width: ArrayLike = 1e-2,
+        measured_friction: bool = False,
+    ) -> ControlModel:
+        """Reads a robot model once.
+
+        Args:
+            model: The robot. Delays of efforts are not part of the regressor; friction that has a
+                memory has slipped far, and friction that drifts has settled.
+            sign_width: Least speed below which dry friction fades, rad/s or m/s; one for all
+                velocities or (nv,).
+            measured_friction: Whether effects see q̇ instead of the reference velocity v. The
+                source has v, [Lee2019] Eq. (5.2.10), which has less noise and needs friction to
+                grow with speed; q̇ is for friction that does not, such as Stribeck friction.
+
+        Raises:
+            ArgumentError: A sign width is negative or not finite, or they are not (nv,).
+        """
+        joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
+        positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
+        for mobilizer in model.tree.mobilizers:
+            for velocity in range(mobilizer.velocities.start, mobilizer.velocities.stop):
+                single[velocity] = joints[velocity] in model.single_joints
+                positions[velocity] = mobilizer.positions.start if single[velocity] else 0
+        sign_width = model.sign_widths(one_or_each(sign_width, "sign_width", len(joints)))
+        effects = tuple(fitted.effect for fitted in model.effects)
+        turning = tuple(effect for effect in effects if effect.role is not Role.BODY)
+        trial = _trial(model, sign_width)
+        columns = EffectColumns(joints, effects, trial)
+        columns.rows(trial(*np.zeros((3, 1, len(joints)))))  # do they fit the robot?
+        values = [model.phi.ravel(), *(fitted.parameters for fitted in model.effects)]
+        return cls(
+            tree=OnlineTree.of(model.tree),
+            effects=effects,
+            bodies=bodies,
+            joints=joints,
+            prior=np.concatenate(values),
+            measured_friction=measured_friction,
+            _columns=columns,
+            _turning="vd" in EffectColumns(joints, turning, trial).depends_on,
+            _sign_width=sign_width,
+            _direction=smoothed_sign(sign_width),
+            _positions=positions,
+            _single=single,
+            _all_single=bool(single.all()),
+            _payloads=_payloads(model),
+            _scales=_scales(model),
+            _kinematics=model.tree,
+            _total_phi=model.total_phi,
+        )
+
+    @property
+    def num_inertial(self) -> int:
+        """Number 10 nb of inertial parameters, which come first."""
+        return PARAMETERS_PER_BODY * len(self.bodies)
+
+    @property
+    def single_joints(self) -> bool:
+        """Whether every joint has one degree of freedom, so that q̇ is the rate of q."""
+        return self._all_single
+
+    def phi(self, parameters: Array) -> Array:
+        """(nb, 10) inertial parameters of a parameter vector (p,)."""
+        return parameters[: self.num_inertial].reshape(-1, PARAMETERS_PER_BODY)
+
+    def effect_parameters(self, effect: int) -> slice:
+        """Where the parameters of one of `effects` are in the parameter vector."""
+        counts = [len(e.parameters) for e in self.effects[: effect + 1]]
+        return slice(self.num_inertial + sum(counts[:-1]), self.num_inertial + sum(counts))
+
+    def at(
+        self, q: Array, qd: Array, v: Array, a: Array, *, load_phi: Array | None = None
+    ) -> ControlSample:
+        """The Slotine–Li regressor Y(q, q̇, v, a) at one sample, ready to be multiplied.
+
+        Y p = M(q) a + C(q, q̇) v − τ_g(q) + effects at v and a, with Ṁ − 2 C skew symmetric. With
+        v = q̇ and a = v̇ it is the regressor of inverse dynamics and of computed torque.
+
+        Args:
+            q: (nq,) positions in Drake's order.
+            qd: (nv,) measured velocities.
+            v: (nv,) reference velocities ([Lee2019] Eq. (5.2.11)).
+            a: (nv,) reference accelerations ([Lee2019] Eq. (5.2.12)).
+            load_phi: (nb, 10) inertial parameters behind the load of load-dependent friction; those
+                of the robot model with its payloads if None, so that the columns do not depend on
+                the estimate. For the same reason a scale of efforts is one of the model's efforts.
+
+        Values are not checked: whatever is not finite comes out as such.
+        """
+        return ControlSample(self, RigidSample.at(self.tree, q, qd, v, a), (q, qd, v, a), load_phi)
+
+
+def checked_control(control: ControlModel) -> ControlModel:
+    """A robot as a controller sees it: a `ControlModel`, or what gives regressors as one does.
+
+    Raises:
+        ArgumentError: It is something else.
+    """
+    if not all(hasattr(control, name) for name in ("at", "joints", "prior", "single_joints")):
+        raise ArgumentError(f"control must be a ControlModel; it is {control!r}.")
+    return control
+
+
+def _parts(model: RobotModel) -> Iterator[tuple[Effect, slice]]:
+    """Every effect, and its place in the parameter vector."""
+    start = model.phi.size
+    for fitted in model.effects:
+        yield fitted.effect, slice(start, start + len(fitted.effect.parameters))
+        start += len(fitted.effect.parameters)
+
+
+def _trial(model: RobotModel, sign_width: Array) -> Trial:
+    """The robot in some configurations, for trials of users' effects."""
+
+    def seen(v: Array, vd: Array, load: Array) -> RobotMotion:
+        q = np.random.default_rng(0).normal(size=(len(v), model.tree.num_positions))
+        return model.motion(Motion(q, v, vd), sign_width=sign_width, load=load)
+
+    return seen
+
+
+def _scales(model: RobotModel) -> tuple[tuple[int, int], ...]:
+    """Velocity and place in the parameter vector of every scale of efforts."""
+    found = [(e.where[0], part.start) for e, part in _parts(model) if e.role is Role.SCALE]
+    return tuple((model.joints.index(joint), place) for joint, place in found)
+
+
+def _payloads(model: RobotModel) -> tuple[tuple[int, slice], ...]:
+    """Body and place in the parameter vector of every payload."""
+    found = [(e, part) for e, part in _parts(model) if e.role is Role.BODY]
+    return tuple((model.bodies.index(effect.where[0]), part) for effect, part in found)
+
+
+@dataclass(frozen=True, eq=False)
+class ControlSample:
+    """The regressor Y (nv, p) of one sample.
+
+    Attributes:
+        model: What is constant.
+        rigid: The rigid bodies' part.
+    """
+
+    model: ControlModel
+    rigid: RigidSample
+    _motion: tuple[Array, Array, Array, Array]
+    _load_phi: Array | None
+
+    @cached_property
+    def regressor(self) -> Array:
+        """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
+        rigid = self.rigid.regressor
+        if not self.model.effects:
+            return rigid
+        return self._scaled(np.concatenate((rigid, self._effect_columns), axis=1))
+
+    def effort(self, parameters: Array) -> Array:
+        """Y p (nv,), N·m or N, for parameters p (p,)."""
+        return self.regressor @ parameters
+
+    def covector(self, r: Array) -> Array:
+        """Yᵀ r (p,) for r (nv,), the b of [Lee2019] Eq. (5.4.46)."""
+        return r @ self.regressor
+
+    def mass_matrix(self, parameters: Array) -> Array:
+        """M (nv, nv) of parameters (p,): with payloads, rotor inertias and the like.
+
+        Left out are body effects of your own that have inertia, and what is in proportion to other
+        efforts: load-dependent friction and scales.
+        """
+        phi = self.model.phi(parameters)
+        if self.model._payloads:
+            phi = phi.copy()
+            for body, part in self.model._payloads:
+                phi[body] += parameters[part]
+        M = self.rigid.mass_matrix(phi)
+        if self.model._turning:
+            motion = self._joints(self._motion[3], self._motion[1])
+            seen, mu = self._seen(np.zeros((len(M), phi.size))), parameters[phi.size :]
+            M += self.model._columns.added_mass(motion, mu, seen)
+        return M
+
+    @cached_property
+    def momentum_regressors(self) -> Array:
+        """(Y_p, Y_c) (2, nv, p): effort = d/dt (Y_p p) − Y_c p along a motion; they need q̇ only.
+
+        Y_p p = M q̇ and Y_c p = Cᵀ q̇ + τ_g − effects at q̇. Filtering both sides of this equation
+        gives a filtered regressor of inverse dynamics without accelerations: for the low-pass
+        filter λ / (s + λ), it is λ (Y_p − [Y_p]) − [Y_c] with [·] filtered.
+
+        The inertia of effects must be constant, as that of a rotor is. Load-dependent friction has
+        the load of this sample, without accelerations if it was made without.
+        """
+        rigid = self.rigid.momentum_regressors
+        if not self.model.effects:
+            return rigid
+        columns, (_, qd, v, _), n = self.model._columns, self._motion, rigid.shape[-1]
+        both = np.zeros((*rigid.shape[:-1], n + columns.count))
+        both[..., :n] = rigid
+        moved, rest = both[..., n:]
+        if v is qd and columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
+            rest -= self._effect_columns
+        else:
+            still = self._joints(np.zeros(len(qd)), qd)
+            rest -= columns.at(still, self._seen(-rigid[1]))
+            moved += columns.at(replace(still, vd=qd), self._seen(rigid[0]))
+            moved -= columns.at(still, self._seen(np.zeros_like(rigid[0])))
+        return np.array([self._scaled(part) for part in both]) if self.model._scales else both
+
+    def _scaled(self, regressor: Array) -> Array:
+        """A regressor (nv, p), whose columns of scales are now the efforts of the robot model."""
+        if self.model._scales:
+            others = self.model.prior.copy()
+            others[[column for _, column in self.model._scales]] = 0.0
+            efforts = regressor @ others
+            for velocity, column in self.model._scales:
+                regressor[:, column] = 0.0
+                regressor[velocity, column] = efforts[velocity]
+        return regressor
+
+    @cached_property
+    def _effect_columns(self) -> Array:
+        _, qd, v, a = self._motion
+        motion = self._joints(a, qd if self.model.measured_friction else v)
+        return self.model._columns.at(motion, self._seen(None))
+
+    def _joints(self, a: Array, v: Array) -> JointMotion:
+        """Motion of all joints, each field (nv,), at accelerations a and velocities v."""
+        model, q = self.model, self._motion[0]
+        load = np.zeros(len(v))
+        if "load" in model._columns.depends_on:
+            phi = model._total_phi if self._load_phi is None else self._load_phi
+            load = self.rigid.effort(phi)
+        q_joint = q.take(model._positions)
+        if not model._all_single:
+            q_joint = np.where(model._single, q_joint, np.nan)
+        return JointMotion(q_joint, v, a, load, model._direction(v))
+
+    def _seen(self, regressor: Array | None) -> Seen:
+        """What effects of several joints or of bodies see at one sample.
+
+        Args:
+            regressor: (nv, 10·nb) inertial regressor of which bodies have their columns; that of
+                Y, formed when asked for, if None.
+        """
+        model = self.model
+
+        def body_columns(name: str) -> Array:
+            first = PARAMETERS_PER_BODY * model.bodies.index(name)
+            Y = self.rigid.regressor if regressor is None else regressor
+            return Y[None, :, first : first + PARAMETERS_PER_BODY]
+
+        def seen(joints: JointMotion) -> RobotMotion:
+            return RobotMotion(
+                model.joints,
+                joints.q[None],
+                joints.v[None],
+                joints.vd[None],
+                joints.load[None],
+                model._sign_width,
+                body_columns,
+                self._bodies,
+            )
+
+        return seen
+
+    @cached_property
+    def _bodies(self) -> RobotBodies:
+        """Poses and Jacobians of the bodies."""
+        model = self.model
+        return RobotBodies(model._kinematics, self._motion[0][None], model._total_phi)

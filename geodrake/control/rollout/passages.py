@@ -1,0 +1,96 @@
+"""Passages of logs in which the robot moves: what is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.delays import delayed_by
+from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.logs.motion import MEMORY
+from geodrake.logs.smoothing import Segment, Stretch
+
+Array = NDArray[np.float64]
+
+_MOVING = 0.05  # share of the peak speeds that the mean speed of a passage must have
+
+
+@dataclass(frozen=True, eq=False)
+class Passage:
+    """Some seconds of a log in which the robot moves.
+
+    Attributes:
+        log: Name of the log.
+        began: The log's first time stamp, s.
+        segment: The samples, with the efforts that acted there: a model's delays are taken out.
+        stretch: The part of the log without gaps that the passage is from.
+        start: Number of its first sample in the stretch.
+    """
+
+    log: str
+    began: float
+    segment: Segment
+    stretch: Stretch
+    start: int
+
+    @property
+    def time(self) -> Array:
+        """(K,) instants since the log began, s."""
+        return self.segment.time - self.began
+
+    @property
+    def before(self) -> Array:
+        """(M, nv) positions right before the first sample, as far as effects look back."""
+        return self.stretch[max(0, self.start - MEMORY) : self.start].position
+
+
+def moving_passages(case: Case, seconds: float) -> list[Passage]:
+    """Passages of a length, one after another, in which the robot of a case moves.
+
+    Args:
+        case: Prepared logs and the model.
+        seconds: Length of each passage, s.
+
+    Raises:
+        LogError: There is none.
+        ArgumentError: The length is less than that between two samples.
+    """
+    peak = peak_speeds(case.trajectories)
+    found = [
+        Passage(trajectory.name, trajectory.began, segment, stretch, start)
+        for trajectory in case.trajectories
+        for stretch in trajectory.segments
+        for start, segment in _moving(stretch, seconds, peak, case.model.delays)
+    ]
+    if not found:
+        raise LogError(
+            f"In no log does the robot move for {seconds:g} s without a gap.",
+            advice="Give a shorter horizon, or a longer log.",
+        )
+    return found
+
+
+def _moving(
+    stretch: Stretch, seconds: float, peak: Array, delays: Array
+) -> Iterator[tuple[int, Segment]]:
+    """First samples of the passages of a stretch, and the passages."""
+    count = round(seconds / stretch.period) + 1
+    if count < 2:
+        raise ArgumentError(
+            f"A horizon of {seconds:g} s is shorter than the {stretch.period:.4g} s between two "
+            "samples.",
+            advice="Give a longer one.",
+        )
+    ahead = round(float(np.abs(delays).max()) / stretch.period) + 1
+    for start in range(ahead, len(stretch) - count - ahead, count):
+        near = stretch[start - ahead : start + count + ahead]
+        inner = near[ahead : ahead + count]
+        speed = np.abs(inner.velocity) / np.maximum(peak, 1e-300)
+        if speed.mean(0).max() > _MOVING:
+            effort = delayed_by(-delays, near.effort, stretch.period)
+            yield start, replace(inner, effort=effort[ahead:][:count])

@@ -1,0 +1,113 @@
+"""The rollout itself: windows chosen, simulated, and compared with what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from geodrake.boundary.arguments import function, integer, real_array
+from geodrake.control.rollout.passages import moving_passages
+from geodrake.control.rollout.results import JointDeparture, Rollout, Window
+from geodrake.control.rollout.simulation import Simulation, allowed_steps, left_out
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.logs.motion import JointLog
+from geodrake.model.carried_payloads import carrying
+from geodrake.model.robot_model import RobotModel
+
+HORIZON = 0.5
+"""Length of a window, s."""
+
+MOST_WINDOWS = 12
+"""Windows that are simulated, spread evenly over the logs."""
+
+_SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
+_SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
+
+Progress = Callable[[str, float], None]
+
+
+def roll_out(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    horizon: float = HORIZON,
+    most: int = MOST_WINDOWS,
+    bandwidth: float | None = None,
+    progress: Progress | None = None,
+) -> Rollout:
+    """Simulate a model under the efforts of logs, window by window.
+
+    The simulation is a Drake diagram: the plant with the model's inertias, `EffectForce` with its
+    effects, and the measured efforts, advanced by the model's delays. It runs in the time of the
+    log, so that friction that drifts has drifted, and contacts act in their log when they did.
+    Hidden states, such as the bend of bristles, start as the measured motion before the window
+    leaves them. Effects that are no forces on the links (`JointElasticity`, `Backlash`) are left
+    out; the result names them.
+
+    Args:
+        model: The model.
+        logs: Logs or their files.
+        horizon: Length of a window, s.
+        most: Most windows; they are spread evenly over all that moves.
+        bandwidth: Bandwidth of the filter that the initial states are smoothed with, Hz; by default
+            chosen from the data.
+        progress: Called with each window: its log, and the share that is done.
+
+    Raises:
+        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
+        LogError: A log cannot be used, or none moves for as long as a window.
+    """
+    real_array(horizon, "horizon", (), finite=False)
+    integer(most, "most", upper=np.inf)
+    if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
+        raise ArgumentError(
+            f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "
+            f"it got a horizon of {horizon} s and {most} windows."
+        )
+    if progress is not None:
+        function(progress, "progress")
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    passages = moving_passages(case, horizon)
+    count = min(most, len(passages))
+    chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int)).tolist()
+    steps = allowed_steps([passages[k] for k in chosen])
+    fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
+    least = _SIGN_WIDTH * fastest
+    width, carried = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
+    simulation = cache(
+        lambda log: Simulation(carrying(model, carried[log]), width, log, fastest, steps)
+    )
+    windows = []
+    for count, passage in enumerate(passages[k] for k in chosen):
+        log, segment = passage.log, passage.segment
+        if progress is not None:
+            progress(f"{log} {segment.time[0]:.1f} s", count / len(chosen))
+        simulated = simulation(log).positions(passage)
+        windows.append(Window(log, segment.time, segment.position, simulated))
+    return _rollout(model, windows, horizon, case.notes)
+
+
+def _rollout(
+    model: RobotModel, windows: Sequence[Window], horizon: float, notes: tuple[str, ...]
+) -> Rollout:
+    departures = [np.nan_to_num(w.departure, nan=np.inf) for w in windows]
+    squares = np.array([np.mean(np.square(d), 0) for d in departures])
+    moved = np.array([np.mean(np.square(w.measured - w.measured[0]), 0) for w in windows])
+    joints = []
+    for j, joint in enumerate(model.joints):
+        worst = windows[int(np.argmax(squares[:, j]))]
+        joints.append(
+            JointDeparture(
+                joint,
+                float(np.sqrt(squares[:, j].mean())),
+                float(np.sqrt(moved[:, j].mean())),
+                (worst.log, float(worst.time[0])),
+            )
+        )
+    broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
+    return Rollout(tuple(joints), tuple(windows), horizon, broken, left_out(model), notes)

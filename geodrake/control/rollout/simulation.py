@@ -1,0 +1,169 @@
+"""The simulation behind rollouts: a Drake diagram of a model under measured efforts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
+from pydrake.systems.primitives import Adder, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake.control.rollout.passages import Passage
+from geodrake.control.systems import EffectForce
+from geodrake.effects import Effect, FittedEffect, Role
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.plant import load_plant, set_inertial_parameters
+
+Array = NDArray[np.float64]
+
+_LARGEST_STEP = 5e-3  # of the integrator, s
+_ACCURACY = 1e-3
+_STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
+_FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
+_STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
+
+
+def left_out(model: RobotModel) -> tuple[Effect, ...]:
+    """Effects of a model that a simulation of its links cannot have."""
+    effects = (fitted.effect for fitted in model.effects)
+    return tuple(effect for effect in effects if effect.role is Role.DEFLECTION)
+
+
+def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
+    """One item for each step that the simulation of passages may take, all of them together.
+
+    A robot that flies apart, as under efforts in other units, takes ever smaller steps. Models
+    that lacked all friction took up to 18 times the steps of calm ones on public logs (UR10e), and
+    256 times in the demo, some 74,000 for its twelve windows.
+    """
+    calm = sum(
+        max(len(passage.time), (passage.time[-1] - passage.time[0]) / _LARGEST_STEP)
+        for passage in passages
+    )
+    return iter(range(_STEPS + round(_TIMES * calm)))
+
+
+class Simulation:
+    """The diagram: measured efforts, effects, and the plant, in the time of a log.
+
+    Args:
+        model: The model.
+        sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
+        log: Name of the log.
+        fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
+        steps: One item for each step of the integrator that is left.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        sign_width: Array,
+        log: str,
+        fastest: Array,
+        steps: Iterator[int],
+    ) -> None:
+        self._model, self._sign_width = model, sign_width
+        self._fastest, self._steps = fastest, steps
+        builder = DiagramBuilder()
+        self._plant = builder.AddSystem(load_plant(model.path, floating=model.floating).plant)
+        effects = [(fitted.effect, fitted.parameters) for fitted in _forces(model)]
+        self._force = builder.AddSystem(
+            EffectForce(self._plant, effects, sign_width=sign_width, phi=model.total_phi, log=log)
+        )
+        nv = len(model.joints)
+        self._effort = builder.AddSystem(TrajectorySource(PiecewisePolynomial(np.zeros(nv))))
+        total = builder.AddSystem(Adder(2, nv))
+        builder.Connect(self._plant.get_state_output_port(), self._force.GetInputPort("state"))
+        builder.Connect(self._effort.get_output_port(), self._force.GetInputPort("applied_effort"))
+        builder.Connect(self._effort.get_output_port(), total.get_input_port(0))
+        builder.Connect(self._force.GetOutputPort("generalized_force"), total.get_input_port(1))
+        builder.Connect(
+            total.get_output_port(), self._plant.get_applied_generalized_force_input_port()
+        )
+        self._diagram = builder.Build()
+        # Where the position of each velocity stands.
+        places = model.positions(np.arange(nv, dtype=float)[None])[0]
+        self._order = np.argsort(places)
+
+    def positions(self, passage: Passage) -> Array:
+        """(K, nv) positions from a passage's first state on, under its efforts.
+
+        From where a joint is a million times as fast as it was measured, or no steps of the
+        integrator are left, they are NaN.
+        """
+        segment, time = passage.segment, passage.time
+        self._effort.UpdateTrajectory(
+            PiecewisePolynomial.FirstOrderHold(time, np.asarray(segment.effort).T)
+        )
+        simulator = Simulator(self._diagram)
+        root = simulator.get_mutable_context()
+        root.SetTime(time[0])
+        self._remember(passage, root)
+        context = self._plant.GetMyMutableContextFromRoot(root)
+        set_inertial_parameters(self._plant, context, self._model.total_phi)
+        self._plant.SetPositions(context, self._model.positions(segment.position[:1])[0])
+        scheme = "radau3" if self._decay(context) > _STIFF else "runge_kutta3"
+        self._plant.SetVelocities(context, segment.velocity[0])
+        ResetIntegratorFromFlags(simulator, scheme, _LARGEST_STEP)
+        simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
+        simulator.Initialize()
+        simulator.set_monitor(self._limit)
+        simulated = np.full(segment.position.shape, np.nan)
+        for k, instant in enumerate(time):
+            try:
+                status = simulator.AdvanceTo(instant)
+            except RuntimeError:  # the integrator gives up: the robot flies apart
+                break
+            if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
+                break
+            simulated[k] = self._plant.GetPositions(context)[self._order]
+        return simulated
+
+    def _limit(self, root: Context) -> EventStatus:
+        """Ends a simulation that has no steps left, or whose robot is too fast for any."""
+        velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
+        inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
+        if inside and next(self._steps, None) is not None:
+            return EventStatus.DidNothing()
+        return EventStatus.ReachedTermination(self._diagram, "beyond all reason")
+
+    def _remember(self, passage: Passage, root: Context) -> None:
+        """Leaves the hidden states of effects as the measured motion before a passage does."""
+        effects = [fitted.effect for fitted in _forces(self._model) if fitted.effect.state_count]
+        if not effects:
+            return
+        first = passage.segment[:2]  # the direction in which a log begins takes two samples
+        positions = self._model.positions
+        seen = self._model.motion(
+            Motion(
+                positions(first.position),
+                first.velocity,
+                first.acceleration,
+                passage.time[:2],
+                positions(passage.before),
+            ),
+            sign_width=self._sign_width,
+        )
+        states = {effect: effect.states_along(seen)[0] for effect in effects}
+        self._force.set_hidden_states(self._force.GetMyMutableContextFromRoot(root), states)
+
+    def _decay(self, context: Context) -> float:
+        """The fastest rate, 1/s, at which velocities near rest decay by friction."""
+        nv = self._plant.num_velocities()
+        port = self._plant.get_generalized_acceleration_output_port()
+        slopes = []
+        for change in 1e-6 * np.vstack([np.zeros(nv), np.eye(nv)]):
+            self._plant.SetVelocities(context, change)
+            slopes.append(port.Eval(context))
+        slope = (np.array(slopes[1:]) - slopes[0]).T / 1e-6
+        return float(np.abs(np.linalg.eigvals(slope)).max())
+
+
+def _forces(model: RobotModel) -> list[FittedEffect]:
+    """Effects of a model that `EffectForce` carries; payloads are among the plant's inertias."""
+    roles = (Role.FORCE, Role.SCALE, Role.EPISODE)
+    return [fitted for fitted in model.effects if fitted.effect.role in roles]

@@ -1,0 +1,35 @@
+"""Drake systems: thin LeafSystems over geodrake's functions, one a file."""
+
+from __future__ import annotations
+
+from geodrake.control.systems.adaptive_computed_torque_controller import (
+    AdaptiveComputedTorqueController,
+)
+from geodrake.control.systems.adaptive_controller import AdaptiveController
+from geodrake.control.systems.bregman_projection_estimator import BregmanProjectionEstimator
+from geodrake.control.systems.delayed_effort import DelayedEffort
+from geodrake.control.systems.effect_force import EffectForce
+from geodrake.control.systems.log_source import LogSource
+from geodrake.control.systems.model_residual import ModelResidual
+from geodrake.control.systems.passivity_based_adaptive_controller import (
+    FixedGains,
+    PassivityBasedAdaptiveController,
+    VaryingGains,
+)
+from geodrake.control.systems.safeguards import Safeguards
+from geodrake.control.systems.tracking import add_tracking_drives
+
+__all__ = [
+    "AdaptiveComputedTorqueController",
+    "AdaptiveController",
+    "BregmanProjectionEstimator",
+    "DelayedEffort",
+    "EffectForce",
+    "FixedGains",
+    "LogSource",
+    "ModelResidual",
+    "PassivityBasedAdaptiveController",
+    "Safeguards",
+    "VaryingGains",
+    "add_tracking_drives",
+]

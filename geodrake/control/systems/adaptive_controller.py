@@ -1,0 +1,303 @@
+"""Base of the adaptive controllers: ports, state, and what happens when something is missing."""
+
+from __future__ import annotations
+
+import abc
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    ContinuousState,
+    DependencyTicket,
+    DiscreteValues,
+    LeafSystem,
+    ValueProducer,
+)
+
+from geodrake.boundary.arguments import instance
+from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.regressor import ControlModel
+from geodrake.control.systems.control_result import ControlResult, Covector
+from geodrake.control.systems.requirements import (
+    checked_estimate,
+    checked_time_step,
+    manifold_of,
+    require_single_joints,
+)
+from geodrake.control.systems.safeguards import Safeguards, Seen, Watch, usable
+from geodrake.errors import GeodrakeError
+from geodrake.inertia import Array
+
+_PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
+_QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
+
+
+class AdaptiveController(LeafSystem):
+    """Base of the adaptive controllers.
+
+    With a time step, actuation and estimate are discrete states: sampled at every step from the
+    inputs, and held. Without one, the estimate is a continuous state and actuation follows the
+    inputs at once.
+
+    Actuation is always finite, and the estimate stays in its manifold (where the law has one; in
+    continuous time as far as the integrator is exact):
+
+    - A measured state that is not finite, or that stands still for the safeguards' `stale_time`
+      while it says that the robot moves (with a time step only), is replaced by the desired one:
+      feedforward of the model. Adaptation waits, also where a state only repeats the last one.
+    - A desired motion that is not finite is replaced by rest at the last desired position (without
+      a time step: at the measured one). Adaptation waits.
+    - Without any of both, and where numbers overflow, the last actuation is held (without a time
+      step: none is applied).
+    - Efforts beyond their limits are cut off, and adaptation waits.
+
+    `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
+
+    Large errors that no parameters can explain, as of a motion that the motors cannot make, still
+    move the estimate whenever no limit is reached. A `ProjectedLaw` keeps it where it makes sense.
+    """
+
+    def __init__(
+        self,
+        control: ControlModel,
+        law: UpdateLaw | None,
+        *,
+        time_step: float,
+        parameters: ArrayLike | None,
+        truth: ArrayLike | None,
+        safeguards: Safeguards,
+    ) -> None:
+        """Declares what all adaptive controllers have.
+
+        Args:
+            control: The robot.
+            law: How the estimate moves; None for a controller that does not adapt.
+            time_step: Period of control and adaptation, s; zero for continuous time.
+            parameters: (p,) first estimate; that of the model if None.
+            truth: (p,) true parameters, for the port `lyapunov`.
+            safeguards: Limits.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
+                not fit.
+        """
+        LeafSystem.__init__(self)
+        require_single_joints(control)
+        instance(safeguards, "safeguards", Safeguards)
+        self.control, self.law = control, law
+        self._nv = nv = len(control.joints)
+        self._size = len(control.prior)
+        self._time_step = checked_time_step(time_step)
+        self._manifold = manifold_of(law)
+        start = checked_estimate(control, self._manifold, parameters)
+        self._truth = None if truth is None else checked_estimate(control, self._manifold, truth)
+        self._limits = safeguards.limits(nv)
+        self._dead_zone = safeguards.dead_zones(nv)
+        self._rests = bool((self._dead_zone > 0).any())
+        patience = np.inf if time_step == 0 else safeguards.stale_time / time_step
+        self._watch = Watch(nv, max(patience, 1.0))
+        self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
+        self._desired_port = self.DeclareVectorInputPort("desired_state", BasicVector(2 * nv))
+        self._acceleration_port = self.DeclareVectorInputPort(
+            "desired_acceleration", BasicVector(nv)
+        )
+        self._inputs = {
+            self._state_port.ticket(),
+            self._desired_port.ticket(),
+            self._acceleration_port.ticket(),
+        }
+        if time_step > 0:
+            self._declare_discrete(start)
+        else:
+            self._declare_continuous(start)
+
+    def _declare_discrete(self, start: Array) -> None:
+        parameters, actuation, _ = (
+            self.DeclareDiscreteState(value)
+            for value in (start, np.zeros(self._nv), self._watch.start())
+        )
+        self.DeclarePeriodicDiscreteUpdateEvent(self._time_step, 0.0, self._update)
+        self.DeclareStateOutputPort("actuation", actuation)
+        self.DeclareStateOutputPort("parameters", parameters)
+        self._declare_lyapunov(self.discrete_state_ticket(parameters))
+
+    def _declare_continuous(self, start: Array) -> None:
+        parameters = self.DeclareContinuousState(BasicVector(start))
+        producer = ValueProducer(
+            allocate=lambda: AbstractValue.Make(object()), calc=self._calc_result
+        )
+        # Both actuation and derivatives need it.
+        self._result = self.DeclareCacheEntry("result", producer, {*self._inputs, self.xc_ticket()})
+        self.DeclareVectorOutputPort(
+            "actuation", BasicVector(self._nv), self._calc_actuation, {self._result.ticket()}
+        )
+        self.DeclareStateOutputPort("parameters", parameters)
+        self._declare_lyapunov(self.xc_ticket())
+
+    def _declare_lyapunov(self, estimate: DependencyTicket) -> None:
+        if self._truth is not None:
+            self.DeclareVectorOutputPort(
+                "lyapunov", BasicVector(1), self._calc_lyapunov, {*self._inputs, estimate}
+            )
+
+    @abc.abstractmethod
+    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
+        """The result without regard to limits."""
+
+    @abc.abstractmethod
+    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+        """V_t."""
+
+    @abc.abstractmethod
+    def _resting(self, seen: Seen) -> bool:
+        """Whether the tracking error is within the dead zone."""
+
+    @property
+    def time_step(self) -> float:
+        """Period of control and adaptation, s; zero for continuous time."""
+        return self._time_step
+
+    def parameters(self, context: Context) -> Array:
+        """The estimate (p,) in a Context."""
+        if self._time_step > 0:
+            return np.array(context.get_discrete_state(_PARAMETERS).value())
+        return np.array(context.get_continuous_state_vector().CopyToVector())
+
+    def set_parameters(self, context: Context, parameters: ArrayLike) -> None:
+        """Puts an estimate (p,) into a Context.
+
+        Args:
+            context: Context of this system.
+            parameters: (p,) estimate, in the order of `ControlModel.prior`.
+
+        Raises:
+            ArgumentError: It is not in the manifold of the law, or has the wrong length.
+        """
+        p = checked_estimate(self.control, self._manifold, parameters)
+        if self._time_step > 0:
+            context.SetDiscreteState(_PARAMETERS, p)
+        else:
+            context.SetContinuousState(p)
+
+    def _look(self, context: Context, memory: Array) -> tuple[Seen, Array]:
+        return self._watch.look(
+            memory,
+            self._state_port.Eval(context),
+            self._desired_port.Eval(context),
+            self._acceleration_port.Eval(context),
+        )
+
+    def _controlled(self, p: Array, seen: Seen) -> ControlResult | None:
+        """The result at what was seen; None if the effort is not a number."""
+        if not seen.known:
+            return None
+        try:
+            result = self._result_at(p, seen)
+            effort = applied = result.effort
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return None
+        if not usable(effort):
+            return None
+        if self._limits is not None:
+            applied = np.clip(effort, -self._limits, self._limits)
+        waits = (
+            self.law is None
+            or not seen.trusted
+            or bool((applied != effort).any())
+            or (self._rests and self._resting(seen))
+        )
+        return ControlResult(applied, result.sample, None if waits else result.covector)
+
+    def _watched(self, context: Context) -> Array:
+        """What the watch remembers, (3 nv + 1,)."""
+        return np.asarray(context.get_discrete_state(_WATCH).value())
+
+    def _held(self, context: Context) -> Array:
+        """The actuation (nv,) since the last update."""
+        return np.asarray(context.get_discrete_state(_ACTUATION).value())
+
+    def _adapted(self, p: Array, covector: Covector, context: Context) -> Array:
+        """The estimate after a time step; as it was where it cannot be moved."""
+        if self.law is None:
+            return p
+        try:
+            b = covector(context)
+            following = p if b is None else self.law.step(p, b, self._time_step)
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return p
+        return following if usable(following) else p
+
+    @_QUIETLY
+    def _update(self, context: Context, state: DiscreteValues) -> None:
+        p = context.get_discrete_state(_PARAMETERS).value()
+        seen, memory = self._look(context, self._watched(context))
+        state.set_value(_WATCH, memory)
+        result = self._controlled(p, seen)
+        if result is not None:
+            state.set_value(_ACTUATION, result.effort)
+        following = self._following(context, state, p, seen, result)
+        if following is not p:
+            state.set_value(_PARAMETERS, following)
+
+    def _following(
+        self,
+        context: Context,
+        state: DiscreteValues,
+        p: Array,
+        seen: Seen,
+        result: ControlResult | None,
+    ) -> Array:
+        """The estimate (p,) after a time step."""
+        if result is None or result.covector is None:
+            return p
+        return self._adapted(p, result.covector, context)
+
+    @_QUIETLY
+    def _calc_result(self, context: Context, value: AbstractValue) -> None:
+        seen, _ = self._look(context, self._watch.start())
+        p = context.get_continuous_state_vector().CopyToVector()
+        value.set_value(self._controlled(p, seen))
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        """The rate of the update law.
+
+        Args:
+            context: Context of this system; the estimate is its state.
+            derivatives: Receives the (p,) rate of the estimate, per second.
+        """
+        if self._time_step > 0:  # no continuous state
+            return
+        p = context.get_continuous_state_vector().CopyToVector()
+        derivatives.get_mutable_vector().SetFromVector(self._rate_of(p, context))
+
+    @_QUIETLY
+    def _rate_of(self, p: Array, context: Context) -> Array:
+        """The rate of an estimate (p,); zero where it cannot be moved."""
+        result = self._result.Eval(context)
+        if self.law is None or result is None or result.covector is None:
+            return np.zeros(len(p))
+        try:
+            b = result.covector(context)
+            rate = np.zeros(len(p)) if b is None else self.law.rate(p, b)
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return np.zeros(len(p))
+        return rate if np.isfinite(rate).all() else np.zeros(len(p))
+
+    def _calc_actuation(self, context: Context, output: BasicVector) -> None:
+        result = self._result.Eval(context)
+        output.SetFromVector(np.zeros(self._nv) if result is None else result.effort)
+
+    @_QUIETLY
+    def _calc_lyapunov(self, context: Context, output: BasicVector) -> None:
+        if self._truth is None:
+            return
+        p, truth, value = self.parameters(context), self._truth, 0.0
+        if self.law is not None:
+            value += float(self.law.parameter_error(truth, p))
+        seen, _ = self._look(context, self._watch.start())
+        if seen.trusted:
+            value += self._tracking_energy(truth, seen)
+        output.SetFromVector([value if np.isfinite(value) else np.finfo(float).max])

@@ -1,0 +1,98 @@
+"""Effort commands that arrive late."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from geodrake.boundary.arguments import positive, real_array
+from geodrake.errors import ArgumentError
+
+_MOST_SAMPLES = 1_000_000
+
+
+class DelayedEffort(LeafSystem):
+    """Passes efforts on with a delay, as a drive or a bus does.
+
+    .. pydrake_system::
+
+        name: DelayedEffort
+        input_ports:
+        - effort
+        output_ports:
+        - delayed_effort
+
+    delayed_effort(t) = effort(t − δ), with a delay of its own for every effort. The input is
+    sampled every `period` and interpolated linearly, so the output is continuous. Before t = δ it
+    is the first sample.
+
+    The state is the time of the last sample, followed by the samples from the oldest to the last.
+    """
+
+    def __init__(self, delays: ArrayLike, *, period: float = 1e-3) -> None:
+        """Constructs the system.
+
+        Args:
+            delays: (n,) delays δ of the n efforts, s; each is zero or at least a period.
+            period: Sampling period, s.
+
+        Raises:
+            ArgumentError: A delay is negative, or not zero but below the period.
+        """
+        LeafSystem.__init__(self)
+        delays = np.atleast_1d(real_array(delays, "delays")).copy()
+        positive(period, "period")
+        usable = (delays == 0) | (delays >= period * (1 - 1e-9))
+        if delays.ndim > 1 or not len(delays) or not usable.all():
+            raise ArgumentError(
+                f"Delays must be zero or at least the period; they are {delays} s with a period of "
+                f"{period} s.",
+                advice="Choose a shorter period.",
+            )
+        if delays.max() / period > _MOST_SAMPLES:
+            raise ArgumentError(
+                f"Delays are at most {_MOST_SAMPLES} periods; got {delays.max():g} s and a period "
+                f"of {period:g} s.",
+                advice="Choose a longer period.",
+            )
+        self._delays, self._period = delays, period
+        self._samples = 2 + int(np.ceil(delays.max() / period - 1e-9))
+        self._size = len(delays)
+        self._input = self.DeclareVectorInputPort("effort", BasicVector(self._size))
+        start = np.zeros(1 + self._samples * self._size)
+        start[0] = -np.inf
+        state = self.DeclareDiscreteState(start)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
+        prerequisites = {self.discrete_state_ticket(state), self.time_ticket()}
+        if (delays == 0).any():
+            prerequisites.add(self._input.ticket())
+        self.DeclareVectorOutputPort(
+            "delayed_effort", BasicVector(self._size), self._calc_delayed, prerequisites
+        )
+
+    def _history(self, context: Context) -> tuple[float, np.ndarray]:
+        """Time of the last sample and the samples, (samples, size)."""
+        state = context.get_discrete_state_vector().value()
+        return state[0], state[1:].reshape(self._samples, self._size)
+
+    def _sample(self, context: Context, state: DiscreteValues) -> None:
+        last, history = self._history(context)
+        effort = self._input.Eval(context)
+        first = not np.isfinite(last)
+        history = np.tile(effort, (self._samples, 1)) if first else np.vstack([history[1:], effort])
+        state.set_value(np.concatenate([[context.get_time()], history.ravel()]))
+
+    def _calc_delayed(self, context: Context, output: BasicVector) -> None:
+        last, history = self._history(context)
+        age = (
+            (self._delays + last - context.get_time()) / self._period if np.isfinite(last) else 0.0
+        )
+        place = np.clip(self._samples - 1 - age, 0, self._samples - 1) * np.ones(self._size)
+        i = np.minimum(place.astype(int), self._samples - 2)
+        columns = np.arange(self._size)
+        early, late = history[i, columns], history[i + 1, columns]
+        delayed = early + (place - i) * (late - early)
+        if (self._delays == 0).any():
+            delayed = np.where(self._delays == 0, self._input.Eval(context), delayed)
+        output.SetFromVector(delayed)

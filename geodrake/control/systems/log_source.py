@@ -1,0 +1,108 @@
+"""A log played in a diagram."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from geodrake.boundary.arguments import instance, instances, number
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+from geodrake.logs.motion import JointLog
+
+_USUAL_GAPS = 5.0  # median sampling intervals
+
+
+class LogSource(LeafSystem):
+    """Plays a log: what was measured at its time stamps, in straight lines between them.
+
+    .. pydrake_system::
+
+        name: LogSource
+        output_ports:
+        - state
+        - position
+        - velocity
+        - effort
+
+    `state` is position and then velocity, as controllers and estimators take it. Time zero is the
+    log's first time stamp. After the last one the robot rests: position and effort of the last
+    sample, velocity zero. Where the log holds NaN, and in gaps, outputs are NaN: geodrake's systems
+    know what to do with that. Samples without a time stamp are left out.
+    """
+
+    def __init__(
+        self,
+        log: JointLog,
+        joints: Sequence[str] | None = None,
+        *,
+        largest_gap: float | None = None,
+    ) -> None:
+        """Constructs the system.
+
+        Args:
+            log: The log. If it has no velocities, they are differences of its positions.
+            joints: Joints to be played, in this order, such as `model.joints`; the log's if None.
+            largest_gap: Time between two samples that is bridged, s; five usual ones if None.
+
+        Raises:
+            LogError: The log lacks one of the joints.
+            ArgumentError: The log has less than two samples, or the gap is not positive.
+        """
+        LeafSystem.__init__(self)
+        stamped = np.isfinite(instance(log, "log", JointLog).time)
+        if stamped.sum() < 2:
+            raise ArgumentError(
+                f"Log {log.name!r} has {stamped.sum()} samples; playing it needs two."
+            )
+        self.log = log = log if joints is None else log.select(instances(joints, "joints", str))
+        time, position, effort = log.time[stamped], log.position[stamped], log.effort[stamped]
+        self._time = time - time[0]
+        self._stamps = self._time.tolist()
+        usual = _USUAL_GAPS * float(np.median(np.diff(self._time)))
+        self._largest_gap = usual if largest_gap is None else largest_gap
+        if not number(self._largest_gap, "largest_gap", finite=False) > 0:
+            raise ArgumentError(f"The largest gap is positive; got {largest_gap} s.")
+        if log.velocity is None:
+            velocity = np.gradient(position, self._time, axis=0)
+        else:
+            velocity = log.velocity[stamped]
+        n = len(log.joints)
+        for name, values in (
+            ("state", np.hstack([position, velocity])),
+            ("position", position),
+            ("velocity", velocity),
+            ("effort", effort),
+        ):
+            last = values[-1].copy()
+            if name in ("state", "velocity"):
+                last[-n:] = 0.0
+            self.DeclareVectorOutputPort(
+                name, BasicVector(values.shape[1]), self._player(values, last), {self.time_ticket()}
+            )
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the last, s."""
+        return float(self._time[-1])
+
+    def _player(self, values: Array, last: Array) -> Callable[[Context, BasicVector], None]:
+        def calc(context: Context, output: BasicVector) -> None:
+            output.SetFromVector(self._at(context.get_time(), values, last))
+
+        return calc
+
+    def _at(self, t: float, values: Array, last: Array) -> Array:
+        if t > self._stamps[-1]:
+            return last
+        i = min(max(bisect_right(self._stamps, t) - 1, 0), len(self._stamps) - 2)
+        gap = self._stamps[i + 1] - self._stamps[i]
+        share = max(t - self._stamps[i], 0.0) / gap
+        if share in (0.0, 1.0):
+            return values[i + int(share)]
+        if gap > self._largest_gap:
+            return np.full(values.shape[1], np.nan)
+        return values[i] + share * (values[i + 1] - values[i])

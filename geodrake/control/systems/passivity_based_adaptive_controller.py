@@ -1,0 +1,151 @@
+"""The adaptive controller of Slotine and Li."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.boundary.arguments import positive, real_array
+from geodrake.control.adaptation import UpdateLaw
+from geodrake.control.adaptation.covectors import calc_tracking_energy
+from geodrake.control.regressor import ControlModel
+from geodrake.control.regressor.control_model import checked_control
+from geodrake.control.systems.adaptive_controller import AdaptiveController
+from geodrake.control.systems.control_result import ControlResult
+from geodrake.control.systems.requirements import checked_gains
+from geodrake.control.systems.safeguards import Safeguards, Seen
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+
+
+@dataclass(frozen=True, eq=False)
+class FixedGains:
+    """Constant diagonal gains K and Λ.
+
+    Sampled at a time step h, damping is stable for K h well below 2 M only, with M the inertia that
+    a joint moves.
+
+    Attributes:
+        damping: K, N·m·s/rad or N·s/m; one for all joints or (nv,).
+        rate: Λ, 1/s; one for all joints or (nv,).
+    """
+
+    damping: ArrayLike
+    rate: ArrayLike
+
+    def __post_init__(self) -> None:
+        for name in ("damping", "rate"):
+            values = real_array(getattr(self, name), name)
+            if values.ndim > 1 or not (values > 0).all():
+                raise ArgumentError(f"{name} must be positive; got {values.tolist()}.")
+
+
+@dataclass(frozen=True)
+class VaryingGains:
+    """K = λ M̂(q) and Λ = λ 𝟙, [Lee2019] Remark 5.1: stiffer where there is more inertia.
+
+    Attributes:
+        rate: λ, 1/s; one for all joints, as K must be symmetric.
+    """
+
+    rate: float = 10.0
+
+    def __post_init__(self) -> None:
+        positive(self.rate, "rate")
+
+
+class PassivityBasedAdaptiveController(AdaptiveController):
+    """Tracks a motion and adapts the model, by the passivity of robots ([Lee2019] §5.2.1.2).
+
+    .. pydrake_system::
+
+        name: PassivityBasedAdaptiveController
+        input_ports:
+        - estimated_state
+        - desired_state
+        - desired_acceleration
+        output_ports:
+        - actuation
+        - parameters
+        - lyapunov
+
+    With v = q̇_d − Λ (q − q_d), a = v̇ and r = q̇ − v, for gains that are fixed or vary with M̂,
+
+        actuation = Y(q, q̇, v, a) p̂ − K r          [Lee2019] Eq. (5.2.10), b = Yᵀ r
+        actuation = Y(q, q̇, v, a − λ r) p̂          [Lee2019] Remark 5.1, b = Y(…, a − λ r)ᵀ r
+
+    and the law moves p̂ by b. `lyapunov` is ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises
+    except by what a time step adds, if friction grows with speed or effects see the measured
+    velocity, and no effect is in proportion to the load. It leaves out the first term while an
+    input is missing. Without the true p there is no such port.
+
+    `actuation` (nv) is N·m or N in the order of velocities, `parameters` (p) that of ControlModel,
+    states are q and then q̇. What happens when inputs are missing is said in `AdaptiveController`.
+    """
+
+    def __init__(
+        self,
+        control: ControlModel,
+        law: UpdateLaw | None,
+        *,
+        gains: VaryingGains | FixedGains = VaryingGains(),
+        time_step: float = 1e-3,
+        parameters: ArrayLike | None = None,
+        truth: ArrayLike | None = None,
+        safeguards: Safeguards | None = None,
+    ) -> None:
+        """Constructs the system.
+
+        Args:
+            control: The robot.
+            law: How the estimate moves; None for a controller that does not adapt.
+            gains: The gains.
+            time_step: Period of control and adaptation, s; zero for continuous time.
+            parameters: (p,) first estimate; that of the model if None.
+            truth: (p,) true parameters, for the port `lyapunov`.
+            safeguards: Limits; none if None, but for sensors that stand still.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees of freedom, or an argument does
+                not fit.
+        """
+        nv = len(checked_control(control).joints)
+        if not isinstance(gains, VaryingGains | FixedGains):
+            raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
+        self._varying = isinstance(gains, VaryingGains)
+        self._rate = checked_gains(gains.rate, nv, "rates")
+        damping = 1.0 if isinstance(gains, VaryingGains) else gains.damping
+        self._damping = checked_gains(damping, nv, "damping gains")
+        super().__init__(
+            control,
+            law,
+            time_step=time_step,
+            parameters=parameters,
+            truth=truth,
+            safeguards=Safeguards() if safeguards is None else safeguards,
+        )
+
+    def _error(self, seen: Seen) -> tuple[Array, Array, Array]:
+        """v, a and r, each (nv,)."""
+        v = seen.v_d - self._rate * (seen.q - seen.q_d)
+        return v, seen.a_d - self._rate * (seen.qd - seen.v_d), seen.qd - v
+
+    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
+        v, a, r = self._error(seen)
+        if self._varying:
+            sample = self.control.at(seen.q, seen.qd, v, a - self._rate * r)
+            effort = sample.effort(p)
+        else:
+            sample = self.control.at(seen.q, seen.qd, v, a)
+            effort = sample.effort(p) - self._damping * r
+        return ControlResult(effort, sample, lambda _: sample.covector(r))
+
+    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+        r = self._error(seen)[2]
+        sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
+        return calc_tracking_energy(sample.mass_matrix(truth), r)
+
+    def _resting(self, seen: Seen) -> bool:
+        return bool((np.abs(self._error(seen)[2]) < self._dead_zone).all())

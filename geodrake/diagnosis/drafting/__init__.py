@@ -1,0 +1,19 @@
+"""Formulas for what stays unexplained: a sparse search, and effect classes written out.
+
+`draft_effects` explains as `geodrake.diagnosis.explain` does, and then searches sums of products of
+simple functions of positions, velocities, accelerations and loads for what takes the rest away.
+`source_of` writes what it found as effect classes of the user's own. `rest_correlates` says only
+what the rest goes with, in a fraction of the time.
+"""
+
+from geodrake.diagnosis.drafting.draft import draft_effects, rest_correlates
+from geodrake.diagnosis.drafting.results import Correlate, Draft
+from geodrake.diagnosis.drafting.source import source_of
+
+__all__ = [
+    "Correlate",
+    "Draft",
+    "draft_effects",
+    "rest_correlates",
+    "source_of",
+]

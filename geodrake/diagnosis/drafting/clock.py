@@ -1,0 +1,70 @@
+"""What an error owes to the clock: slow drift, and oscillations that follow no joint."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+from geodrake.diagnosis.drafting.results import Array, Correlate
+from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
+
+_LEAST_SHARE = 0.25
+"""The clock is reported if it explains at least this share of the squared error."""
+
+_FINER = 8  # steps of the spectrum in one that the log resolves
+
+
+def clock_correlates(hypothesis: Hypothesis, joint: str) -> list[Correlate]:
+    """Slow drift and the strongest oscillation of a joint's held-out error, where notable.
+
+    Amplitudes are fitted to all folds but one, and judged on that one. Several logs have no clock
+    in common: they give none.
+
+    Args:
+        hypothesis: What is known to be there.
+        joint: The joint.
+    """
+    dataset = hypothesis.dataset
+    if len(dataset.logs) > 1:
+        return []
+    j = dataset.joints.index(joint)
+    blocks = residual_blocks(
+        dataset, hypothesis.unknowns.columns, hypothesis.held_out.x, delay=hypothesis.delay
+    )
+    residual = np.concatenate(blocks[j])
+    rows = [(fold, r.time) for fold, parts in enumerate(dataset.data[j].rows) for r in parts]
+    time = np.concatenate([t for _, t in rows])
+    fold = np.concatenate([np.full(len(t), f) for f, t in rows])
+    late = (time - time.min()) / max(float(np.ptp(time)), 1e-9)
+    drift = _share(np.stack([np.ones_like(late), late, late**2], -1), residual, fold)
+    frequency = _strongest(time, residual)
+    angle = 2.0 * np.pi * frequency * time
+    swing = _share(np.stack([np.cos(angle), np.sin(angle)], -1), residual, fold)
+    found = (
+        Correlate(joint, "time: it drifts slowly", drift),
+        Correlate(joint, f"the clock: it swings at {frequency:.3g} Hz", swing),
+    )
+    return [correlate for correlate in found if correlate.share > _LEAST_SHARE]
+
+
+def _strongest(time: Array, residual: Array) -> float:
+    """Frequency of the largest line in the spectrum, Hz, three periods in the log at least."""
+    step = float(np.median(np.diff(np.sort(time))))
+    place = np.round((time - time.min()) / step).astype(int)
+    grid = np.zeros(int(place.max()) + 1)
+    grid[place] = residual  # gaps between blocks stay zero
+    padded = next_fast_len(_FINER * len(grid))
+    spectrum = np.abs(np.fft.rfft(grid, padded))
+    spectrum[: round(3 * padded / len(grid))] = 0.0
+    return float(np.argmax(spectrum) / (padded * step))
+
+
+def _share(columns: Array, residual: Array, fold: Array) -> float:
+    """Share of the squared residual that columns (N, k) take away from folds left out."""
+    count = int(fold.max()) + 1
+    gram = np.array([columns[fold == f].T @ columns[fold == f] for f in range(count)])
+    rhs = np.array([columns[fold == f].T @ residual[fold == f] for f in range(count)])
+    ridge = 1e-9 * np.trace(gram.sum(0)) * np.eye(columns.shape[1])
+    amplitudes = np.linalg.solve(gram.sum(0) - gram + ridge, (rhs.sum(0) - rhs)[..., None])[..., 0]
+    left = residual - np.einsum("nk,nk->n", columns, amplitudes[fold])
+    return float(1.0 - left @ left / max(residual @ residual, 1e-300))

@@ -1,0 +1,228 @@
+"""Formulas: sums of products of simple functions of positions, velocities, accelerations, loads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects import JointMotion, Parameter, RobotMotion
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A function of one signal x and perhaps a constant c.
+
+    Attributes:
+        evaluate: Its values, from x (N,) and c.
+        code: The same in Python, with {x} and {c}.
+        words: The same in words.
+        power: Power of the signal's unit that it has.
+    """
+
+    evaluate: Callable[[Array, float], Array]
+    code: str
+    words: str
+    power: int
+
+
+FUNCTIONS: Mapping[str, _Function] = {
+    "value": _Function(lambda x, c: x, "{x}", "{x}", 1),
+    "square": _Function(lambda x, c: x * x, "{x}**2", "square of the {x}", 2),
+    "size": _Function(lambda x, c: np.abs(x), "np.abs({x})", "size of the {x}", 1),
+    "drag": _Function(
+        lambda x, c: x * np.abs(x), "{x} * np.abs({x})", "signed square of the {x}", 2
+    ),
+    "sine": _Function(lambda x, c: np.sin(x), "np.sin({x})", "sine of the {x}", 0),
+    "cosine": _Function(lambda x, c: np.cos(x), "np.cos({x})", "cosine of the {x}", 0),
+    "sine_twice": _Function(
+        lambda x, c: np.sin(2 * x), "np.sin(2.0 * {x})", "sine of twice the {x}", 0
+    ),
+    "cosine_twice": _Function(
+        lambda x, c: np.cos(2 * x), "np.cos(2.0 * {x})", "cosine of twice the {x}", 0
+    ),
+    "above": _Function(
+        lambda x, c: np.maximum(x - c, 0.0),
+        "np.maximum({x} - {c}, 0.0)",
+        "{x} beyond {c} upwards",
+        1,
+    ),
+    "below": _Function(
+        lambda x, c: np.minimum(x - c, 0.0),
+        "np.minimum({x} - {c}, 0.0)",
+        "{x} beyond {c} downwards",
+        1,
+    ),
+}
+"""What may be done to a signal; all vanish or turn smoothly where the motion does."""
+
+_SIGNALS: Mapping[str, tuple[str, str]] = {
+    "q": ("position", "rad"),
+    "v": ("velocity", "rad/s"),
+    "vd": ("acceleration", "rad/s²"),
+    "load": ("load", "N·m"),
+    "sign_v": ("direction of motion", ""),
+}
+"""Fields of `JointMotion`: what they are called, and their unit at a revolute joint."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A function of one signal of one joint.
+
+    Attributes:
+        joint: The joint.
+        signal: Field of `JointMotion`.
+        function: Key of `FUNCTIONS`.
+        constant: What the function turns at; used by "above" and "below" alone.
+    """
+
+    joint: str
+    signal: str
+    function: str = "value"
+    constant: float = 0.0
+
+    @property
+    def turns(self) -> bool:
+        """Whether there is a constant at which it turns."""
+        return self.function in ("above", "below")
+
+    def values(self, motion: JointMotion) -> Array:
+        """(N,) values over the motion of its joint."""
+        return FUNCTIONS[self.function].evaluate(getattr(motion, self.signal), self.constant)
+
+    def code(self, variable: str) -> str:
+        """The values in Python, where `variable` is the `JointMotion`."""
+        x = f"{variable}.{self.signal}"
+        return FUNCTIONS[self.function].code.format(x=x, c=f"{self.constant:.6g}")
+
+    def words(self, own: str) -> str:
+        """In words, seen from the joint `own`."""
+        signal = _SIGNALS[self.signal][0]
+        whose = f"its {signal}" if self.joint == own else f"the {signal} of {self.joint}"
+        words = FUNCTIONS[self.function].words.format(x="\0", c=f"{self.constant:.3g}")
+        return words.replace("the \0", whose).replace("\0", whose)
+
+    @property
+    def unit(self) -> str:
+        """The unit, such as "rad" or "(rad)²"; empty for a number."""
+        unit, power = _SIGNALS[self.signal][1], FUNCTIONS[self.function].power
+        if not unit or power == 0:
+            return ""
+        return unit if power == 1 else f"({unit})²"
+
+
+@dataclass(frozen=True)
+class Term:
+    """A product of factors.
+
+    Attributes:
+        factors: One or two; none for a constant.
+    """
+
+    factors: tuple[Factor, ...]
+
+    def values(self, motions: Callable[[str], JointMotion], samples: int) -> Array:
+        """(N,) values.
+
+        Args:
+            motions: Maps a joint to its motion.
+            samples: N.
+        """
+        product = np.ones(samples)
+        for factor in self.factors:
+            product = product * factor.values(motions(factor.joint))
+        return product
+
+    @property
+    def signals(self) -> frozenset[tuple[str, str]]:
+        """Joints and signals that it is a function of."""
+        return frozenset((factor.joint, factor.signal) for factor in self.factors)
+
+    @property
+    def complexity(self) -> int:
+        """How much there is to it: factors, functions that are not the signal itself, constants."""
+        return sum(1 + (f.function != "value") + f.turns for f in self.factors)
+
+    @property
+    def unit(self) -> str:
+        """The unit of a coefficient that makes an effort of it."""
+        units = [factor.unit for factor in self.factors if factor.unit]
+        if not units:
+            return "N·m"
+        below = "·".join(units)
+        return (
+            f"N·m/({below})" if len(units) > 1 or "/" in below or "·" in below else f"N·m/{below}"
+        )
+
+    def words(self, own: str) -> str:
+        """In words, seen from the joint `own`."""
+        return " times ".join(f.words(own) for f in self.factors) or "a constant"
+
+    def turned(self, place: int, constant: float) -> Term:
+        """The term with another constant in one of its factors.
+
+        Args:
+            place: Index of the factor.
+            constant: Its new constant.
+        """
+        factors = list(self.factors)
+        factors[place] = replace(factors[place], constant=constant)
+        return Term(tuple(factors))
+
+    @property
+    def kind(self) -> Term:
+        """The term with all constants forgotten."""
+        return Term(tuple(replace(factor, constant=0.0) for factor in self.factors))
+
+    @property
+    def turning(self) -> tuple[int, ...]:
+        """Places of the factors that turn at a constant."""
+        return tuple(k for k, factor in enumerate(self.factors) if factor.turns)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """Effort at a joint as a sum of terms with free coefficients.
+
+    Attributes:
+        joint: The joint.
+        terms: The terms.
+    """
+
+    joint: str
+    terms: tuple[Term, ...]
+
+    @property
+    def complexity(self) -> int:
+        """Sum over the terms, one each for its coefficient."""
+        return sum(1 + term.complexity for term in self.terms)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Names and units of the coefficients."""
+        return tuple(Parameter(f"c{k + 1}", term.unit) for k, term in enumerate(self.terms))
+
+    @property
+    def free(self) -> int:
+        """Coefficients, and constants that a search may have chosen."""
+        return len(self.terms) + sum(len(term.turning) for term in self.terms)
+
+    def columns(self, motion: RobotMotion) -> Array:
+        """(N, terms) columns of a regressor."""
+        motions = {name: motion.joint(name) for name in self.joints}
+        values = [term.values(motions.__getitem__, len(motion.v)) for term in self.terms]
+        return np.stack(values, -1)
+
+    def words(self) -> str:
+        """In words: "its direction of motion times the position of wrist"."""
+        return " + ".join(term.words(self.joint) for term in self.terms)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints whose motion it is a function of."""
+        return tuple(dict.fromkeys(f.joint for term in self.terms for f in term.factors))

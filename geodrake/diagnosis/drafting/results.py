@@ -1,0 +1,88 @@
+"""What a search for formulas gives: plain frozen dataclasses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.escaping import identifiers
+from geodrake.diagnosis.drafting.formula import Formula
+from geodrake.effects import Effect
+from geodrake.identification.logs.model_errors import ErrorTable
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Correlate:
+    """What the error that is left at a joint goes with.
+
+    Attributes:
+        joint: The joint.
+        words: Such as "its direction of motion times the position of wrist_1_joint".
+        share: Share of the joint's squared held-out error that goes with it.
+    """
+
+    joint: str
+    words: str
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class DraftedEffect:
+    """A formula for what is missing at a joint.
+
+    Attributes:
+        formula: The formula.
+        coefficients: (k,) fitted coefficients, in the units of `formula.parameters`.
+        deviations: (k,) their standard deviations.
+        rms_before: Held-out RMS of the joint without it, N·m or N.
+        rms_after: Held-out RMS of the joint with it, N·m or N.
+        floor: RMS of the joint's sensor noise, N·m or N.
+        false_alarm_probability: Chance that an irrelevant formula gains as much.
+        rivals: Formulas of no more terms, in words, from which the logs cannot distinguish it.
+        time: (K,) instants of filtered samples, s, block after block.
+        residual: (K,) effort that everything else leaves there, N·m or N.
+        effort: (K,) effort of the formula there, N·m or N.
+    """
+
+    formula: Formula
+    coefficients: Array
+    deviations: Array
+    rms_before: float
+    rms_after: float
+    floor: float
+    false_alarm_probability: float
+    rivals: tuple[str, ...]
+    time: Array
+    residual: Array
+    effort: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """Formulas for the error that a model leaves.
+
+    Attributes:
+        effects: One for each joint where a formula convinces, in the order found.
+        correlates: What the error left goes with, joint by joint, most first.
+        needless: Effects that the explanation had, and that the formulas make needless.
+        before: Held-out errors without the formulas, everything that may move refitted.
+        after: Held-out errors with them.
+        logs: Names of the logs.
+    """
+
+    effects: tuple[DraftedEffect, ...]
+    correlates: tuple[Correlate, ...]
+    needless: tuple[Effect, ...]
+    before: ErrorTable
+    after: ErrorTable
+    logs: tuple[str, ...]
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Joint -> name of its effect, such as "elbow_joint_draft"."""
+        joints = identifiers(effect.formula.joint for effect in self.effects)
+        return {joint: f"{name}_draft" for joint, name in joints.items()}

@@ -1,0 +1,305 @@
+"""After a step forward: swap what is needlessly complex, drop what is no longer needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from geodrake.diagnosis.candidates import (
+    Package,
+    has_base,
+    kinds_at,
+    pairs_at,
+    said_by,
+    simple_at,
+)
+from geodrake.diagnosis.search import best_trial
+from geodrake.diagnosis.shapes import variants
+from geodrake.diagnosis.trials import (
+    PENALTY,
+    acted_upon,
+    asked_of,
+    gain_of,
+    improvement,
+    is_nothing,
+    settled_trial,
+    try_package,
+    try_packages,
+)
+from geodrake.effects.base import Effect
+from geodrake.identification.logs.evidence import (
+    SEVERAL,
+    Criteria,
+    log_likelihood_gain,
+    tie_probability,
+)
+from geodrake.identification.logs.hypothesis import CLEARLY_IMPOSSIBLE, Hypothesis
+
+_BY_FAR = 4.0  # times what a criterion asks for
+_NEARLY_ALL = 0.8  # of the folds
+
+
+def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
+    """Drop effects, weakest first, that would no longer convince if they were offered now.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay (those of the model as it came).
+        criteria: When an effect counts.
+    """
+    while True:
+        weakest: tuple[float, Hypothesis] | None = None
+        for effect in hypothesis.unknowns.effects:
+            kept = effect in fixed or _is_base(hypothesis, effect)
+            own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
+            stands = not is_nothing([effect], own)
+            if not kept and not (stands and _clearly_needed(hypothesis, effect, criteria)):
+                reduced = hypothesis.without([effect])
+                package = Package((effect,), effect.where)
+                trial = try_package(reduced, package, 1)
+                asked = asked_of([effect.name], reduced, criteria)
+                needed = trial.convinces(asked)
+                if not needed:
+                    needed = settled_trial(reduced, hypothesis, package).convinces(asked)
+                needed = needed or _spares_bodies(hypothesis, reduced)
+                needed = needed and stands and stands_out(hypothesis, effect)
+                if not needed and (weakest is None or trial.score < weakest[0]):
+                    weakest = (trial.score, reduced)
+        if weakest is None:
+            return hypothesis
+        hypothesis = weakest[1]
+
+
+def _spares_bodies(hypothesis: Hypothesis, reduced: Hypothesis) -> bool:
+    """Whether some body can be as it is fitted, and clearly could not without an effect."""
+    impossible = ~reduced.physical(tolerance=-CLEARLY_IMPOSSIBLE)
+    return bool(np.any(hypothesis.physical() & impossible))
+
+
+def _clearly_needed(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
+    """Whether an effect passes all criteria by far with the weights as they are, which is quick."""
+    cv, span = hypothesis.cv, hypothesis.unknowns.span(effect)
+    without = cv.without_columns(np.arange(span.start, span.stop))
+    if without is None:
+        return False
+    package = Package((effect,), effect.where)
+    reduction, agreement = improvement(
+        (without, cv.held_out), acted_upon(hypothesis.dataset, package)
+    )
+    gain = log_likelihood_gain(without.mse, cv.held_out.mse, hypothesis.effective).sum()
+    return (
+        reduction > _BY_FAR * criteria.reduction
+        and agreement >= max(criteria.agreement, _NEARLY_ALL)
+        and gain > _BY_FAR**2 * PENALTY * package.parameters
+        and stands_out(hypothesis, effect)
+    )
+
+
+def _is_base(hypothesis: Hypothesis, effect: Effect) -> bool:
+    """Whether a refinement stands on an effect that is there.
+
+    By three deviations; by one beside a refinement of several effects at once, such as |v|^α, which
+    lies between them and takes the place of either as soon as it is left out.
+    """
+    refined = [
+        other
+        for other in hypothesis.unknowns.effects
+        if other.refines and other.where == effect.where
+    ]
+    if not any(type(effect) in bases for other in refined for bases in other.refines):
+        return False
+    between = any(all(len(bases) > 1 for bases in other.refines) for other in refined)
+    return stands_out(hypothesis, effect, deviations=1.0 if between else 3.0)
+
+
+def stands_out(hypothesis: Hypothesis, effect: Effect, *, deviations: float = 3.0) -> bool:
+    """Whether the parameters of an effect are together as unlikely as some deviations of one.
+
+    Args:
+        hypothesis: The hypothesis, with the effect.
+        effect: The effect.
+        deviations: How many standard deviations of a normal variable are as unlikely.
+    """
+    span = hypothesis.unknowns.span(effect)
+    x, covariance = hypothesis.cv.fit_all()[span], hypothesis.cv.covariance()[span, span]
+    distance = x @ np.linalg.solve(covariance, x)
+    return bool(distance > chi2.isf(chi2.sf(deviations**2, 1), len(x)))
+
+
+def reshape(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], *, least: float = PENALTY
+) -> Hypothesis:
+    """Choose shape parameters anew: what fitted best before other effects came may not now.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        least: Gain from which on another shape is taken.
+    """
+    for effect in hypothesis.unknowns.effects:
+        shapes = [
+            other for other in variants(effect, hypothesis.dataset.effects) if other != effect
+        ]
+        if effect not in fixed and shapes:
+            others = [hypothesis.exchanged(effect, [shape]) for shape in shapes]
+            best = max(others, key=lambda other: gain_of(hypothesis, other))
+            if gain_of(hypothesis, best) > least:
+                hypothesis = best
+    return hypothesis
+
+
+def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
+    """Swap effects for simpler ones at their place that do as well, or for pairs that do better.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        criteria: What an effect must show.
+    """
+    for effect in hypothesis.unknowns.effects:
+        if effect in fixed or effect not in hypothesis.unknowns.effects:
+            continue
+        others = [other for other in hypothesis.unknowns.effects if other != effect]
+        effects = hypothesis.dataset.effects
+        pair = _best_instead(hypothesis, effect, _pairs(effects, others, effect))
+        if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
+            hypothesis = pair
+            continue
+        simple = _best_instead(hypothesis, effect, _simpler(effects, others, effect))
+        if simple is not None and not _worth_it(simple, hypothesis, effect, criteria):
+            hypothesis = simple
+    return hypothesis
+
+
+def swap(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
+    """Swap effects of joints for others, no more complex, that do clearly better by now.
+
+    What suited a residual best before another effect was known may have been the wrong one.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        criteria: What an effect must show.
+    """
+    for effect in hypothesis.unknowns.effects:
+        if effect in fixed or effect.places != "joint" or not is_free(hypothesis, effect):
+            continue
+        others = [other for other in hypothesis.unknowns.effects if other != effect]
+        packages = [
+            package
+            for kind in kinds_at(hypothesis.dataset.effects, others, effect.where)
+            if len(kind.classes) == 1 and kind.complexity <= effect.complexity
+            for package in kind.options[effect.where]
+            if package.effects != (effect,)
+        ]
+        bare = hypothesis.stripped(effect)
+        as_it_is = Package((effect,), effect.where)
+        own, *trials = try_packages(bare, [as_it_is, *packages], 1 + len(packages))
+        best = max(trials, key=lambda trial: trial.score, default=own)
+        if best.score > own.score + PENALTY:
+            other = hypothesis.exchanged(effect, best.package.effects)
+            if _worth_it(hypothesis, other, effect, criteria):
+                hypothesis = other
+    return hypothesis
+
+
+def is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
+    """Whether no other effect at its place stands on an effect.
+
+    Args:
+        hypothesis: The hypothesis, with the effect.
+        effect: The effect.
+    """
+    present = hypothesis.unknowns.effects
+    own = (effect.name, effect.where)
+    taken = said_by(present)
+    less = said_by(other for other in present if (other.name, other.where) != own)
+    here = [other for other in present if other.where == effect.where and other != effect]
+    return all(has_base(other, less) or not has_base(other, taken) for other in here)
+
+
+def split_compromises(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
+) -> Hypothesis:
+    """Split effects whose shape is a compromise of another shape and a simple effect beside it.
+
+    Only shapes that are no longer bound to a coarse grid differ clearly from such a compromise.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        criteria: What an effect must show.
+    """
+    for effect in hypothesis.unknowns.effects:
+        others = [other for other in hypothesis.unknowns.effects if other != effect]
+        pairs = [] if effect in fixed else _shared(hypothesis.dataset.effects, others, effect)
+        pair = _best_instead(hypothesis, effect, pairs)
+        if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
+            hypothesis = pair
+    return hypothesis
+
+
+def _best_instead(
+    hypothesis: Hypothesis, effect: Effect, packages: Sequence[Package]
+) -> Hypothesis | None:
+    """The hypothesis with the best of some packages in the place of an effect, if there are any."""
+    if not packages:
+        return None
+    bare = hypothesis.stripped(effect)
+    trials = try_packages(bare, packages, len(packages))
+    return hypothesis.exchanged(effect, best_trial(bare, trials).package.effects)
+
+
+def _simpler(
+    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
+) -> Sequence[Package]:
+    """Packages of less complexity at the place of an effect."""
+    return [
+        package
+        for kind in kinds_at(effects, present, effect.where)
+        if kind.complexity < effect.complexity
+        for package in kind.options[effect.where]
+    ]
+
+
+def _pairs(
+    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
+) -> Sequence[Package]:
+    """Pairs of simple effects at the joint of an effect of more parameters.
+
+    An effect with bounds, such as friction that brakes, may stand for what two others do better.
+    """
+    own = Package((effect,), effect.where).parameters
+    pairs = pairs_at(effects, present, effect.where) if effect.places == "joint" else ()
+    return [pair for pair in pairs if pair.parameters < own]
+
+
+def _shared(
+    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
+) -> Sequence[Package]:
+    """Simple effects beside every shape of an effect of a joint."""
+    shapes = variants(effect, effects)
+    if effect.places != "joint" or len(shapes) < 2:
+        return ()
+    simple = [e for e in simple_at(effects, present, effect.where) if e.name != effect.name]
+    return [
+        Package((shape, one), effect.where)
+        for shape in shapes
+        for one in simple
+        if has_base(shape, said_by([*present, one]))
+    ]
+
+
+def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
+    """Whether what refines an effect, or another one in its place, convinces against it."""
+    more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
+    joints = acted_upon(refined.dataset, Package((effect,), effect.where))
+    left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
+    # What goes with time alone is large in few folds, so that these differ: half of it is no tie,
+    # at the joint where it shows most.
+    clear = left.min() <= 0.5 if "time" in effect.depends_on else left.mean() <= 1.0 / SEVERAL
+    tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
+    gains = gain_of(simple, refined) > PENALTY * max(more, 1)
+    return bool(gains and left.mean() <= 1.0 - criteria.reduction and not tied)

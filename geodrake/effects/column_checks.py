@@ -1,0 +1,158 @@
+"""Columns of effects: what may go on into factors, and whose line gives what may not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.effects.parameter import Parameter
+from geodrake.effects.robot_motion import RobotMotion
+from geodrake.errors import ArgumentError
+
+Array = NDArray[np.float64]
+
+_LEAST, _GREATEST = 1e-100, 1e100
+"""Sizes below and above which a user's column has no values, so that no square of them is lost."""
+
+_OURS = frozenset(str(path) for path in Path(__file__).parent.glob("*.py"))
+
+
+class HasRows(Protocol):
+    """What has columns: an effect."""
+
+    name: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+
+    def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """Columns (N, k) by joint."""
+
+
+def rows_of(effect: HasRows, motion: RobotMotion) -> Mapping[str, Array]:
+    """What `Effect.rows` gives, as all that takes columns may rely on.
+
+    Args:
+        effect: The effect, perhaps of a user's own.
+        motion: N samples.
+
+    Raises:
+        ArgumentError: It is no mapping of joints to finite real columns (N, k).
+    """
+    kind = type(effect)
+    if of_geodrake(kind):
+        return effect.rows(motion)
+    line = line_of(kind, "columns", "rows")
+    with telling(kind.name, line):
+        rows: Any = effect.rows(_read_only(motion))
+    if not isinstance(rows, Mapping):
+        raise ArgumentError(f"{kind.name} gives {rows!r:.60} instead of columns by joint{line}.")
+    unknown = [joint for joint in rows if joint not in motion.joints]
+    if unknown:
+        raise ArgumentError(
+            f"{kind.name} gives columns of a joint {unknown[0]!r}, which there is not{line}.",
+            advice=f"Joints are: {', '.join(motion.joints)}.",
+        )
+    shape = (len(motion.v), len(effect.parameters))
+    return {
+        joint: _checked(f"{kind.name} of {joint}", line, block, shape)
+        for joint, block in rows.items()
+    }
+
+
+def of_geodrake(kind: type[Any]) -> bool:
+    """Whether a class comes with geodrake, so that its columns are known to be usable."""
+    return kind.__module__.startswith("geodrake.")
+
+
+def stacked(effect: HasRows, columns: Any, joint: str, count: int) -> Array:
+    """Columns of a joint, one for each parameter, as an array (N, k).
+
+    Args:
+        effect: Whose columns they are.
+        columns: What its `columns` gave.
+        joint: Name of the joint.
+        count: Number N of samples.
+
+    Raises:
+        ArgumentError: They are not one column of N finite real numbers for each parameter.
+    """
+    name, line = effect.name, line_of(type(effect), "columns")
+    if isinstance(columns, str) or not isinstance(columns, Sequence | np.ndarray):
+        raise ArgumentError(
+            f"{name} gives {columns!r:.60} instead of columns{line}.",
+            advice="Let columns() return a list with one column for each entry of `parameters`.",
+        )
+    if len(columns) != len(effect.parameters):
+        raise ArgumentError(
+            f"{name} has {len(effect.parameters)} parameters and {len(columns)} columns{line}.",
+            advice="Let columns() return one column for each entry of `parameters`.",
+        )
+    return np.stack(
+        [_checked(f"{name} of {joint}", line, column, (count,)) for column in columns], -1
+    )
+
+
+def _checked(what: str, line: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """A column or several of an effect and joint as finite floats of a shape."""
+    advice = "Let columns() return arrays of the shape of joint.q, or numbers."
+    if np.iscomplexobj(values):
+        raise ArgumentError(f"{what} gives complex numbers{line}.", advice=advice)
+    try:
+        array = np.broadcast_to(np.asarray(values, float), shape)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(
+            f"{what} gives a column of shape {np.shape(values)} for {shape[0]} samples{line}: "
+            f"{error}.",
+            advice=advice,
+        ) from error
+    least, greatest = (_LEAST, _GREATEST) if line else (0.0, np.finfo(float).max)
+    bad = np.flatnonzero(~(np.abs(array) <= greatest))
+    if len(bad):
+        raise ArgumentError(
+            f"{what} gives {array.flat[bad[0]]:g} in {len(bad)} of {array.size} samples{line}.",
+            advice="Let columns() return finite numbers of reasonable size for every motion.",
+        )
+    return np.where(np.abs(array) < least, 0.0, array)
+
+
+@contextmanager
+def telling(name: str, line: str) -> Iterator[None]:
+    """Tell what would end the program unseen, such as `sys.exit`, as an error of the effect.
+
+    Args:
+        name: Name of the effect, for messages.
+        line: Where its code is, as `line_of` says.
+    """
+    try:
+        yield
+    except (Exception, KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:
+        raise ArgumentError(f"{name} raises {type(error).__name__}: {error}{line}.") from error
+
+
+def line_of(effect: type[Any], *methods: str) -> str:
+    """The line and file of the last of some methods of an effect that is a user's own, in words.
+
+    Args:
+        effect: Class of the effect.
+        *methods: Names of methods, of which the effect may have some.
+    """
+    made: list[Callable[..., Any]] = [getattr(effect, m) for m in methods if hasattr(effect, m)]
+    codes = [code for code in (getattr(f, "__code__", None) for f in made) if code is not None]
+    own = [code for code in codes if code.co_filename not in _OURS]
+    return f" (line {own[-1].co_firstlineno} of {own[-1].co_filename})" if own else ""
+
+
+def _read_only(motion: RobotMotion) -> RobotMotion:
+    """The motion in arrays that cannot be written to."""
+    arrays = {}
+    for name in ("q", "v", "vd", "load"):
+        arrays[name] = getattr(motion, name).view()
+        arrays[name].flags.writeable = False
+    return replace(motion, **arrays)

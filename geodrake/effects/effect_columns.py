@@ -1,0 +1,220 @@
+"""Columns of several effects of a robot, along a motion or at one sample.
+
+At one sample, as a controller or a simulation has it, effects of one kind are evaluated together:
+the columns of a joint effect are functions of its joint's motion, sample by sample. So joints with
+the same effect and the same shape parameters are evaluated as if they were samples of one joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect, JointEffect
+from geodrake.effects.column_checks import of_geodrake, rows_of
+from geodrake.effects.dependencies import Trial, dependencies, sees_joint_only
+from geodrake.effects.robot_motion import Array, JointMotion, RobotMotion
+
+Indices = NDArray[np.intp]
+
+Seen = Callable[[JointMotion], RobotMotion]
+"""From the motion of all joints at one sample to that of the robot with its bodies."""
+
+
+@dataclass(frozen=True, eq=False)
+class EffectColumns:
+    """Effects of a robot, ready to be evaluated.
+
+    Attributes:
+        joints: Names of the nv velocities.
+        effects: The effects, in the order of their k parameters.
+        trial: Gives motions to try users' effects that do not declare what they depend on; without
+            it they depend on all that their base class may see, and are evaluated one by one.
+    """
+
+    joints: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    trial: Trial | None = None
+
+    @cached_property
+    def count(self) -> int:
+        """Number k of all effects' parameters."""
+        return sum(len(effect.parameters) for effect in self.effects)
+
+    @cached_property
+    def depends_on(self) -> frozenset[str]:
+        """The signals that any of the columns depends on."""
+        return frozenset().union(*self._signals)
+
+    def rows(self, motion: RobotMotion) -> list[dict[int, Array]]:
+        """The columns (N, ·) of each effect along a motion of N samples, by velocity acted at."""
+        return [
+            {self._indices[joint]: columns for joint, columns in rows_of(effect, motion).items()}
+            for effect in self.effects
+        ]
+
+    def effort(self, motion: RobotMotion, mu: Array) -> Array:
+        """Effort that the effects need along a motion.
+
+        Args:
+            motion: The motion, of N samples.
+            mu: (k,) parameters.
+
+        Returns:
+            (N, nv) effort, N·m or N.
+        """
+        total = np.zeros_like(motion.v)
+        for effect, part in zip(self.effects, self._parts, strict=True):
+            for joint, columns in rows_of(effect, motion).items():
+                total[:, self._indices[joint]] += columns @ mu[part]
+        return total
+
+    def at(self, motion: JointMotion, seen: Seen) -> Array:
+        """Columns (nv, k) at one sample.
+
+        Args:
+            motion: Motion of all joints, each field (nv,), as if they were samples of one joint.
+            seen: Makes of it what effects of several joints or of bodies see; called only if there
+                are such effects.
+        """
+        Y = self._together_at(motion)
+        if self._alone:
+            _put(Y, self._alone, seen(motion))
+        return Y
+
+    def added_mass(self, motion: JointMotion, mu: Array, seen: Seen) -> Array:
+        """Matrix (nv, nv) that the effects with parameters mu (k,) add to the mass matrix.
+
+        Args:
+            motion: Motion of all joints at one sample; its accelerations do not matter.
+            mu: (k,) parameters.
+            seen: As in `at`.
+        """
+        rest = replace(motion, vd=np.zeros(len(self.joints)))
+        moved = replace(motion, vd=np.ones(len(self.joints)))
+        added = np.diag((self._together_at(moved) - self._together_at(rest)) @ mu)
+        if self._alone_of_acceleration:
+            still = self._accelerated(rest, seen) @ mu
+            for k, unit in enumerate(np.eye(len(self.joints))):
+                added[:, k] += self._accelerated(replace(motion, vd=unit), seen) @ mu - still
+        return added
+
+    @cached_property
+    def _indices(self) -> dict[str, int]:
+        """Velocity of each joint."""
+        return {joint: i for i, joint in enumerate(self.joints)}
+
+    @cached_property
+    def _parts(self) -> tuple[slice, ...]:
+        """Where the parameters of each effect are among those of all."""
+        ends = np.cumsum([0, *(len(effect.parameters) for effect in self.effects)]).tolist()
+        return tuple(slice(start, end) for start, end in pairwise(ends))
+
+    @cached_property
+    def _signals(self) -> tuple[frozenset[str], ...]:
+        """What each effect depends on."""
+        return tuple(dependencies(e, self.trial, len(self.joints)) for e in self.effects)
+
+    @cached_property
+    def _together(self) -> tuple[_Together, ...]:
+        """Groups of joint effects that may be evaluated together."""
+        groups: list[list[tuple[JointEffect, slice]]] = []
+        for effect, part in zip(self.effects, self._parts, strict=True):
+            if not effect.parameters or not sees_joint_only(effect):
+                continue
+            for group in groups:
+                if replace(effect, joint=group[0][0].joint) == group[0][0]:
+                    group.append((effect, part))
+                    break
+            else:
+                groups.append([(effect, part)])
+        made = (_Together.of(members, self.joints, self.count) for members in groups)
+        return tuple(group for group in made if self._agrees(group))
+
+    @cached_property
+    def _alone(self) -> tuple[tuple[Effect, slice], ...]:
+        """The other effects, with the places of their parameters."""
+        together = {part.start for group in self._together for _, part in group.members}
+        both = zip(self.effects, self._parts, strict=True)
+        return tuple((e, part) for e, part in both if e.parameters and part.start not in together)
+
+    @cached_property
+    def _alone_of_acceleration(self) -> tuple[tuple[Effect, slice], ...]:
+        moving = {e for e, names in zip(self.effects, self._signals, strict=True) if "vd" in names}
+        return tuple((effect, part) for effect, part in self._alone if effect in moving)
+
+    def _accelerated(self, motion: JointMotion, seen: Seen) -> Array:
+        Y = np.zeros((len(self.joints), self.count))
+        _put(Y, self._alone_of_acceleration, seen(motion))
+        return Y
+
+    def _together_at(self, motion: JointMotion) -> Array:
+        Y = np.zeros((len(self.joints), self.count))
+        for group in self._together:
+            group.put(Y, motion)
+        return Y
+
+    def _agrees(self, group: _Together) -> bool:
+        """Whether the effects of a group give together what each of them gives alone.
+
+        Those of geodrake do. One of a user's own may see its joint's name or other samples.
+        """
+        if of_geodrake(type(group.members[0][0])):
+            return True
+        if self.trial is None:
+            return False
+        seen = self.trial(*np.random.default_rng(0).normal(size=(3, 1, len(self.joints))))
+        sign_v = seen.direction(seen.v, seen.sign_width)
+        motion = JointMotion(seen.q[0], seen.v[0], seen.vd[0], seen.load[0], sign_v[0])
+        alone, together = np.zeros((2, len(self.joints), self.count))
+        _put(alone, group.members, seen)
+        try:
+            group.put(together, motion)
+        except (TypeError, ValueError, IndexError):
+            return False
+        return np.array_equal(alone, together)
+
+
+@dataclass(frozen=True, eq=False)
+class _Together:
+    """Joint effects that differ in nothing but their joint.
+
+    Attributes:
+        members: They, with the places of their parameters.
+        joints: (k,) their velocities; None for all velocities in order.
+        places: (m, k) where their values are in the columns (nv, k) of all effects, flattened.
+    """
+
+    members: tuple[tuple[JointEffect, slice], ...]
+    joints: Indices | None
+    places: Indices
+
+    @classmethod
+    def of(
+        cls, members: Sequence[tuple[JointEffect, slice]], joints: tuple[str, ...], count: int
+    ) -> _Together:
+        """Some of the effects of the joints, which have `count` parameters in all."""
+        at = np.array([joints.index(effect.joint) for effect, _ in members])
+        columns = np.array([range(part.start, part.stop) for _, part in members]).T
+        in_order = np.array_equal(at, np.arange(len(joints)))
+        return cls(tuple(members), None if in_order else at, at * count + columns)
+
+    def put(self, Y: Array, motion: JointMotion) -> None:
+        """Writes their columns at one sample into those of all effects."""
+        at = self.joints
+        if at is not None:
+            fields = motion.q, motion.v, motion.vd, motion.load, motion.sign_v
+            motion = JointMotion(*(values[at] for values in fields))
+        for place, values in zip(self.places, self.members[0][0].columns(motion), strict=True):
+            Y.put(place, values)
+
+
+def _put(Y: Array, effects: Sequence[tuple[Effect, slice]], motion: RobotMotion) -> None:
+    """Writes columns of effects at one sample into those (nv, k) of all."""
+    for effect, part in effects:
+        Y[:, part] = effect.regressor(motion)[0]

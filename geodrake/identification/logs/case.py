@@ -1,0 +1,335 @@
+"""A case: a model and the logs it is compared with, prepared and reduced."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.effects import catalogue
+from geodrake.effects.base import Effect
+from geodrake.effects.robot_motion import RobotMotion
+from geodrake.errors import LogError
+from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
+from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.inputs import checked_logs
+from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
+from geodrake.identification.logs.model_fit import effects_of
+from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
+from geodrake.identification.logs.shared_rows import SharedRows
+from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.logs.files import read_log
+from geodrake.logs.folds import Fold, validation_blocks
+from geodrake.logs.motion import JointLog, Trajectory, match_joints
+from geodrake.logs.preparation import prepare_logs
+from geodrake.logs.repeated_logs import check_repeated
+from geodrake.logs.smoothing import Segment
+from geodrake.logs.uniform_log import make_uniform
+from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
+from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.plant import effort_limits
+
+Array = NDArray[np.float64]
+
+_LEAST_EFFORT = 1e-12  # N·m or N, by which a measured effort changes
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What a case was opened with.
+
+    Attributes:
+        logs: The logs, joints in the model's order.
+        extra: Effect classes of the user's own.
+        bandwidth: Bandwidth that it was to have, Hz; None if it was chosen from the data.
+        blocks: Blocks asked for.
+    """
+
+    logs: tuple[JointLog, ...]
+    extra: tuple[type[Effect], ...]
+    bandwidth: float | None
+    blocks: int | None
+
+
+@dataclass(eq=False)
+class KeptMotion:
+    """What was computed of a model and its logs alone, and serves again.
+
+    Attributes:
+        segments: The segments of all logs in memory, with the index of their log.
+        seen: Their motion as effects see it.
+        columns: Effect -> its column at every joint, for each segment.
+    """
+
+    segments: list[tuple[int, Segment]] = field(default_factory=list)
+    seen: list[RobotMotion] = field(default_factory=list)
+    columns: dict[Effect, list[Array]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A model and its logs.
+
+    Attributes:
+        model: The model.
+        trajectories: The prepared logs.
+        folds: Validation folds.
+        dataset: The reduced logs, with columns for the model's effects and the candidates.
+        fingerprints: Fingerprints of the logs.
+        notes: What was done to the logs and noticed about the model.
+        asked: What it was opened with.
+        kept: What was computed of model and motion alone, and serves again.
+        shared: What reductions of the logs share.
+        loads: (nb, 10) inertial parameters that efforts of bodies are computed with, which
+            columns of effects may depend on; the model's if None.
+    """
+
+    model: RobotModel
+    trajectories: tuple[Trajectory, ...]
+    folds: tuple[Fold, ...]
+    dataset: Dataset
+    fingerprints: tuple[str, ...]
+    notes: tuple[str, ...]
+    asked: Asked
+    kept: KeptMotion = field(default_factory=KeptMotion, repr=False)
+    shared: SharedRows = field(default_factory=SharedRows, repr=False)
+    loads: Array | None = None
+
+    @property
+    def load_model(self) -> RobotModel:
+        """The model that gives the load of every joint."""
+        return self.model if self.loads is None else replace(self.model, phi=self.loads)
+
+    @property
+    def effect_classes(self) -> tuple[type[Effect], ...]:
+        """All effects that a diagnosis looks for: the catalogue's, and the user's own."""
+        return (*catalogue(), *self.asked.extra)
+
+
+def open_case(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    candidates: bool,
+    extra: Sequence[type[Effect]] = (),
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+    motion_bandwidth: float | None = None,
+    how: str = "as asked for",
+) -> Case:
+    """Prepare and reduce logs for a model.
+
+    Args:
+        model: The model.
+        logs: Logs or their files.
+        candidates: Whether effects that the model lacks get columns too.
+        extra: Effect classes of the user's own to try.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut for validation; by default whole logs if there
+            are four or more, and about eight blocks otherwise.
+        motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
+        how: Where a given bandwidth comes from, for the notes.
+
+    Raises:
+        ArgumentError: A log has a known payload of a body that there is not.
+        LogError: A log cannot be used.
+        ArgumentError: There is no log, one is there twice, or a setting is no usable number.
+    """
+    logs = checked_logs(model, logs, extra, bandwidth, blocks)
+    model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
+    read = [
+        match_joints(log, model.joints)
+        if isinstance(log, JointLog)
+        else read_log(log, joints=model.joints)
+        for log in logs
+    ]
+    matched = _with_names_of_their_own(read)
+    check_repeated(matched)
+    for log in matched:
+        _check_efforts(log)
+    uniform = [make_uniform(log) for log in matched]
+    limits = effort_limits(model.plant)
+    hints = [hint for each in uniform for hint in _hints(each.log, limits)]
+    hints += payload_notes(model, matched)
+    if bandwidth is None:
+        trajectories, changed = prepare_for_model(model, uniform)
+        hints += [changed] if changed else []
+    else:
+        trajectories = prepare_logs(
+            uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+        )
+    folds = validation_blocks(trajectories, blocks=blocks)
+    effects = effects_of(model)
+    delays: tuple[float, ...] = (0.0,)
+    if candidates:
+        known = joints_with_known_gain(model, [log.payloads for log in matched])
+        effects += candidate_effects(model, peak_speeds(trajectories), extra, known_gains=known)
+        low_pass = trajectories[0].filter
+        delays = candidate_delays(low_pass.period, low_pass.bandwidth)
+    shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow
+    dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays, shared=shared)
+    notes = [*model.notes, *hints]
+    notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
+    most = int(dataset.still.argmax())
+    if dataset.still[most] > 0.0:
+        notes.append(
+            "left out of fit and errors: samples at which a joint stands still, where dry friction "
+            f"may be anything ({100 * dataset.still[most]:.0f} % of {model.joints[most]}'s, the "
+            "most of all joints)"
+        )
+    notes.append(f"validated on {len(folds)} held-out folds")
+    notes += _trained_on(model, matched)
+    fingerprints = tuple(log.fingerprint for log in matched)
+    said = tuple(dict.fromkeys(notes))
+    asked = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
+    return Case(model, trajectories, folds, dataset, fingerprints, said, asked, shared=shared)
+
+
+def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) -> Case:
+    """The logs and the model of a case, opened at another bandwidth.
+
+    Args:
+        case: The case.
+        bandwidth: Bandwidth of the filter, Hz. For a lower one the motion is smoothed as much as
+            efforts were, as above that it may not belong to them.
+        candidates: Whether effects that the model lacks get columns too.
+        how: Where the bandwidth comes from, for the notes.
+
+    Raises:
+        LogError: Too little of a log would be left.
+    """
+    asked, own = case.asked, case.trajectories[0].filter.bandwidth
+    return open_case(
+        case.model,
+        asked.logs,
+        candidates=candidates,
+        extra=asked.extra,
+        bandwidth=bandwidth,
+        blocks=asked.blocks,
+        motion_bandwidth=own if bandwidth < own else None,
+        how=how,
+    )
+
+
+def reopen(case: Case, model: RobotModel) -> Case:
+    """The case with a model fitted to it, whose effects alone get columns.
+
+    Args:
+        case: Prepared logs.
+        model: A model with the joints and bodies of the case's.
+    """
+    dataset = reduce_logs(
+        model, case.trajectories, case.folds, effects=effects_of(model), shared=case.shared
+    )
+    return replace(case, model=model, dataset=dataset, kept=KeptMotion(), loads=None)
+
+
+def reduced(
+    case: Case, effects: Sequence[Effect], *, delays: Sequence[ArrayLike] | None = None
+) -> Dataset:
+    """The logs of a case with columns for other effects.
+
+    Args:
+        case: The case.
+        effects: Effects that get columns.
+        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; by default
+            those of the case.
+    """
+    return reduce_logs(
+        case.load_model,
+        case.trajectories,
+        case.folds,
+        effects=effects,
+        delays=[*case.dataset.delays] if delays is None else delays,
+        floor=case.dataset.noise_floor if delays is None else None,
+        shared=case.shared,
+    )
+
+
+def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
+    """Errors of every joint.
+
+    Args:
+        dataset: The reduced logs.
+        held_out: Held-out errors on them.
+    """
+    columns = (dataset.joints, held_out.rms, dataset.effort_std, dataset.noise_floor)
+    return ErrorTable(
+        tuple(
+            JointError(j, float(r), float(s), float(f)) for j, r, s, f in zip(*columns, strict=True)
+        )
+    )
+
+
+def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Series, ...]:
+    """Measured and predicted efforts of every joint and block.
+
+    Args:
+        dataset: The reduced logs.
+        unknowns: The p parameters that the predictions are made with.
+        held_out: Their values, fitted without each fold.
+    """
+    found = []
+    for joint, data in zip(dataset.joints, dataset.data, strict=True):
+        local = data.local(unknowns.columns)
+        used = local >= 0
+        for fold, blocks in enumerate(data.rows):
+            x = held_out.x[fold][used]
+            found += [
+                Series(
+                    joint,
+                    dataset.folds[fold],
+                    rows.time,
+                    rows.motion[:, 0],
+                    rows.motion[:, 1],
+                    rows.motion[:, 2],
+                    rows.b[:, 0] + rows.carried,
+                    rows.A[:, local[used]] @ x + rows.carried,
+                )
+                for rows in blocks
+            ]
+    return tuple(found)
+
+
+def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:
+    names = [log.name for log in logs]
+    return [
+        replace(log, name=f"{log.name} ({k + 1})") if names.count(log.name) > 1 else log
+        for k, log in enumerate(logs)
+    ]
+
+
+def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
+    return [
+        f"the model was fitted to {log.name} before: all errors on it are those of training data, "
+        "and a fit counts it twice"
+        for log in logs
+        if log.fingerprint in model.fitted_to
+    ]
+
+
+def _check_efforts(log: JointLog) -> None:
+    known = np.isfinite(log.effort)
+    highest = log.effort.max(axis=0, initial=-np.inf, where=known)
+    lowest = log.effort.min(axis=0, initial=np.inf, where=known)
+    largest = np.maximum(np.abs(highest), np.abs(lowest))
+    constant = highest - lowest <= np.maximum(1e-9 * largest, _LEAST_EFFORT)
+    constant &= known.any(axis=0)
+    if constant.any():
+        joints = [joint for joint, c in zip(log.joints, constant, strict=True) if c]
+        raise LogError(
+            f"The effort of {', '.join(joints)} never changes in log {log.name!r}.",
+            advice="Check what is logged there.",
+            joints=joints,
+        )
+
+
+def _hints(log: JointLog, limits: object) -> list[str]:
+    hints = (effort_unit_hint(log, limits), position_unit_hint(log))  # type: ignore[arg-type]
+    return [hint for hint in hints if hint]

@@ -1,0 +1,134 @@
+"""How far a model is from measurements, and where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.identification.logs.case import Case, error_table, open_case, series
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.model_errors import Comparison, Failing, Series
+from geodrake.identification.logs.model_fit import as_it_stands, model_unknowns
+from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_LEAST_SAMPLES = 8
+_NOTABLE = 1.3
+"""A circumstance is reported if the RMS is so many times larger there than elsewhere."""
+
+
+def compare(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+) -> Comparison:
+    """Compare a model as it stands with measurements that it was not fitted to.
+
+    Args:
+        model: The model; nothing in it is refitted.
+        logs: Logs or their files.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut.
+
+    Returns:
+        Errors per joint, where they are concentrated, and the series behind them.
+    """
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth, blocks=blocks)
+    return comparison(case)
+
+
+def comparison(
+    case: Case, unknowns: Unknowns | None = None, held_out: HeldOut | None = None
+) -> Comparison:
+    """The comparison of a case, with the model as it stands or with held-out predictions.
+
+    Args:
+        case: Prepared logs and the model.
+        unknowns: The parameters that were fitted; None for the model as it stands.
+        held_out: Their held-out errors; None for the model as it stands.
+    """
+    dataset = case.dataset
+    if unknowns is None or held_out is None:
+        unknowns, held_out = model_unknowns(dataset, case.model), as_it_stands(dataset, case.model)
+    found = series(dataset, unknowns, held_out)
+    return Comparison(
+        error_table(dataset, held_out),
+        where_it_fails(found, sliding=case.model.sliding_joints),
+        found,
+        case.notes,
+    )
+
+
+def where_it_fails(
+    found: Sequence[Series], *, sliding: Collection[str] = (), most: int = 6
+) -> tuple[Failing, ...]:
+    """Circumstances in which errors are concentrated, the worst of each joint first.
+
+    Args:
+        found: Measured and predicted efforts.
+        sliding: Names of prismatic joints, whose units are m and N.
+        most: Largest number of circumstances to return.
+    """
+    worst = []
+    for joint in dict.fromkeys(s.joint for s in found):
+        own = [s for s in found if s.joint == joint]
+        squares = np.concatenate([s.residual for s in own]) ** 2
+        way, effort = ("m", "N") if joint in sliding else ("rad", "N·m")
+        circumstances = _circumstances(own, way, effort)
+        cases = [_failing(joint, words, mask, squares, effort) for words, mask in circumstances]
+        notable = [c for c in cases if c is not None and c.rms > _NOTABLE * c.elsewhere]
+        if notable:
+            weight = float(
+                np.sqrt(squares.mean()) / np.std(np.concatenate([s.measured for s in own]))
+            )
+            worst.append((weight, max(notable, key=lambda c: c.share - c.time)))
+    worst.sort(key=lambda entry: -entry[0])
+    return tuple(case for _, case in worst[:most])
+
+
+def _circumstances(own: Sequence[Series], way: str, effort: str) -> Iterator[tuple[str, Mask]]:
+    """Words and masks of quarters of the time, speeds, positions, accelerations and loads."""
+    signals = {
+        name: np.concatenate([getattr(s, name) for s in own])
+        for name in ("velocity", "position", "acceleration", "predicted")
+    }
+    speed, load = np.abs(signals["velocity"]), np.abs(signals["predicted"])
+    yield from _extremes(speed, "at speeds", f"{way}/s")
+    yield from _extremes(load, "at predicted efforts", effort)
+    yield from _extremes(np.abs(signals["acceleration"]), "at accelerations", f"{way}/s²")
+    yield from _extremes(signals["position"], "at positions", way)
+    yield "while it moves forwards", signals["velocity"] > 0.02 * speed.max()
+    yield "while it moves backwards", signals["velocity"] < -0.02 * speed.max()
+    blocks = np.concatenate([[s.block] * len(s.time) for s in own])
+    for block in dict.fromkeys(blocks.tolist()):
+        yield f"in {block}", blocks == block
+
+
+def _extremes(values: Array, words: str, unit: str) -> Iterator[tuple[str, Mask]]:
+    low, high = np.quantile(values, [0.2, 0.8])
+    yield f"{words} below {low:.3g} {unit}", values < low
+    yield f"{words} above {high:.3g} {unit}", values > high
+
+
+def _failing(joint: str, words: str, mask: Mask, squares: Array, unit: str) -> Failing | None:
+    inside, outside = squares[mask], squares[~mask]
+    if min(len(inside), len(outside)) < _LEAST_SAMPLES or squares.sum() == 0:
+        return None
+    return Failing(
+        joint,
+        words,
+        float(np.sqrt(inside.mean())),
+        float(np.sqrt(outside.mean())),
+        float(inside.sum() / squares.sum()),
+        float(mask.mean()),
+        unit,
+    )

@@ -1,0 +1,294 @@
+"""Held-out errors: every fold predicted by a fit to the others.
+
+The normal matrices are assembled from the per-fold, per-joint factors of a `Dataset`, so that a
+fit costs one Cholesky factorization and a candidate effect one small Schur complement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.identification.logs.dataset import Dataset, Delay
+from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_MOST_SEEN = 0.3
+"""If a joint sees more than this share of the products, adding zeros to the others is quicker."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Held-out squared errors.
+
+    Attributes:
+        sse: (F, nv) sums of squared held-out residuals, (N·m)² or N².
+        samples: (F, nv) rows behind them.
+        x: (F, p) parameters fitted without each fold.
+    """
+
+    sse: Array
+    samples: NDArray[np.int_]
+    x: Array
+
+    @property
+    def mse(self) -> Array:
+        """(nv,) mean squared held-out error of each joint."""
+        return self.sse.sum(0) / self.samples.sum(0)
+
+    @property
+    def rms(self) -> Array:
+        """(nv,) RMS held-out error of each joint."""
+        return np.sqrt(self.mse)
+
+
+@dataclass(frozen=True, eq=False)
+class ExtraColumns:
+    """Columns that may come beside the unknowns.
+
+    Attributes:
+        columns: (k,) the candidate's columns.
+        information: (k, k) its prior information about zero.
+        lower: (k,) lower bounds.
+        upper: (k,) upper bounds.
+    """
+
+    columns: Indices
+    information: Array
+    lower: Array
+    upper: Array
+
+
+def hold_out(dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0) -> HeldOut:
+    """Errors of given parameters in every fold, through the triangular factors.
+
+    Args:
+        dataset: The reduced logs.
+        columns: (p,) columns in use.
+        x: (F, p) parameters for each fold.
+        delay: Index of the effort column.
+    """
+    sse = np.empty((len(dataset.folds), len(dataset.joints)))
+    for j, (data, late) in enumerate(zip(dataset.data, dataset.delay_of_each(delay), strict=True)):
+        n = len(data.columns)
+        predicted = (data.factors[:, :, :n] @ data.parameters(columns, x)[..., None])[..., 0]
+        sse[:, j] = np.square(data.factors[:, :, n + late] - predicted).sum(1)
+    return HeldOut(sse, dataset.samples, x)
+
+
+def normal_matrices(
+    dataset: Dataset, weights: Array, left: Indices, right: Indices, *, delay: Delay = 0
+) -> tuple[Array, Array]:
+    """Weighted AᵀA between two sets of columns, and Aᵀb of the second, of every fold.
+
+    Args:
+        dataset: The reduced logs.
+        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)² or 1 / N².
+        left: (l,) columns of the dataset.
+        right: (r,) columns of the dataset.
+        delay: Index of the effort column that b is.
+
+    Returns:
+        (F, l, r) and (F, r).
+    """
+    gram = np.zeros((len(left), len(right), len(dataset.folds)))
+    rhs = np.zeros((1, len(right), len(dataset.folds)))
+    delays = dataset.delay_of_each(delay)
+    for data, weight, late in zip(dataset.data, weights, delays, strict=True):
+        at_left, at_right = data.local(left), data.local(right)
+        rows, columns = np.flatnonzero(at_left >= 0), np.flatnonzero(at_right >= 0)
+        if len(columns):
+            effort = np.array([len(data.columns) + late])
+            rhs += weight * data.products(effort, at_right)
+            if len(rows) * len(columns) > _MOST_SEEN * len(left) * len(right):
+                gram += weight * data.products(at_left, at_right)
+            else:
+                seen = weight * data.products(at_left[rows], at_right[columns])
+                gram[rows[:, None], columns] += seen
+    return np.ascontiguousarray(np.moveaxis(gram, 2, 0)), np.ascontiguousarray(rhs[0].T)
+
+
+class CrossValidation:
+    """Fits to all folds but one, of given unknowns, and of unknowns with one candidate more.
+
+    Args:
+        dataset: The reduced logs.
+        unknowns: What the fit may move.
+        weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
+        delay: Index of the effort column to fit.
+    """
+
+    def __init__(
+        self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
+    ) -> None:
+        self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
+        self.delay = dataset.delay_of_each(delay)
+        gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
+        information = unknowns.information
+        self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
+        others = zip(self._gram - gram, self._rhs - rhs, strict=True)
+        self._fits = [self._solve(*problem) for problem in others]
+        x = np.array([fit.x for fit in self._fits])
+        self.held_out = hold_out(dataset, unknowns.columns, x, delay=delay)
+
+    def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
+        return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
+
+    def _solve(self, gram: Array, rhs: Array) -> _Fit:
+        """Minimizer within the bounds, and the factor of the unbounded problem."""
+        scale = 1.0 / np.sqrt(np.diag(gram))
+        scaled = gram * scale[:, None] * scale
+        factor = cholesky(scaled)
+        x = unbounded = scale * solved(factor, scale * rhs)
+        free = np.ones(len(x), bool)
+        lower, upper = self.unknowns.lower, self.unknowns.upper
+        while np.any(outside := (x < lower - 1e-12) | (x > upper + 1e-12)):
+            free &= ~outside
+            x = np.clip(x, lower, upper)
+            right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
+            x[free] = scale[free] * solved(cholesky(scaled[np.ix_(free, free)]), right)
+        return _Fit(x, unbounded, factor, scale)
+
+    def fit_all(self) -> Array:
+        """(p,) parameters fitted to all folds."""
+        return self._whole.x
+
+    def covariance(self) -> Array:
+        """(p, p) covariance of `fit_all`, bounds left aside."""
+        return self._covariance
+
+    def deviations(self) -> Array:
+        """(p,) standard deviations of `fit_all`, bounds left aside."""
+        return np.sqrt(np.diag(self._covariance))
+
+    @cached_property
+    def _whole(self) -> _Fit:
+        return self._solve(self._gram, self._rhs)
+
+    @cached_property
+    def _covariance(self) -> Array:
+        scale = 1.0 / np.sqrt(np.diag(self._gram))
+        matrix = self._gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
+        return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
+
+    @cached_property
+    def _residuals(self) -> list[tuple[Array, Indices, Array]]:
+        """Per joint: factors (F, m, l) of the unknowns it sees, which, and residuals (F, m)."""
+        found = []
+        for data, late in zip(self.dataset.data, self.delay, strict=True):
+            local = data.local(self.unknowns.columns)
+            used = np.flatnonzero(local >= 0)
+            factor = data.factors[:, :, local[used]]
+            predicted = (factor @ self.held_out.x[:, used, None])[..., 0]
+            left = data.factors[:, :, len(data.columns) + late] - predicted
+            found.append((factor, used, left))
+        return found
+
+    def with_candidates(self, candidates: Sequence[ExtraColumns]) -> list[HeldOut]:
+        """Held-out errors with each of some candidates beside the unknowns, one at a time.
+
+        What they share, the products and solutions of all their columns, is computed together.
+        """
+        columns = np.unique(np.concatenate([candidate.columns for candidate in candidates]))
+        cross, right = self._assemble(self.unknowns.columns, columns)
+        own, _ = self._assemble(columns, columns)
+        cross, right, own = (part.sum(0) - part for part in (cross, right, own))
+        moved = np.stack([fit.solve(part) for fit, part in zip(self._fits, cross, strict=True)])
+        turned = np.swapaxes(cross, 1, 2)
+        schur = own - turned @ moved
+        pull = right - (turned @ self.held_out.x[:, :, None])[..., 0]
+        y = np.zeros((len(cross), len(columns), len(candidates)))
+        for k, candidate in enumerate(candidates):
+            at = np.searchsorted(columns, candidate.columns)
+            block = schur[:, at[:, None], at] + candidate.information
+            y[:, at, k] = bounded_minimizers(block, pull[:, at], candidate.lower, candidate.upper)
+        change = -(moved @ y)
+        sse = self._errors_after(columns, y, change)
+        found = []
+        for k, candidate in enumerate(candidates):
+            own_y = y[:, np.searchsorted(columns, candidate.columns), k]
+            x = np.hstack([self.held_out.x + change[:, :, k], own_y])
+            found.append(HeldOut(sse[..., k], self.dataset.samples, x))
+        return found
+
+    def _errors_after(self, columns: Indices, y: Array, change: Array) -> Array:
+        """(F, nv, n) squared errors with y (F, m, n) at columns (m,) and unknowns changed."""
+        sse = np.empty((*self.held_out.sse.shape, y.shape[2]))
+        for j, (data, (factor, used, left)) in enumerate(
+            zip(self.dataset.data, self._residuals, strict=True)
+        ):
+            local = data.local(columns)
+            on = np.flatnonzero(local >= 0)
+            effect = data.factors[:, :, local[on]] @ y[:, on] + factor @ change[:, used]
+            sse[:, j] = np.square(left[:, :, None] - effect).sum(1)
+        return sse
+
+    def errors_at_delays(self, joint: int) -> Array:
+        """(d, F) squared held-out errors of a joint against its effort with every delay.
+
+        All else is refitted with the same weights; bounds are left aside.
+        """
+        data, (factor, used, _) = self.dataset.data[joint], self._residuals[joint]
+        efforts = len(data.columns) + np.arange(len(self.dataset.delays))
+        rhs = self.weights[joint] * data.products(data.local(self.unknowns.columns), efforts)
+        change = rhs - rhs[:, [self.delay[joint]]]
+        others = np.moveaxis(change.sum(axis=2, keepdims=True) - change, 2, 0)
+        x = [fit.x[:, None] + fit.solve(own) for fit, own in zip(self._fits, others, strict=True)]
+        left = data.factors[:, :, efforts] - factor @ np.array(x)[:, used]
+        return np.asarray(np.square(left).sum(axis=1).T)
+
+    def without_columns(self, places: Indices) -> HeldOut | None:
+        """Held-out errors without some of the unknowns, all else refitted with the same weights.
+
+        Parameters at a bound stay there, and others are not kept from passing theirs.
+
+        Args:
+            places: (k,) their places among the unknowns.
+
+        Returns:
+            The errors; None where a parameter would leave its bound, which this leaves aside.
+        """
+        x = self.held_out.x
+        side = 1.0 * (x <= self.unknowns.lower) - (x >= self.unknowns.upper)
+        side[:, places] = 0.0
+        held = side != 0.0
+        y = np.empty_like(x)
+        for f, fit in enumerate(self._fits):
+            at = np.concatenate([places, np.flatnonzero(held[f])])
+            step = np.zeros(len(at))
+            step[: len(places)] = x[f, places]
+            moved = fit.solve(np.eye(x.shape[1])[:, at])
+            y[f] = x[f] - moved @ np.linalg.solve(moved[at], step)
+            if held[f].any() and np.any(fit.slope(y[f])[held[f]] * side[f, held[f]] < 0.0):
+                return None
+        sse = np.empty_like(self.held_out.sse)
+        for j, (factor, used, left) in enumerate(self._residuals):
+            change = (factor @ (y - x)[:, used, None])[..., 0]
+            sse[:, j] = np.square(left - change).sum(1)
+        return HeldOut(sse, self.dataset.samples, y)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """A solution, that without bounds, and the scaled Cholesky factor of the normal matrix."""
+
+    x: Array
+    unbounded: Array
+    factor: Array
+    scale: Array
+
+    def solve(self, right: Array) -> Array:
+        return self.scale[:, None] * solved(self.factor, self.scale[:, None] * right)
+
+    def slope(self, x: Array) -> Array:
+        """(p,) slope of half the weighted squared error at other parameters (p,)."""
+        triangle = np.tril(self.factor)
+        step = (x - self.unbounded) / self.scale
+        return np.asarray((triangle @ (triangle.T @ step)) / self.scale)

@@ -1,0 +1,229 @@
+"""Logs reduced to triangular factors: one per fold and joint, over every column that may be used.
+
+A factor holds the columns of the inertial parameters, of all effects (those of the model and those
+that a diagnosis may try) and of the measured effort. Fits, held-out errors and comparisons of
+hundreds of candidates are then small dense problems; no one goes back to the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects import Effect, Role
+from geodrake.inertia import PARAMETERS_PER_BODY
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Delay = int | Sequence[int]
+"""Index of a dataset's delay: that of all joints, or one for each."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Filtered, decimated rows of one joint in one block.
+
+    Attributes:
+        time: (K,) instants, s.
+        motion: (K, 3) position, velocity and acceleration of the joint.
+        A: (K, p_j) columns, in the order of the joint's column indices.
+        b: (K, d) measured effort less that of known payloads, one column per delay of the dataset.
+        used: (K,) whether the joint moves, so that the row says something.
+        carried: (K,) effort of known payloads, which the measured one has on top of b.
+    """
+
+    time: Array
+    motion: Array
+    A: Array
+    b: Array
+    used: NDArray[np.bool_]
+    carried: Array
+
+    def part(self, low: int, high: int) -> JointRows:
+        """Rows low to high, those not used left out.
+
+        Args:
+            low: First row.
+            high: Row after the last one.
+        """
+        keep = low + np.flatnonzero(self.used[low:high])
+        return JointRows(
+            self.time[keep],
+            self.motion[keep],
+            self.A[keep],
+            self.b[keep],
+            self.used[keep],
+            self.carried[keep],
+        )
+
+    @classmethod
+    def join(cls, parts: Sequence[JointRows]) -> JointRows:
+        """Rows one after another."""
+        return cls(
+            np.concatenate([rows.time for rows in parts]),
+            np.concatenate([rows.motion for rows in parts]),
+            np.concatenate([rows.A for rows in parts]),
+            np.concatenate([rows.b for rows in parts]),
+            np.concatenate([rows.used for rows in parts]),
+            np.concatenate([rows.carried for rows in parts]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class JointData:
+    """What all folds say about one joint.
+
+    Attributes:
+        columns: (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
+        factors: (F, p_j + d, p_j + d) triangular factors of [A | b], one for each fold.
+        samples: (F,) rows behind each factor.
+        rows: Per fold, the kept rows of each of its blocks.
+    """
+
+    columns: Indices
+    factors: Array
+    samples: NDArray[np.int_]
+    rows: tuple[tuple[JointRows, ...], ...]
+
+    @property
+    def grams(self) -> Array:
+        """(F, p_j + d, p_j + d) normal matrices RᵀR of every fold."""
+        return np.swapaxes(self.factors, 1, 2) @ self.factors
+
+    @cached_property
+    def _entries(self) -> Array:
+        """((p_j + d + 1)², F) entries of the normal matrices, with zeros where position −1 is."""
+        padded = np.pad(np.moveaxis(self.grams, 0, 2), ((0, 1), (0, 1), (0, 0)))
+        return padded.reshape(-1, len(self.factors))
+
+    @cached_property
+    def _positions(self) -> Indices:
+        """Position of every global column up to the last, and −1 for all that follow."""
+        positions = np.full(self.columns[-1] + 2, -1)
+        positions[self.columns] = np.arange(len(self.columns))
+        return positions
+
+    def local(self, columns: Indices) -> Indices:
+        """Positions of global columns at this joint; −1 where a column cannot be nonzero."""
+        return self._positions[np.minimum(columns, len(self._positions) - 1)]
+
+    def products(self, left: Indices, right: Indices) -> Array:
+        """(l, r, F) blocks of the normal matrices, for positions (l,) and (r,) that may be −1.
+
+        Args:
+            left: (l,) positions among the joint's columns, its efforts last; −1 for columns of
+                zeros.
+            right: (r,) the same of the other side.
+        """
+        size = self.factors.shape[2] + 1
+        return self._entries.take((left % size)[:, None] * size + right % size, axis=0)
+
+    def parameters(self, columns: Indices, x: Array) -> Array:
+        """(F, p_j) parameters of the columns of this joint.
+
+        Args:
+            columns: (p,) global columns, one of which may be there twice.
+            x: (F, p) their parameters; those of all others are zero.
+        """
+        local = self.local(columns)
+        seen = np.flatnonzero(local >= 0)
+        parameters = np.zeros((len(self.columns), len(x)))
+        np.add.at(parameters, local[seen], x.T[seen])
+        return np.ascontiguousarray(parameters.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Several logs, reduced.
+
+    Attributes:
+        joints: Names of the nv velocities.
+        bodies: Names of the nb bodies.
+        effects: Effects to fit or try, in column order after the 10·nb inertial ones; payloads
+            have the columns of their body.
+        delays: (d, nv) seconds by which the effort columns of each joint are advanced on top of
+            the model's delays; delays[0] is zero.
+        folds: Names of the validation folds.
+        logs: Names of the logs.
+        data: One entry per joint.
+        effort_std: (nv,) standard deviation of the measured effort, N·m or N.
+        noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
+        bandwidth: Bandwidth of the filter, Hz.
+        still: (nv,) share of the samples left out because the joint stands still.
+    """
+
+    joints: tuple[str, ...]
+    bodies: tuple[str, ...]
+    effects: tuple[Effect, ...]
+    delays: Array
+    folds: tuple[str, ...]
+    logs: tuple[str, ...]
+    data: tuple[JointData, ...]
+    effort_std: Array
+    noise_floor: Array
+    bandwidth: float
+    still: Array
+
+    @cached_property
+    def starts(self) -> Mapping[Effect, int]:
+        """First column of every effect."""
+        return column_starts(self.effects, self.bodies)
+
+    @cached_property
+    def reach(self) -> NDArray[np.bool_]:
+        """(nv, p) whether a column can be nonzero at a joint."""
+        return np.array([data.local(np.arange(self._width)) >= 0 for data in self.data])
+
+    @property
+    def _width(self) -> int:
+        """Number p of global columns."""
+        own = sum(len(effect.parameters) for effect in self.effects if not is_payload(effect))
+        return len(self.bodies) * PARAMETERS_PER_BODY + own
+
+    @cached_property
+    def column_power(self) -> Array:
+        """(p,) mean square of every column, over the efforts' variance, summed over joints."""
+        power = np.zeros(self._width)
+        for data, std in zip(self.data, self.effort_std, strict=True):
+            squares = np.square(data.factors[:, :, : len(data.columns)]).sum((0, 1))
+            power[data.columns] += squares / std**2 / data.samples.sum()
+        return power
+
+    def delay_of_each(self, delay: Delay) -> tuple[int, ...]:
+        """Index of the delay of every joint."""
+        return tuple(np.broadcast_to(delay, len(self.joints)).tolist())
+
+    def effect_columns(self, effect: Effect) -> Indices:
+        """(k,) global columns of an effect of this dataset."""
+        return self.starts[effect] + np.arange(len(effect.parameters))
+
+    @property
+    def samples(self) -> NDArray[np.int_]:
+        """(F, nv) rows of each fold and joint."""
+        return np.stack([data.samples for data in self.data], 1)
+
+
+def column_starts(effects: tuple[Effect, ...], bodies: tuple[str, ...]) -> dict[Effect, int]:
+    """First column of every effect, after the inertial columns that payloads share.
+
+    Args:
+        effects: Effects that get columns.
+        bodies: Names of the model's nb bodies.
+    """
+    starts, free = {}, len(bodies) * PARAMETERS_PER_BODY
+    for effect in effects:
+        if is_payload(effect):
+            starts[effect] = bodies.index(effect.where[0]) * PARAMETERS_PER_BODY
+        else:
+            starts[effect] = free
+            free += len(effect.parameters)
+    return starts
+
+
+def is_payload(effect: Effect) -> bool:
+    """Whether an effect adds inertial parameters to a body, so that it shares its columns."""
+    return effect.role is Role.BODY

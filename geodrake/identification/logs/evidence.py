@@ -1,0 +1,160 @@
+"""Evidence for an effect that holds for coloured residuals.
+
+Residuals of robots are not white, so samples are counted by how many independent ones they are
+worth, and errors are always those of data that the fit did not see.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+from scipy.stats import chi2, t
+
+from geodrake.boundary.arguments import number
+
+Array = NDArray[np.float64]
+
+_HARDLY, _NO_RISE, _HALF = 0.01, 0.05, 0.5  # of a fold's loss
+_FEW = 2  # folds
+_CLEARLY = 2.0
+SEVERAL = 4.0
+"""No hypothesis ties with another if it leaves so many times the squared error at a joint.
+
+Few or coloured samples may hide that what is simple leaves so much.
+"""
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """When a candidate counts as found.
+
+    Attributes:
+        alarm: Largest probability of a false alarm, over all candidates tried.
+        reduction: Least share of the squared error at the joints acted upon that must go.
+        agreement: Least share of the folds in which the error must fall.
+        tie: Two hypotheses are no tie if the better one is better with probability 1 − tie.
+    """
+
+    alarm: float = 0.01
+    reduction: float = 0.05
+    agreement: float = 0.7
+    tie: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("alarm", "reduction", "agreement", "tie"):
+            number(getattr(self, name), name, lower=0.0, upper=1.0)
+
+
+def effective_samples(blocks: Sequence[Array]) -> float:
+    """How many independent samples a coloured residual is worth; see `effective_samples_of_each`.
+
+    Args:
+        blocks: Residuals (K_i,) of each block.
+
+    Returns:
+        A number between 1 and Σ K_i.
+    """
+    return float(effective_samples_of_each([block[:, None] for block in blocks])[0])
+
+
+def effective_samples_of_each(blocks: Sequence[Array]) -> Array:
+    """How many independent samples each of m coloured residuals is worth.
+
+    n / (1 + 2 Σ ρ_k), the autocorrelation summed up to its first value below 0.02; blocks are
+    stretches without gaps.
+
+    Args:
+        blocks: Residuals (K_i, m) of each block.
+
+    Returns:
+        (m,) numbers between 1 and Σ K_i.
+    """
+    n, longest = sum(map(len, blocks)), max(map(len, blocks))
+    size = next_fast_len(2 * longest)
+    transforms = (np.fft.rfft(block, size, axis=0) for block in blocks)
+    spectrum = sum(np.square(each.real) + np.square(each.imag) for each in transforms)
+    covariance = np.fft.irfft(spectrum, size, axis=0)[:longest].T
+    power = covariance[:, 0]
+    correlation = covariance[:, 1:] / np.where(power > 0.0, power, 1.0)[:, None]
+    counted = ~np.logical_or.accumulate(correlation < 0.02, axis=1)
+    total = np.sum(correlation, axis=1, where=counted)
+    return np.where(power > 0.0, np.maximum(1.0, n / (1.0 + 2.0 * total)), n)
+
+
+def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:
+    """(nv,) gain Σ_j n_j log(mse_before / mse_after): twice the log-likelihood ratio per joint.
+
+    Args:
+        mse_before: (nv,) mean squared held-out errors without the effect, (N·m)² or N².
+        mse_after: (nv,) the same with it.
+        effective: (nv,) independent samples that the residuals are worth.
+    """
+    tiny = np.finfo(float).tiny
+    return effective * np.log(np.maximum(mse_before, tiny) / np.maximum(mse_after, tiny))
+
+
+def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
+    """Chance that the best of `tried` irrelevant candidates would gain as much.
+
+    Args:
+        gain: Twice the held-out log-likelihood ratio (smaller than the in-sample one: cautious).
+        parameters: Linear and shape parameters of the candidate.
+        tried: Number of candidates among which it was the best (Bonferroni).
+    """
+    return float(min(1.0, tried * chi2.sf(max(gain, 0.0), parameters)))
+
+
+def fold_agreement(before: Array, after: Array) -> float:
+    """Share of the folds whose loss falls.
+
+    Play, for example, shows only in the folds where a load changes its sign. Where the loss falls
+    clearly in more than half of the folds, one in which it hardly changes therefore counts half, as
+    in a sign test; and where it is halved in two or more, each predicted by the others, only those
+    count against it in which it rises.
+
+    Args:
+        before: (F,) loss of every fold before; folds without samples have none.
+        after: (F,) loss afterwards.
+    """
+    seen = before > 0.0
+    if not seen.any():
+        return 0.0
+    change = (after - before)[seen] / before[seen]
+    if np.sum(change < -_HALF) >= _FEW:
+        return float(np.mean(change < _NO_RISE))
+    if np.mean(change < -_HARDLY) <= 0.5:
+        return float(np.mean(change < 0.0))
+    return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))
+
+
+def tie_probability(loss_a: Array, loss_b: Array) -> float:
+    """Chance that b is truly no worse than a, from the paired losses of the folds.
+
+    Args:
+        loss_a: (F,) held-out loss of the better hypothesis per fold.
+        loss_b: (F,) held-out loss of the other.
+
+    Where b loses twice as much or more, the losses are compared by their ratios too: folds whose
+    losses differ by orders of magnitude, as those of slow and fast motion do, would hide it.
+
+    Returns:
+        One-sided p-value of the paired t-test; 1 where the two do not differ at all.
+    """
+    seen = (loss_a > 0.0) | (loss_b > 0.0)
+    probability = _paired_t((loss_b - loss_a)[seen])
+    if loss_b.sum() >= _CLEARLY * loss_a.sum():
+        both = (loss_a > 0.0) & (loss_b > 0.0)
+        ratios = np.log(loss_b[both] / loss_a[both])
+        probability = min(probability, _paired_t(ratios)) if len(ratios) else probability
+    return probability
+
+
+def _paired_t(difference: Array) -> float:
+    spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
+    if spread == 0.0:
+        return 0.0 if difference.sum() > 0 else 1.0
+    return float(t.sf(difference.mean() / (spread / np.sqrt(len(difference))), len(difference) - 1))

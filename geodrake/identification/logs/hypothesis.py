@@ -1,0 +1,313 @@
+"""A hypothesis: the model with certain effects, fitted and validated fold by fold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.errors import IdentificationError
+from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
+from geodrake.identification.logs.dataset import Dataset, Delay, JointData, is_payload
+from geodrake.identification.logs.evidence import effective_samples_of_each, log_likelihood_gain
+from geodrake.identification.logs.model_fit import held_out_physical
+from geodrake.identification.logs.unknowns import Unknowns, effect_prior
+from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+FIXED = 1e-3
+"""Inertias stay as they are if their prior is narrowed to this share of the assumed width."""
+
+CLEARLY_IMPOSSIBLE = 1e-3
+"""A body is impossible if its smallest moment is below −10⁻³ of its largest."""
+
+_AT_ONCE = 32
+"""So many fits have their residuals computed together."""
+
+_SETTLED = 0.3
+"""Weights are settled if they change by less than this share."""
+_MOST_REFITS = 8
+_FIRST_SHARE = 0.05
+"""A fit begins with this share of the samples as effective ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """The model with the effects among `unknowns`, and what it gets wrong on held-out data.
+
+    Attributes:
+        dataset: The reduced logs.
+        unknowns: What the fit may move.
+        weights: (nv,) weight of a squared residual: effective share of the samples / mse.
+        delay: Index of the dataset's effort delay, for every joint.
+        looseness: Factor by which the inertial prior is widened.
+        cv: The fits.
+        effective: (nv,) effective number of samples.
+        released: Effects of the model whose parameters were let go.
+    """
+
+    dataset: Dataset
+    unknowns: Unknowns
+    weights: Array
+    delay: tuple[int, ...]
+    looseness: float
+    cv: CrossValidation
+    effective: Array
+    released: tuple[Effect, ...] = ()
+    _stripped: dict[Effect, Hypothesis] = field(default_factory=dict, init=False, repr=False)
+
+    @property
+    def held_out(self) -> HeldOut:
+        """Held-out errors."""
+        return self.cv.held_out
+
+    @property
+    def nrms(self) -> float:
+        """Held-out error over effort standard deviation, root mean square over joints."""
+        return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
+
+    def loss(self, joints: NDArray[np.bool_] | None = None) -> Array:
+        """(F,) held-out squared error per fold, each joint weighted alike.
+
+        Args:
+            joints: (nv,) joints that count; all by default.
+        """
+        weight = np.ones(len(self.dataset.joints)) if joints is None else joints
+        return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
+
+    def physical(self, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
+        """(nb,) whether a body, with what it carries, can be as it is fitted to all folds.
+
+        Args:
+            tolerance: As in `geodrake.inertia.is_physical`; negative to ask for less.
+        """
+        x, bodies = self.cv.fit_all(), self.dataset.bodies
+        n = PARAMETERS_PER_BODY * len(bodies)
+        phi = x[:n].reshape(-1, PARAMETERS_PER_BODY).copy()
+        for effect in self.unknowns.effects:
+            if is_payload(effect):
+                phi[bodies.index(effect.where[0])] += x[self.unknowns.span(effect)]
+        return is_physical(phi, tolerance=tolerance)
+
+    def physical_held_out(self) -> HeldOut | None:
+        """Held-out errors of physically consistent fits; None if no solver finds one."""
+        try:
+            return held_out_physical(self.dataset, self.unknowns, self.weights, delay=self.delay)
+        except IdentificationError:
+            return None
+
+    def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis and further effects, refitted."""
+        unknowns = self.unknowns
+        for effect in effects:
+            columns = self.dataset.effect_columns(effect)
+            mean, information = effect_prior(self.dataset, effect)
+            unknowns = unknowns.with_effect(effect, columns, information, mean)
+        return settle(replace(self, unknowns=unknowns))
+
+    def without(self, effects: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis less some effects, refitted."""
+        unknowns = self.unknowns
+        for effect in effects:
+            unknowns = unknowns.without_effect(effect)
+        return settle(replace(self, unknowns=unknowns))
+
+    def stripped(self, effect: Effect) -> Hypothesis:
+        """This hypothesis less one of its effects, refitted with the weights that it has.
+
+        The last one is kept, as several questions are asked of it.
+        """
+        if effect not in self._stripped:
+            self._stripped.clear()
+            unknowns = self.unknowns.without_effect(effect)
+            cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
+            self._stripped[effect] = replace(self, unknowns=unknowns, cv=cv)
+        return self._stripped[effect]
+
+    def exchanged(self, gone: Effect, come: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis with effects in the place of one, refitted.
+
+        The weights begin with those of this hypothesis, so that both are compared fairly.
+
+        Args:
+            gone: One of the effects.
+            come: Effects that replace it.
+        """
+        unknowns = self.unknowns.without_effect(gone)
+        return replace(self, unknowns=unknowns).with_effects(come)
+
+    def loosened(self, factor: float) -> Hypothesis:
+        """This hypothesis with the inertial prior `factor` times as wide, refitted."""
+        unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
+        return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
+
+    def release(self, effect: Effect) -> Hypothesis:
+        """This hypothesis with the parameters of an effect let go, refitted."""
+        _, information = effect_prior(self.dataset, effect)
+        unknowns = self.unknowns.released(effect, information)
+        return settle(replace(self, unknowns=unknowns, released=(*self.released, effect)))
+
+    def delayed(self, delay: Delay) -> Hypothesis:
+        """This hypothesis against the effort with another delay, of all joints or of each."""
+        return settle(replace(self, delay=self.dataset.delay_of_each(delay)))
+
+    def quick_gain(self, delay: Delay) -> float:
+        """Twice the held-out log-likelihood ratio of another delay, the weights as they are."""
+        after = CrossValidation(self.dataset, self.unknowns, self.weights, delay=delay).held_out
+        return float(log_likelihood_gain(self.held_out.mse, after.mse, self.effective).sum())
+
+    def moved_columns(self, dataset: Dataset) -> Indices:
+        """(p,) columns of the unknowns in another dataset of the same bodies and effects."""
+        columns = [np.arange(len(dataset.bodies) * PARAMETERS_PER_BODY)]
+        columns += [dataset.effect_columns(effect) for effect in self.unknowns.effects]
+        return np.concatenate(columns)
+
+    def moved(self, dataset: Dataset, *, delay: Delay, iterations: int = 2) -> Hypothesis:
+        """This hypothesis on another dataset of the same bodies that has its effects, refitted.
+
+        Args:
+            dataset: The dataset.
+            delay: Index of the delay among those of the dataset.
+            iterations: As in `settle`.
+        """
+        unknowns = replace(self.unknowns, columns=self.moved_columns(dataset))
+        delays = dataset.delay_of_each(delay)
+        moved = replace(self, dataset=dataset, unknowns=unknowns, delay=delays)
+        return settle(moved, iterations=iterations)
+
+
+def residual_blocks(
+    dataset: Dataset, columns: Indices, x: Array, *, delay: Delay = 0
+) -> list[list[Array]]:
+    """Held-out residuals: per joint, one array per block.
+
+    Args:
+        dataset: The reduced logs.
+        columns: (p,) columns in use.
+        x: (F, p) parameters for each fold.
+        delay: Index of the effort column.
+    """
+    return [
+        [block[:, 0] for block in _residuals(data, [(columns, x)], late)]
+        for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
+    ]
+
+
+def effective_per_joint(
+    dataset: Dataset, columns: Indices, held_out: HeldOut, *, delay: Delay = 0
+) -> Array:
+    """(nv,) effective samples of the held-out residuals.
+
+    Args:
+        dataset: The reduced logs.
+        columns: (p,) columns that were fitted.
+        held_out: The fit without each fold.
+        delay: Index of the effort column that was fitted.
+    """
+    return effective_of_each(dataset, [(columns, held_out.x)], delay=delay)[0]
+
+
+def effective_of_each(
+    dataset: Dataset, fits: Sequence[tuple[Indices, Array]], *, delay: Delay = 0
+) -> Array:
+    """(m, nv) effective samples of the held-out residuals of each of m fits.
+
+    Args:
+        dataset: The reduced logs.
+        fits: Columns (p,) in use and parameters (F, p) for each fold.
+        delay: Index of the effort column.
+    """
+    found, delays = np.empty((len(fits), len(dataset.joints))), dataset.delay_of_each(delay)
+    for first in range(0, len(fits), _AT_ONCE):
+        part = slice(first, first + _AT_ONCE)
+        for j, data in enumerate(dataset.data):
+            blocks = _residuals(data, fits[part], delays[j])
+            kept = sum(map(len, blocks))
+            found[part, j] = effective_samples_of_each(blocks) * (data.samples.sum() / max(kept, 1))
+    return found
+
+
+def _residuals(data: JointData, fits: Sequence[tuple[Indices, Array]], delay: int) -> list[Array]:
+    """Held-out residuals (K_i, m) of m fits at a joint, one array per block."""
+    x = np.stack([data.parameters(columns, values) for columns, values in fits], axis=-1)
+    return [
+        rows.b[:, delay, None] - rows.A @ x[fold]
+        for fold, blocks in enumerate(data.rows)
+        for rows in blocks
+    ]
+
+
+def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
+    """Refit with weights that follow from the held-out residuals themselves.
+
+    The weight of a joint is the inverse of its squared error (half its own, half what the same
+    relative error of all joints would be, so that no joint is given up), reduced to its effective
+    samples so that coloured residuals do not outvote the prior.
+
+    Args:
+        hypothesis: The hypothesis.
+        iterations: How often effective samples are counted at most, each time with weights that
+            agree with the errors; fewer where the weights stay.
+    """
+    dataset, weights = hypothesis.dataset, hypothesis.weights
+    samples, effective = dataset.samples.sum(0), hypothesis.effective
+    for _ in range(iterations):
+        cv, weights = _refitted(hypothesis, weights, effective / samples)
+        effective = effective_per_joint(
+            dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
+        )
+        before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
+        if _alike(weights, before):
+            break
+    return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+
+
+def _refitted(
+    hypothesis: Hypothesis, weights: Array, share: Array
+) -> tuple[CrossValidation, Array]:
+    """The fits with weights (nv,) that agree with their errors, at effective shares (nv,)."""
+    for _ in range(_MOST_REFITS):
+        cv = CrossValidation(
+            hypothesis.dataset, hypothesis.unknowns, weights, delay=hypothesis.delay
+        )
+        before, weights = weights, _deserved_weights(hypothesis.dataset, cv.held_out, share)
+        if _alike(weights, before):
+            break
+    return cv, weights
+
+
+def _deserved_weights(dataset: Dataset, held_out: HeldOut, share: Array) -> Array:
+    """(nv,) weights of squared residuals that held-out errors deserve; see `settle`.
+
+    Args:
+        dataset: The reduced logs.
+        held_out: Errors.
+        share: (nv,) effective samples, as a share of all.
+    """
+    mse = np.maximum(held_out.mse, 1e-12 * dataset.effort_std**2)
+    relative = np.mean(mse / dataset.effort_std**2)
+    return np.asarray(share / np.sqrt(mse * relative * dataset.effort_std**2))
+
+
+def _alike(weights: Array, before: Array) -> bool:
+    return bool(np.all(np.abs(np.log(weights / before)) < _SETTLED))
+
+
+def first_hypothesis(dataset: Dataset, unknowns: Unknowns, *, delay: Delay = 0) -> Hypothesis:
+    """The model as it came, its parameters refitted within their prior.
+
+    Args:
+        dataset: The reduced logs.
+        unknowns: The model's parameters, with their prior.
+        delay: Index of the effort column to fit.
+    """
+    weights = _FIRST_SHARE / dataset.effort_std**2
+    cv = CrossValidation(dataset, unknowns, weights, delay=delay)
+    effective = _FIRST_SHARE * dataset.samples.sum(0)
+    first = Hypothesis(dataset, unknowns, weights, cv.delay, 1.0, cv, effective)
+    return settle(first, iterations=3)

@@ -1,0 +1,274 @@
+"""Slices of logs: filtered rows of every joint, a lot of which reductions of a log share."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.effects.delays import delayed_by
+from geodrake.effects.effect_columns import EffectColumns
+from geodrake.effects.robot_motion import log_number
+from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
+from geodrake.identification.logs.shared_rows import Blocks, SharedRows
+from geodrake.logs.motion import MEMORY, Motion, Trajectory
+from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
+from geodrake.model.carried_payloads import carried_phi, carrying
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.regressor import inverse_dynamics_regressor
+
+Array = NDArray[np.float64]
+INERTIA = "inertia"
+"""What columns of inertial parameters belong to, as others belong to an effect."""
+
+MOSTLY_STILL = 0.3
+"""A joint's sample is left out if it is at rest in more than this share of the filter's window.
+
+Dry friction can then be anything up to breakaway, and no model of the motion says what.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which columns each joint has, and how they are computed.
+
+    Attributes:
+        model: The model.
+        effects: Effects that have columns.
+        sign_width: (nv,) speed below which the direction of motion is not known.
+        still_speed: (nv,) speed below which a joint counts as at rest.
+        columns: Per joint, the global indices of its columns.
+    """
+
+    model: RobotModel
+    effects: tuple[Effect, ...]
+    sign_width: Array
+    still_speed: Array
+    columns: tuple[Indices, ...]
+
+    @classmethod
+    def of(
+        cls, model: RobotModel, effects: tuple[Effect, ...], sign_width: Array, still_speed: Array
+    ) -> Layout:
+        """The layout of the columns of a model's bodies and some effects.
+
+        Args:
+            model: The model.
+            effects: Effects that get columns.
+            sign_width: (nv,) speed below which the direction of motion is not known, rad/s or m/s.
+            still_speed: (nv,) speed below which a joint counts as at rest, rad/s or m/s.
+        """
+        inertial = _inertial_structure(model)
+        starts = column_starts(effects, model.bodies)
+        columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
+        own = tuple(effect for effect in effects if not is_payload(effect))
+        probe = model.motion(_probe(model, 1), sign_width=1.0)
+        rows = EffectColumns(model.joints, own).rows(probe)
+        for effect, blocks in zip(own, rows, strict=True):
+            indices = starts[effect] + np.arange(len(effect.parameters))
+            for joint in blocks:
+                columns[joint].append(indices)
+        joined = tuple(np.concatenate(c) for c in columns)
+        return cls(model, effects, sign_width, still_speed, joined)
+
+    @cached_property
+    def parts(self) -> tuple[Effect | str, ...]:
+        """What has columns of its own, in their order."""
+        return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
+
+    @cached_property
+    def origin(self) -> Hashable:
+        """What the columns of effects depend on beside the motion: the model's efforts, widths."""
+        effects = tuple(
+            (fitted.effect, np.asarray(fitted.parameters).tobytes())
+            for fitted in self.model.effects
+            if fitted.effect.parameters
+        )
+        return self.model.total_phi.tobytes(), effects, self.sign_width.tobytes()
+
+    def evaluate(
+        self,
+        motion: Motion,
+        trajectory: Trajectory,
+        parts: Collection[Effect | str],
+        load: Array | None = None,
+    ) -> tuple[list[Blocks], Array]:
+        """Unfiltered columns of some of the parts at a motion of a log.
+
+        Args:
+            motion: The motion, N samples.
+            trajectory: The log.
+            parts: The parts.
+            load: (N, nv) effort of the bodies with what they hold, where it is known already.
+
+        Returns:
+            The columns of each part, and the load.
+        """
+        robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
+        if INERTIA in parts:
+            regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
+            load, width = regressor @ robot.total_phi.ravel(), regressor.shape[2]
+            inertial = {j: regressor[:, j, c[c < width]] for j, c in enumerate(self.columns)}
+        seen = robot.motion(motion, sign_width=self.sign_width, load=load)
+        seen = replace(seen, log=log_number(trajectory.name))
+        effects = tuple(part for part in parts if isinstance(part, Effect))
+        found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
+        return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
+
+
+@dataclass(frozen=True, eq=False)
+class LogSlice:
+    """Samples of a stretch that are filtered together.
+
+    Attributes:
+        layout: Which columns each joint has.
+        trajectory: The log.
+        stretch: One of its segments.
+        samples: Some of the segment's samples.
+        advance: (nv,) seconds by which the efforts were logged late, for each column of efforts.
+        place: Names the samples.
+    """
+
+    layout: Layout
+    trajectory: Trajectory
+    stretch: Stretch
+    samples: slice
+    advance: Sequence[Array]
+    place: Hashable
+
+    def rows(self, shared: SharedRows) -> list[JointRows]:
+        """Filtered rows of every joint; `shared` is used and filled."""
+        motion, columns = self._motion_rows(shared), self._columns(shared)
+        efforts, carried = self._efforts(shared), self._carried(columns[0])
+        time = motion[-1]
+        return [
+            JointRows(
+                time,
+                motion[j][:, :3],
+                np.hstack([blocks[j] for blocks in columns if j in blocks]),
+                efforts[:, j] - carried[j][:, None],
+                motion[j][:, 3] <= MOSTLY_STILL,
+                carried[j],
+            )
+            for j in range(len(self.layout.columns))
+        ]
+
+    @cached_property
+    def _near(self) -> tuple[Segment, slice]:
+        """The samples and some around them, and where in these they are."""
+        late = float(np.abs(self.advance).max()) / self.stretch.period
+        margin = SPLINE_REACH + round(late)
+        low = max(0, self.samples.start - margin)
+        inner = slice(self.samples.start - low, self.samples.stop - low)
+        return self.stretch[low : self.samples.stop + margin], inner
+
+    @cached_property
+    def _here(self) -> Segment:
+        near, inner = self._near
+        return near[inner]
+
+    def _motion_rows(self, shared: SharedRows) -> Blocks:
+        """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
+        key = ("motion", self.place)
+        found = shared.get(key)
+        if found is None:
+            here, low_pass = self._here, self.trajectory.filter
+            at = low_pass.output_indices(len(here))
+            states = np.stack([here.position, here.velocity, here.acceleration], 2)[at]
+            still = low_pass.apply(np.abs(here.velocity) < self.layout.still_speed)
+            both = np.concatenate([states, still[:, :, None]], 2)
+            found = {-1: here.time[at], **{j: both[:, j] for j in range(both.shape[1])}}
+            shared.keep(key, found)
+        return found
+
+    def _efforts(self, shared: SharedRows) -> Array:
+        """(K, nv, d) filtered efforts as they were logged `advance` seconds later."""
+        columns = []
+        for seconds in self.advance:
+            key = ("effort", seconds.tobytes(), self.place)
+            found = shared.get(key)
+            if found is None:
+                near, inner = self._near
+                moved = delayed_by(-seconds, near.effort, self.stretch.period)[inner]
+                found = {0: self.trajectory.filter.apply(moved)}
+                shared.keep(key, found)
+            columns.append(found[0])
+        return np.stack(columns, -1)
+
+    def _carried(self, inertial: Blocks) -> list[Array]:
+        """Per joint (K,) filtered effort that the log's known payloads need."""
+        phi, layout = carried_phi(self.layout.model, self.trajectory.payloads).ravel(), self.layout
+        return [
+            inertial[j] @ phi[columns[columns < phi.size]]
+            for j, columns in enumerate(layout.columns)
+        ]
+
+    def _columns(self, shared: SharedRows) -> list[Blocks]:
+        """Filtered columns of all parts of the layout."""
+        layout = self.layout
+        keys = {
+            part: (part, self.place, None if part == INERTIA else layout.origin)
+            for part in layout.parts
+        }
+        found = {part: shared.get(key) for part, key in keys.items()}
+        missing = [part for part, blocks in found.items() if blocks is None]
+        if missing:
+            key = ("load", self.place, layout.model.total_phi.tobytes())
+            known = shared.get(key)
+            motion, load = self._motion(shared), None if known is None else known[0]
+            new, load = layout.evaluate(motion, self.trajectory, missing, load)
+            shared.keep(key, {0: load}, signals=True)
+            for part, blocks in zip(missing, self._filtered(new), strict=True):
+                found[part] = blocks
+                shared.keep(keys[part], blocks)
+        return [blocks for blocks in found.values() if blocks is not None]
+
+    def _filtered(self, parts: Sequence[Blocks]) -> list[Blocks]:
+        apply = self.trajectory.filter.apply
+        flat = [block for blocks in parts for block in blocks.values()]
+        ends = np.cumsum([block.shape[1] for block in flat])
+        pieces = iter(np.split(apply(np.hstack(flat)), ends[:-1], axis=1) if flat else ())
+        return [{j: next(pieces) for j in blocks} for blocks in parts]
+
+    def _motion(self, shared: SharedRows) -> Motion:
+        key, model = ("unfiltered motion", self.place), self.layout.model
+        found = shared.get(key)
+        if found is None:
+            here = self._here
+            parts = (here.position, here.velocity, here.acceleration, here.time)
+            found = dict(enumerate(parts))
+            shared.keep(key, found, signals=True)
+        position, velocity, acceleration, time = (found[i] for i in range(4))
+        return Motion(
+            model.positions(position),
+            velocity,
+            acceleration,
+            time - self.trajectory.began,
+            model.positions(self._past()),
+        )
+
+    def _past(self) -> Array:
+        """(M, nv) positions before the slice, as far as an effect needs them."""
+        start = self.samples.start
+        if start == 0 or not any(effect.state_count for effect in self.layout.effects):
+            return np.zeros((0, len(self.layout.model.joints)))
+        return self.stretch[max(0, start - MEMORY) : start].position
+
+
+def _probe(model: RobotModel, samples: int) -> Motion:
+    """Random motion, to see which columns can be nonzero."""
+    random, nv = np.random.default_rng(0), len(model.joints)
+    q = model.positions(random.normal(size=(samples, nv)))
+    return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
+
+
+def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
+    """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
+    motion = _probe(model, 7)
+    regressor = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
+    size = np.abs(regressor).max(axis=0)
+    return size > 1e-12 * size.max(initial=1e-300)

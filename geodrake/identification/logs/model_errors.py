@@ -1,0 +1,180 @@
+"""How far a model is from logs: errors of joints, where they are concentrated, series."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NOISE_MARGIN = 1.25
+"""All joints together err by noise alone up to this many times their noise floor.
+
+A formula is searched at every joint that errs by more, as that may be all that is above the noise.
+"""
+
+JOINT_NOISE_MARGIN = 1.6
+"""One joint errs by noise alone up to this many times its floor, which is known less well.
+
+It counts beside `NOISE_MARGIN`: the others' noise must not cover up one joint at which most of the
+squared error is something else.
+"""
+
+SEARCH_MARGIN = 1.5
+"""Pairs and fading friction are tried at joints that err by more than this times their floor."""
+
+RESTART_MARGIN = 3.0
+"""What was found at a joint is replaced by a pair if it leaves more than this times the floor.
+
+That is twice `SEARCH_MARGIN`: an error so large is no small effect that is missing beside the
+others, but a sign that the first of them were compromises.
+"""
+
+
+@dataclass(frozen=True)
+class JointError:
+    """Error of one joint's effort.
+
+    Attributes:
+        joint: Name of the joint.
+        rms: RMS of measured − predicted effort, N·m or N.
+        std: Standard deviation of the measured effort, N·m or N.
+        floor: Estimated RMS of the sensor noise, N·m or N.
+    """
+
+    joint: str
+    rms: float
+    std: float
+    floor: float
+
+    @property
+    def nrms(self) -> float:
+        """RMS over standard deviation."""
+        return self.rms / self.std
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no more than sensor noise is left at the joint."""
+        return self.rms <= JOINT_NOISE_MARGIN * self.floor
+
+    @property
+    def removable(self) -> float:
+        """Share of the squared error that some model could still remove."""
+        return max(0.0, 1.0 - (self.floor / self.rms) ** 2) if self.rms > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class ErrorTable:
+    """Errors of all joints.
+
+    Attributes:
+        joints: One entry per joint.
+    """
+
+    joints: tuple[JointError, ...]
+
+    @property
+    def nrms(self) -> float:
+        """Root mean square over joints of rms / std."""
+        return float(np.sqrt(np.mean([joint.nrms**2 for joint in self.joints])))
+
+    @property
+    def floor_nrms(self) -> float:
+        """The nrms of the noise floor."""
+        return float(np.sqrt(np.mean([(joint.floor / joint.std) ** 2 for joint in self.joints])))
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether no more than sensor noise is left, on the whole and at every joint."""
+        return self.whole_is_noise and not self.above_noise
+
+    @property
+    def whole_is_noise(self) -> bool:
+        """Whether no more than sensor noise is left on the whole, whatever single joints do."""
+        return self.nrms <= NOISE_MARGIN * self.floor_nrms
+
+    @property
+    def above_noise(self) -> tuple[JointError, ...]:
+        """Joints that err by more than noise, whatever the others do."""
+        return tuple(joint for joint in self.joints if not joint.is_noise)
+
+    @property
+    def pooled_rms(self) -> float:
+        """Root mean square over joints of the RMS, N·m or N."""
+        return float(np.sqrt(np.mean([joint.rms**2 for joint in self.joints])))
+
+    def by_joint(self) -> dict[str, float]:
+        """RMS of each joint by name."""
+        return {joint.joint: joint.rms for joint in self.joints}
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One joint over one block, filtered and decimated: what figures show.
+
+    Attributes:
+        joint: Name of the joint.
+        block: Name of the fold.
+        time: (K,) instants, s.
+        position: (K,) rad or m.
+        velocity: (K,) rad/s or m/s.
+        acceleration: (K,) rad/s² or m/s².
+        measured: (K,) effort, N·m or N.
+        predicted: (K,) effort, N·m or N.
+    """
+
+    joint: str
+    block: str
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    measured: Array
+    predicted: Array
+
+    @property
+    def residual(self) -> Array:
+        """(K,) measured − predicted."""
+        return self.measured - self.predicted
+
+
+@dataclass(frozen=True)
+class Failing:
+    """A circumstance in which a joint's error is larger than elsewhere.
+
+    Attributes:
+        joint: Name of the joint.
+        circumstance: In words, such as "at speeds below 0.05 rad/s".
+        rms: RMS of the error there, N·m or N.
+        elsewhere: RMS of the error otherwise, N·m or N.
+        share: Share of the joint's squared error that is made there.
+        time: Share of the samples that are there.
+        unit: Unit of the joint's effort, N·m or N.
+    """
+
+    joint: str
+    circumstance: str
+    rms: float
+    elsewhere: float
+    share: float
+    time: float
+    unit: str = "N·m"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """How far a model is from logs, and where.
+
+    Attributes:
+        errors: Errors of every joint.
+        failing: Where the error is concentrated, worst first.
+        series: What was measured and predicted.
+        notes: What was done to the logs and noticed about the model.
+    """
+
+    errors: ErrorTable
+    failing: tuple[Failing, ...]
+    series: tuple[Series, ...]
+    notes: tuple[str, ...]

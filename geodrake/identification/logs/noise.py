@@ -1,0 +1,89 @@
+"""The noise floor: how much of the measured effort no model of the motion can predict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.effects.delays import delayed_by
+from geodrake.logs.motion import Motion, Trajectory
+from geodrake.logs.smoothing import Segment
+from geodrake.logs.white_noise import quiet_density
+from geodrake.model.carried_payloads import carrying
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 100_000  # of a segment that are looked at
+_POSES = 200  # at which the inertia matrix is looked at
+
+
+def noise_floor(
+    trajectories: Sequence[Trajectory],
+    model: RobotModel | None = None,
+    *,
+    sign_width: ArrayLike = 0.0,
+) -> Array:
+    """RMS of the sensors' noise in efforts after filtering, if the noise is white.
+
+    Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
+    add. The quietest band there, continued into the passband, is the floor: coloured noise below
+    it looks like an effect, and is not counted. Jumps of dry friction reach beyond the bandwidth
+    too; a model fitted to the logs takes them away.
+
+    Args:
+        trajectories: The prepared logs.
+        model: A model; the floor is then that of its residuals where they are quieter than the
+            efforts, as those of a model fitted to the logs are.
+        sign_width: (nv,) speed below which the direction of motion is not known, for the model.
+
+    Returns:
+        (n,) floor of each joint, N·m or N.
+    """
+    power, weight = np.zeros(len(trajectories[0].joints)), 0
+    for trajectory in trajectories:
+        robot = None if model is None else carrying(model, trajectory.payloads)
+        gain, bandwidth = trajectory.filter.noise_gain, trajectory.filter.bandwidth
+        for segment in trajectory.segments:
+            rate = 1.0 / segment.period
+            start = segment[:_SAMPLES]
+            density = quiet_density(start.effort, rate, bandwidth)
+            if robot is not None:
+                residual = _residual(start, robot, sign_width, trajectory.began)
+                density = np.minimum(density, quiet_density(residual, rate, bandwidth))
+                carried = _carried(start, robot, trajectory, sign_width)
+                power += len(segment) * carried
+            power += len(segment) * density * gain**2 * rate / 2.0
+            weight += len(segment)
+    return np.sqrt(power / weight)
+
+
+def _carried(
+    segment: Segment, model: RobotModel, trajectory: Trajectory, sign_width: ArrayLike
+) -> Array:
+    """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
+    some = segment[:: max(1, len(segment) // _POSES)]
+    motion = Motion(
+        model.positions(some.position),
+        some.velocity,
+        some.acceleration,
+        some.time - trajectory.began,
+    )
+    power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
+    for j, deviation in enumerate(trajectory.acceleration_noise):
+        faster = motion.vd.copy()
+        faster[:, j] += deviation
+        more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
+        power += np.square(more).mean(0)
+    return power
+
+
+def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began: float) -> Array:
+    """(K, n) measured − predicted effort at the full rate."""
+    q, since = model.positions(segment.position), segment.time - began
+    motion = Motion(q, segment.velocity, segment.acceleration, since)
+    needed = model.effort(motion, sign_width=sign_width)
+    return segment.effort - delayed_by(model.delays, needed, segment.period)

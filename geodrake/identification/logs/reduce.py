@@ -1,0 +1,215 @@
+"""From prepared logs to a `Dataset`, chunk by chunk, so that memory does not grow with a log."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.errors import LogError
+from geodrake.identification.logs.dataset import Dataset, JointData, JointRows
+from geodrake.identification.logs.log_slices import Layout, LogSlice
+from geodrake.identification.logs.noise import noise_floor
+from geodrake.identification.logs.shared_rows import SharedRows
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.logs.folds import Block, Fold
+from geodrake.logs.motion import Trajectory
+from geodrake.logs.smoothing import CHUNK
+from geodrake.model.robot_model import LARGEST_REGRESSOR, RobotModel
+from geodrake.robot.reduction import triangular_factor
+
+Array = NDArray[np.float64]
+
+LEAST_SIGN_WIDTH = 0.002
+"""The direction of motion is unknown below this share of a joint's peak speed, at least."""
+
+SIGN_NOISE = 3.0
+"""The direction of motion is unknown below so many deviations of the speed's noise."""
+
+AT_REST = 8.0
+"""A joint never moves if its speed stays below so many deviations of its noise."""
+
+LEAST_SPEED = 1e-4
+"""A joint never moves if its speed stays below this share of the fastest joint's."""
+
+STILL_SPEED = 0.01
+"""A joint is at rest below this share of its peak speed."""
+
+WORTHWHILE = 20
+"""Rows are folded into a triangular factor if there are so many times more than columns."""
+
+LEAST_DEVIATION = 1e-7
+"""An effort is constant if it deviates by less than this share of its RMS: it is rounding."""
+
+ROWS_KEPT = 4_000
+"""So many filtered rows of each fold and joint are kept for autocorrelations and figures."""
+
+
+def reduce_logs(
+    model: RobotModel,
+    trajectories: Sequence[Trajectory],
+    folds: Sequence[Fold],
+    *,
+    effects: Sequence[Effect],
+    delays: Sequence[ArrayLike] = (0.0,),
+    floor: Array | None = None,
+    shared: SharedRows | None = None,
+) -> Dataset:
+    """Reduce logs to the triangular factors of every fold and joint.
+
+    Args:
+        model: The model; its inertial parameters give the load, its delays shift the efforts.
+        trajectories: Prepared logs, joints in the model's order.
+        folds: Validation folds of the trajectories.
+        effects: Effects that get columns: those of the model and those to try.
+        delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
+            must be 0.
+        floor: (nv,) noise floor, if it is known already.
+        shared: What earlier reductions of the same logs by the same robot have in common with this
+            one; used and filled.
+
+    Raises:
+        LogError: The effort of a joint never changes, or a joint moves for a moment only.
+    """
+    effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
+    layout, shared = _layout(model, effects, trajectories), shared or SharedRows(0)
+    further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
+    advance = list(further + model.delays)
+    boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
+    members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
+    for f, fold in enumerate(folds):
+        for block in fold.blocks:
+            members[block.trajectory, block.segment].append((f, block))
+    for at, blocks in sorted(members.items()):
+        for first, part in _slices(layout, trajectories, at, advance):
+            chunk = part.rows(shared)
+            for f, block in blocks:
+                low, high = max(block.start - first, 0), min(block.stop - first, len(chunk[0].b))
+                if low < high:
+                    for j, rows in enumerate(chunk):
+                        boxes[j][f].seen += high - low
+                        boxes[j][f].add(block, rows.part(low, high))
+    return Dataset(
+        model.joints,
+        model.bodies,
+        effects,
+        further,
+        tuple(fold.name for fold in folds),
+        tuple(trajectory.name for trajectory in trajectories),
+        tuple(
+            JointData(
+                columns,
+                np.array([box.finish() for box in joint]),
+                np.array([box.samples for box in joint]),
+                tuple(box.blocks() for box in joint),
+            )
+            for columns, joint in zip(layout.columns, boxes, strict=True)
+        ),
+        _effort_deviation(model.joints, boxes),
+        noise_floor(trajectories, model, sign_width=layout.sign_width) if floor is None else floor,
+        trajectories[0].filter.bandwidth,
+        np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
+    )
+
+
+def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
+    """(nv,) largest speed of every joint, rad/s or m/s; 0 for one that does not move."""
+    segments = [segment for trajectory in trajectories for segment in trajectory.segments]
+    peak = np.max([segment.peak_speed for segment in segments], axis=0)
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    moving = (peak > AT_REST * noise) & (peak > LEAST_SPEED * peak.max())
+    return np.where(moving, peak, 0.0)
+
+
+def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
+    """(nv,) speed below which dry friction fades, or the direction of motion is not known.
+
+    Args:
+        model: The model, whose dry friction may fade below a speed of its own.
+        trajectories: Prepared logs.
+    """
+    noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
+    least = np.maximum(LEAST_SIGN_WIDTH * peak_speeds(trajectories), SIGN_NOISE * noise)
+    return model.sign_widths(least)
+
+
+def _layout(
+    model: RobotModel, effects: tuple[Effect, ...], trajectories: Sequence[Trajectory]
+) -> Layout:
+    still = STILL_SPEED * peak_speeds(trajectories)
+    return Layout.of(model, effects, sign_widths(model, trajectories), still)
+
+
+@dataclass(eq=False)
+class _Box:
+    """Rows of one joint and fold on their way into a factor."""
+
+    width: int
+    factor: Array | None = None
+    pending: list[Array] = field(default_factory=list)
+    kept: dict[Block, list[JointRows]] = field(default_factory=lambda: defaultdict(list))
+    seen: int = 0
+    samples: int = 0
+    sums: Array = field(default_factory=lambda: np.zeros(2))
+
+    def add(self, block: Block, rows: JointRows) -> None:
+        if self.samples < ROWS_KEPT:
+            self.kept[block].append(rows)
+        effort = rows.b[:, 0] + rows.carried
+        self.sums += effort.sum(), effort @ effort
+        self.samples += len(effort)
+        self.pending.append(np.hstack([rows.A, rows.b]))
+        if sum(map(len, self.pending)) > WORTHWHILE * self.width:
+            self.finish()
+
+    def finish(self) -> Array:
+        before = np.zeros((self.width, self.width)) if self.factor is None else self.factor
+        self.factor, self.pending = triangular_factor([before, *self.pending]), []
+        return self.factor
+
+    def blocks(self) -> tuple[JointRows, ...]:
+        return tuple(JointRows.join(rows) for rows in self.kept.values())
+
+
+def _slices(
+    layout: Layout,
+    trajectories: Sequence[Trajectory],
+    at: tuple[int, int],
+    advance: Sequence[Array],
+) -> Iterator[tuple[int, LogSlice]]:
+    """First output of every slice of a segment, and the slice."""
+    trajectory, stretch = trajectories[at[0]], trajectories[at[0]].segments[at[1]]
+    width = len(layout.model.joints) * PARAMETERS_PER_BODY * len(layout.model.bodies)
+    size, first = min(CHUNK, LARGEST_REGRESSOR // width), 0
+    for samples, outputs in trajectory.filter.chunks(len(stretch), size):
+        place = (*at, samples.start, samples.stop)
+        yield first, LogSlice(layout, trajectory, stretch, samples, advance, place)
+        first += outputs
+
+
+def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) -> Array:
+    count = np.array([sum(box.samples for box in joint) for joint in boxes])
+    for joint, used in zip(joints, count.tolist(), strict=True):
+        if not used:
+            raise LogError(
+                f"{joint} stands still but for a moment: in no filtered sample it moves for most "
+                "of the filter's window.",
+                advice="Record a log in which it moves, or always stands. Did its sensor jump?",
+                joint=joint,
+            )
+    total, squares = np.array([np.sum([box.sums for box in joint], axis=0) for joint in boxes]).T
+    mean, power = total / count, squares / count
+    deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
+    constant = deviation <= LEAST_DEVIATION * np.sqrt(power)
+    for joint, value, stuck in zip(joints, mean.tolist(), constant.tolist(), strict=True):
+        if stuck:
+            raise LogError(
+                f"The effort of {joint} never changes in the log: it is {value:.4g} N·m or N.",
+                advice="Check what is logged there, or leave the joint's columns out.",
+                joint=joint,
+            )
+    return deviation

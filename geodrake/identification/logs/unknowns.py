@@ -1,0 +1,175 @@
+"""What a fit may move: columns of a dataset with their prior, bounds and physical blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from geodrake.effects.base import Effect
+from geodrake.identification.logs.dataset import Dataset, is_payload
+from geodrake.inertia import PARAMETERS_PER_BODY, from_mass_com_inertia, pullback_metric
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Unknown parameters of a fit, p in all.
+
+    Attributes:
+        columns: (p,) columns of the dataset; a column may serve twice (a link and its payload).
+        mean: (p,) prior mean.
+        information: (p, p) prior information, inverse of the prior covariance.
+        lower: (p,) lower bounds.
+        upper: (p,) upper bounds.
+        inertia_blocks: First unknown of every block of ten that must stay physical.
+        effects: The effects among the unknowns.
+        starts: First unknown of every effect.
+    """
+
+    columns: Indices
+    mean: Array
+    information: Array
+    lower: Array
+    upper: Array
+    inertia_blocks: tuple[int, ...]
+    effects: tuple[Effect, ...] = ()
+    starts: tuple[int, ...] = ()
+
+    def span(self, effect: Effect) -> slice:
+        """Where an effect's parameters stand among the unknowns."""
+        start = self.starts[self.effects.index(effect)]
+        return slice(start, start + len(effect.parameters))
+
+    def with_effect(
+        self, effect: Effect, columns: Indices, information: Array, mean: Array | None = None
+    ) -> Unknowns:
+        """These unknowns and one more effect.
+
+        Args:
+            effect: The effect.
+            columns: (k,) its columns in the dataset.
+            information: (k, k) prior information of its parameters.
+            mean: (k,) prior mean, zero if not given.
+        """
+        start, k = len(self.columns), len(effect.parameters)
+        is_body = effect.places == "body" and k == PARAMETERS_PER_BODY
+        return Unknowns(
+            np.concatenate([self.columns, columns]),
+            np.concatenate([self.mean, np.zeros(k) if mean is None else mean]),
+            block_diag(self.information, information),
+            np.concatenate([self.lower, [p.lower for p in effect.parameters]]),
+            np.concatenate([self.upper, [p.upper for p in effect.parameters]]),
+            (*self.inertia_blocks, start) if is_body else self.inertia_blocks,
+            (*self.effects, effect),
+            (*self.starts, start),
+        )
+
+    def without_effect(self, effect: Effect) -> Unknowns:
+        """These unknowns less one effect."""
+        gone = self.span(effect)
+        width = gone.stop - gone.start
+        kept = np.r_[0 : gone.start, gone.stop : len(self.columns)]
+
+        def shifted(starts: Sequence[int]) -> tuple[int, ...]:
+            return tuple(s - width * (s > gone.start) for s in starts if s != gone.start)
+
+        return Unknowns(
+            self.columns[kept],
+            self.mean[kept],
+            self.information[np.ix_(kept, kept)],
+            self.lower[kept],
+            self.upper[kept],
+            shifted(self.inertia_blocks),
+            tuple(other for other in self.effects if other != effect),
+            shifted(self.starts),
+        )
+
+    def released(self, effect: Effect, information: Array) -> Unknowns:
+        """These unknowns with what was known about one effect forgotten.
+
+        Args:
+            effect: One of the effects.
+            information: (k, k) what is known about it instead, around zero.
+        """
+        span = self.span(effect)
+        inside = np.zeros(len(self.columns), bool)
+        inside[span] = True
+        cross = self.information[np.ix_(~inside, inside)]
+        known = np.zeros_like(self.information)
+        # What is known about the others, whatever the effect's parameters are.
+        known[np.ix_(~inside, ~inside)] = self.information[np.ix_(~inside, ~inside)] - (
+            cross @ np.linalg.solve(self.information[span, span], cross.T)
+        )
+        known[span, span] = information
+        return replace(self, mean=np.where(inside, 0.0, self.mean), information=known)
+
+    def loosened(self, factor: float, inertial: int) -> Unknowns:
+        """These unknowns with the prior of the first `inertial` ones `factor` times as wide.
+
+        Args:
+            factor: By how much the standard deviations of the prior grow.
+            inertial: Number of unknowns, from the first on, whose prior is widened.
+        """
+        scale = np.ones(len(self.columns))
+        scale[:inertial] = 1.0 / factor
+        return replace(self, information=self.information * scale[:, None] * scale)
+
+
+def inertial_unknowns(phi: Array, information: Array) -> Unknowns:
+    """The inertial parameters of all bodies as unknowns.
+
+    Args:
+        phi: (nb, 10) prior mean.
+        information: (10·nb, 10·nb) prior information.
+    """
+    p = phi.size
+    unbounded = np.full(p, np.inf)
+    blocks = tuple(range(0, p, PARAMETERS_PER_BODY))
+    return Unknowns(np.arange(p), phi.ravel().copy(), information, -unbounded, unbounded, blocks)
+
+
+def pullback_information(phi: Array, spread: float) -> Array:
+    """Information of inertial parameters known to within a relative geometric distance.
+
+    Args:
+        phi: (nb, 10) physical inertial parameters.
+        spread: Standard deviation of the geometric distance along any direction: 0.1 means that
+            mass and lengths are known to about 10 %.
+
+    Returns:
+        (10·nb, 10·nb) matrix G(φ)/spread² of [Lee2019] Eq. (3.5.51).
+    """
+    return block_diag(*pullback_metric(phi)) / spread**2
+
+
+def payload_reference() -> Array:
+    """(10,) a body of 1 kg and 0.1 m, in the middle of what robots carry."""
+    return from_mass_com_inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+
+
+def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
+    """Prior mean and information of an effect that a fit adds: so weak that the data decide.
+
+    A payload is known to within ten times the size of `payload_reference`, in the geometric
+    distance; everything else to within a million times the effort of its joint, or what its
+    parameters say.
+
+    Args:
+        dataset: The reduced logs, with columns for the effect.
+        effect: The effect, of k parameters.
+
+    Returns:
+        mean (k,) and information (k, k).
+    """
+    k = len(effect.parameters)
+    if is_payload(effect):
+        return np.zeros(k), pullback_information(payload_reference()[None], 10.0)
+    squares = dataset.column_power[dataset.effect_columns(effect)]
+    spread = np.array([parameter.spread for parameter in effect.parameters])
+    return np.zeros(k), np.diag(np.maximum(1e-12 * squares, np.maximum(spread**-2.0, 1e-300)))

@@ -1,0 +1,10 @@
+"""Identify a robot model from logs: its inertias near their prior, its effects from the data."""
+
+from geodrake.identification.models.identify import identify_model
+from geodrake.identification.models.results import IdentificationSettings, ModelIdentification
+
+__all__ = [
+    "IdentificationSettings",
+    "ModelIdentification",
+    "identify_model",
+]

@@ -1,0 +1,124 @@
+"""What became of the bodies of an identified model, and what to say about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geodrake.effects import Role, catalogue
+from geodrake.identification.identify import IdentificationResult
+from geodrake.identification.logs.log_fits import LogFits
+from geodrake.identification.logs.weighing import Weighing
+from geodrake.identification.models.results import BodyChange
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_mass_com_inertia
+from geodrake.model.robot_model import RobotModel
+
+_NOTABLY = 0.95
+"""Ratio of held-out errors below which a weaker weight is worth a word."""
+
+_FAR = 2.0
+"""Factor of a mass from which on a body's change is worth a word."""
+
+USUAL = tuple(effect.name for effect in catalogue() if effect.usual)
+"""Effects that a real robot is hardly without; inertias that lack them stand in for them."""
+
+
+def body_changes(fits: LogFits, result: IdentificationResult) -> tuple[BodyChange, ...]:
+    """What became of every body, payloads after them.
+
+    Args:
+        fits: The logs, with the prior of every body.
+        result: The fit to all of them.
+    """
+    covariance = covariance_of(result.fit.information)
+    boundary = boundary_blocks(result)
+    changes = []
+    for k, (name, before, after) in enumerate(
+        zip(block_names(fits), fits.prior, result.phi, strict=True)
+    ):
+        start = k * PARAMETERS_PER_BODY
+        block = covariance[start : start + 4, start : start + 4]
+        (m0, m1), com, _ = to_mass_com_inertia(np.stack([before, after]))
+        jacobian = np.hstack([-com[1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
+        deviation = float(np.sqrt(block[0, 0]))
+        changes.append(
+            BodyChange(name, (float(m0), float(m1)), com, deviation, spread, k in boundary)
+        )
+    return tuple(changes)
+
+
+def covariance_of(information: Array) -> Array:
+    """Inverse of an information matrix, whatever the units of its parameters."""
+    size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    values = np.maximum(values, np.finfo(float).eps * values[-1])
+    return np.asarray((vectors / values) @ vectors.T / np.outer(size, size))
+
+
+def block_names(fits: LogFits) -> tuple[str, ...]:
+    """Names of the bodies and payloads."""
+    payloads = [e for e in fits.unknowns.effects if e.role is Role.BODY]
+    return (*fits.dataset.bodies, *(f"payload on {e.where[0]}" for e in payloads))
+
+
+def boundary_blocks(result: IdentificationResult) -> set[int]:
+    """Numbers of the bodies and payloads at the boundary of physical consistency."""
+    return {start // PARAMETERS_PER_BODY for start in result.fit.active_blocks}
+
+
+def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
+    """What to know of a fitted model: no friction, masses far from the prior.
+
+    Args:
+        model: The fitted model.
+        bodies: What became of its bodies.
+    """
+    notes = []
+    if not any("friction" in fitted.effect.name for fitted in model.effects):
+        notes.append(
+            "the model has no friction, so inertias stand in for it as far as they can: fit some "
+            f"beside them (--effects {','.join(USUAL)}), or let geodrake explain find which"
+        )
+    far = [
+        f"{body.name} {body.mass[0]:.3g} → {body.mass[1]:.3g} kg"
+        for body in bodies
+        if not 1 / _FAR < body.mass[1] / body.mass[0] < _FAR
+    ]
+    if far:
+        notes.append(
+            f"masses far from the prior ({', '.join(far)}): unless the prior is that wrong, the "
+            "model lacks an effect that inertias stand in for, which geodrake diagnose looks for; "
+            "a larger gamma holds them"
+        )
+    return notes
+
+
+def bound_notes(gamma: float) -> list[str]:
+    """That a residual bound leaves the model as it is, if it does."""
+    if np.isfinite(gamma):
+        return []
+    return [
+        "the residual bound holds for the model as it is: nothing limits gamma, and regularizers "
+        "are all alike"
+    ]
+
+
+def sweep_notes(gamma: float | None, sweep: Sequence[Weighing]) -> list[str]:
+    """That a weaker weight than one is let choose would fit better.
+
+    Args:
+        gamma: The weight that was taken; None where a residual bound sets it.
+        sweep: Weights that were tried, with their held-out errors.
+    """
+    chosen = [tried.nrms for tried in sweep if tried.gamma == gamma]
+    weaker = [tried for tried in sweep if gamma is not None and tried.gamma < gamma]
+    best = min(weaker, key=lambda tried: tried.nrms, default=None)
+    if best is None or not chosen or best.nrms > _NOTABLY * chosen[0]:
+        return []
+    return [
+        f"gamma {best.gamma:.3g} would lower the held-out nrms to {best.nrms:.3f}, by inertias "
+        "that lie further from the prior than a model file usually errs: the model more likely "
+        "lacks an effect, which geodrake diagnose looks for"
+    ]

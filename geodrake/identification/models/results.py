@@ -1,0 +1,155 @@
+"""What identifying a model takes and gives: plain frozen dataclasses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.boundary.arguments import instance, integer, real_array
+from geodrake.errors import ArgumentError
+from geodrake.identification.identify import REGULARIZERS, IdentificationResult
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.identification.logs.weighing import Weighing
+from geodrake.inertia import Array
+from geodrake.model.robot_model import RobotModel
+
+
+@dataclass(frozen=True, eq=False)
+class BodyChange:
+    """A body before and after an identification.
+
+    Attributes:
+        name: Name of the body.
+        mass: Masses before and after, kg.
+        com: (2, 3) centres of mass before and after in the body's frame, m.
+        mass_deviation: Standard deviation of the mass, kg.
+        com_deviation: (3,) standard deviations of the centre of mass, m.
+        at_boundary: Whether it is at the boundary of what a body can be, so that only the demand
+            for physical consistency keeps it from what no body can have.
+    """
+
+    name: str
+    mass: tuple[float, float]
+    com: Array
+    mass_deviation: float
+    com_deviation: Array
+    at_boundary: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """What another regularizer makes of the same training residual.
+
+    Attributes:
+        regularizer: Its name.
+        gamma: Weight with which it reaches the residual.
+        residual: Weighted squared residual of the training data.
+        errors: Held-out errors.
+        phi: (nb, 10) inertial parameters.
+        at_boundary: Names of the bodies at the boundary of physical consistency.
+    """
+
+    regularizer: str
+    gamma: float
+    residual: float
+    errors: ErrorTable
+    phi: Array
+    at_boundary: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ModelIdentification:
+    """An identified model.
+
+    Attributes:
+        model: The fitted model, with its information matrix.
+        prior: The model as it came.
+        regularizer: Name of the regularizer.
+        gamma: Weight of the regularizer against effective samples.
+        sweep: What each γ tried gives; empty where γ or a residual bound was given.
+        before: Errors of the model as it came.
+        after: Held-out errors of the fit.
+        bodies: What became of every body; payloads follow.
+        result: The solution: residual, divergence, solver.
+        comparison: Held-out predictions, for reports.
+        alternatives: All regularizers at the same training residual, if asked for.
+        notes: What was done to the logs and noticed.
+    """
+
+    model: RobotModel
+    prior: RobotModel
+    regularizer: str
+    gamma: float
+    sweep: tuple[Weighing, ...]
+    before: ErrorTable
+    after: ErrorTable
+    bodies: tuple[BodyChange, ...]
+    result: IdentificationResult
+    comparison: Comparison
+    alternatives: tuple[Alternative, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def at_boundary(self) -> tuple[str, ...]:
+        """Names of the bodies at the boundary of physical consistency."""
+        return tuple(body.name for body in self.bodies if body.at_boundary)
+
+
+_LARGEST_RATIO = 1e6  # of residuals, beyond which a bound bounds nothing
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentificationSettings:
+    """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself.
+
+    Attributes:
+        regularizer: Name of the regularizer: see `geodrake.identification.REGULARIZERS`.
+        gamma: Weight γ > 0 of the regularizer against effective samples.
+        residual_ratio: RMS of the training residual that is allowed, relative to the least that
+            any parameters reach; above 1, and up to a million.
+        total_mass: Mass of all moving bodies together, payloads included, kg, if it is known.
+        compare: Whether to solve with all regularizers at the same training residual too.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        blocks: Blocks into which every log is cut for validation.
+
+    Raises:
+        ArgumentError: A name or value is impossible.
+    """
+
+    regularizer: str = "entropic"
+    gamma: float | None = None
+    residual_ratio: float | None = None
+    total_mass: float | None = None
+    compare: bool = False
+    bandwidth: float | None = None
+    blocks: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done before the long work."""
+        for name in ("gamma", "residual_ratio", "total_mass"):
+            if (given := getattr(self, name)) is not None:
+                real_array(given, name, (), finite=False)
+        if self.bandwidth is not None:
+            real_array(self.bandwidth, "bandwidth", (), finite=False)
+        if self.blocks is not None:
+            integer(self.blocks, "blocks")
+        if instance(self.regularizer, "regularizer", str) not in REGULARIZERS:
+            raise ArgumentError(
+                f"There is no regularizer {self.regularizer!r}.",
+                advice=f"There are: {', '.join(REGULARIZERS)}.",
+            )
+        if self.gamma is not None and self.residual_ratio is not None:
+            raise ArgumentError("A γ and a residual bound are given.", advice="Give one of them.")
+        if self.gamma is not None and not (np.isfinite(self.gamma) and self.gamma > 0):
+            raise ArgumentError(f"gamma must be positive; got {self.gamma:g}.")
+        mass = self.total_mass
+        if mass is not None and not (np.isfinite(mass) and mass > 0):
+            raise ArgumentError(f"The total mass must be positive, in kg; got {mass:g}.")
+        ratio = self.residual_ratio
+        if ratio is not None and not 1.0 < ratio <= _LARGEST_RATIO:
+            raise ArgumentError(
+                f"The residual bound {ratio:g} is relative to the least RMS residual that any "
+                f"parameters reach, so it must be above 1, and at most {_LARGEST_RATIO:g}.",
+                advice="Give 1.01 to allow one percent more.",
+            )

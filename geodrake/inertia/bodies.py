@@ -1,0 +1,148 @@
+"""Bodies as identification sees them: links welded together move as one, so they count as one.
+
+No effort at a joint distinguishes a tool flange from the wrist it is bolted to. Everything that
+has a row a body (inertial parameters, regressors, priors) uses the bodies of `lumped_bodies`, in
+its order.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass
+
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.systems.framework import Context
+
+from geodrake.boundary.arguments import instance
+from geodrake.errors import ArgumentError, ModelError
+
+
+@dataclass(frozen=True)
+class Member:
+    """One link of a lumped body.
+
+    Attributes:
+        index: The link's index in the plant.
+        name: The link's name.
+        X_RB: Pose of the link B in the frame R of the lumped body's representative.
+    """
+
+    index: BodyIndex
+    name: str
+    X_RB: RigidTransform
+
+
+@dataclass(frozen=True)
+class LumpedBody:
+    """Links that are welded together and move as one.
+
+    Attributes:
+        name: Name of the representative, the link whose inboard joint moves.
+        body_index: Index of the representative; parameters are expressed in its frame.
+        members: All links of the body, the representative first.
+    """
+
+    name: str
+    body_index: BodyIndex
+    members: tuple[Member, ...]
+
+
+def check_plant(plant: MultibodyPlant, name: str = "plant") -> None:
+    """Refuses what is no finalized plant.
+
+    Args:
+        plant: What the caller passed.
+        name: What messages call it.
+
+    Raises:
+        ArgumentError: It is something else.
+        ModelError: It is not finalized.
+    """
+    if not instance(plant, name, MultibodyPlant).is_finalized():
+        raise ModelError(f"The {name} is not finalized.", advice="Call plant.Finalize() first.")
+
+
+def check_context(plant: MultibodyPlant, context: Context) -> None:
+    """Refuses what is no Context of the plant.
+
+    Args:
+        plant: A finalized plant.
+        context: What the caller passed.
+
+    Raises:
+        ArgumentError: It is something else.
+    """
+    instance(context, "context", Context)
+    try:
+        plant.ValidateContext(context)
+    except RuntimeError as error:
+        raise ArgumentError(
+            "The context belongs to another system than the plant.",
+            advice="Use plant.CreateDefaultContext(), or plant.GetMyContextFromRoot(root_context).",
+        ) from error
+
+
+def lumped_bodies(plant: MultibodyPlant) -> tuple[LumpedBody, ...]:
+    """Groups of welded links that move with respect to the world.
+
+    Args:
+        plant: A finalized plant.
+
+    Returns:
+        The groups without the one welded to the world, in order of the representative's BodyIndex.
+
+    Raises:
+        ArgumentError: It is no plant.
+        ModelError: The plant is not finalized.
+    """
+    check_plant(plant)
+    context = plant.CreateDefaultContext()
+    names = body_names(plant)
+
+    def lump(representative: RigidBody, group: list[RigidBody]) -> LumpedBody:
+        frame = representative.body_frame()
+        members = tuple(
+            Member(
+                body.index(),
+                names[int(body.index())],
+                plant.CalcRelativeTransform(context, frame, body.body_frame()),
+            )
+            for body in sorted(group, key=lambda body: (body is not representative, body.index()))
+        )
+        return LumpedBody(members[0].name, representative.index(), members)
+
+    lumps = [lump(body, group) for body, group in _representatives(plant)]
+    return tuple(sorted(lumps, key=lambda body: int(body.body_index)))
+
+
+def body_names(plant: MultibodyPlant) -> tuple[str, ...]:
+    """A name for every body by BodyIndex; `instance::name` where the name alone is ambiguous."""
+    bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
+    count = Counter(body.name() for body in bodies)
+    return tuple(
+        body.name() if count[body.name()] == 1 else body.scoped_name().get_full() for body in bodies
+    )
+
+
+def _representatives(plant: MultibodyPlant) -> list[tuple[RigidBody, list[RigidBody]]]:
+    """The most inboard link of every moving group, with its group; breadth first from the world."""
+    neighbours: dict[int, list[RigidBody]] = {i: [] for i in range(plant.num_bodies())}
+    for joint_index in plant.GetJointIndices():
+        joint = plant.get_joint(joint_index)
+        parent, child = joint.parent_body(), joint.child_body()
+        neighbours[int(parent.index())].append(child)
+        neighbours[int(child.index())].append(parent)
+
+    anchored = list(plant.GetBodiesWeldedTo(plant.world_body()))
+    seen = {int(body.index()) for body in anchored}
+    queue, found = deque(anchored), []
+    while queue:
+        for body in neighbours[int(queue.popleft().index())]:
+            if int(body.index()) not in seen:
+                group = list(plant.GetBodiesWeldedTo(body))
+                found.append((body, group))
+                seen.update(int(member.index()) for member in group)
+                queue.extend(group)
+    return found

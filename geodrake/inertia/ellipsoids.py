@@ -1,0 +1,299 @@
+"""Ellipsoids: the uniform one that a body is equivalent to, and the one that it must fit into.
+
+An ellipsoid is the set [x;1]ᵀ Q [x;1] ≥ 0. A body can be made of mass inside of it just when
+P(φ) ⪰ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eq. (3.5.46); the sign of Eq. (3.2.12) is the other one).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.boundary.arguments import Sizes, instance, integers, number, positive, real_array
+from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.inertia.kernels import Array
+from geodrake.inertia.parameters import (
+    checked_phi,
+    from_dual,
+    from_mass_com_inertia,
+    is_physical,
+    pseudo_inertia,
+)
+from geodrake.inertia.principal import principal_axes
+
+_FLAT = 1e-9  # thickness over length at which points are said to lie in a plane
+_MOST_STEPS = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """A solid ellipsoid in a body's frame B, or several.
+
+    Attributes:
+        center: (..., 3) centre from Bo, expressed in B, m.
+        semi_axes: (..., 3) semi-axes, m.
+        rotation: (..., 3, 3) rotation R_BE, whose columns are the axes.
+    """
+
+    center: Array
+    semi_axes: Array
+    rotation: Array
+
+    def __post_init__(self) -> None:
+        sizes: Sizes = {}
+        for name, end in (("center", (3,)), ("semi_axes", (3,)), ("rotation", (3, 3))):
+            value = real_array(getattr(self, name), name, ("...", *end), sizes)
+            object.__setattr__(self, name, value)
+        if not (self.semi_axes > 0).all():
+            raise ArgumentError(
+                f"An ellipsoid's semi-axes are above zero; got {self.semi_axes.tolist()}."
+            )
+        error = self.rotation @ np.swapaxes(self.rotation, -1, -2) - np.eye(3)
+        if np.abs(error).max(initial=0.0) > 1e-6 or (np.linalg.det(self.rotation) < 0).any():
+            raise ArgumentError(f"Not a rotation: {self.rotation.tolist()}.")
+        shape = np.broadcast_shapes(
+            self.center.shape[:-1], self.semi_axes.shape[:-1], self.rotation.shape[:-2]
+        )
+        for name, end in (("center", (3,)), ("semi_axes", (3,)), ("rotation", (3, 3))):
+            object.__setattr__(self, name, np.broadcast_to(getattr(self, name), (*shape, *end)))
+
+    @property
+    def volume(self) -> Array:
+        """Volumes (...), m³."""
+        return np.asarray(4.0 / 3.0 * np.pi * self.semi_axes.prod(-1))
+
+    @property
+    def quadric(self) -> Array:
+        """(..., 4, 4) matrices Q with [x;1]ᵀ Q [x;1] = 1 − (scaled distance from the centre)²."""
+        side = self.rotation / self.semi_axes[..., None, :]
+        shape = side @ np.swapaxes(side, -1, -2)
+        pulled = np.einsum("...ij,...j->...i", shape, self.center)
+        Q = np.empty((*pulled.shape[:-1], 4, 4))
+        Q[..., :3, :3] = -shape
+        Q[..., :3, 3] = Q[..., 3, :3] = pulled
+        Q[..., 3, 3] = 1.0 - (pulled * self.center).sum(-1)
+        return Q
+
+    def scaled(self, factor: float) -> Ellipsoid:
+        """The same ellipsoid with semi-axes `factor` times as long."""
+        factor = positive(factor, "factor")
+        return Ellipsoid(self.center, factor * self.semi_axes, self.rotation)
+
+    def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Whether points (..., 3), m, are inside."""
+        points = real_array(points, "points", ("...", 3), {"...": self.center.shape[:-1]})
+        local = np.einsum("...ji,...j->...i", self.rotation, points - self.center)
+        return np.asarray(((local / self.semi_axes) ** 2).sum(-1) <= 1.0)
+
+    def uniform_body(self, mass: ArrayLike) -> Array:
+        """Inertial parameters (..., 10) of this ellipsoid filled evenly with a mass (...), kg."""
+        mass = real_array(mass, "mass", ("...",), {"...": self.center.shape[:-1]})
+        mass = np.broadcast_to(mass, np.broadcast_shapes(mass.shape, self.center.shape[:-1]))
+        squares = self.semi_axes**2
+        moments = 0.2 * mass[..., None] * (squares.sum(-1, keepdims=True) - squares)
+        turned = (self.rotation * moments[..., None, :]) @ np.swapaxes(self.rotation, -1, -2)
+        return from_mass_com_inertia(mass, np.broadcast_to(self.center, (*mass.shape, 3)), turned)
+
+    def random_points(self, rng: np.random.Generator, size: tuple[int, ...]) -> Array:
+        """Points (*size, 3), m, evenly distributed over one ellipsoid or several of shape size.
+
+        Args:
+            rng: Source of randomness.
+            size: Shape of the points; its last axes are those of the ellipsoids, if there are
+                several.
+        """
+        instance(rng, "rng", np.random.Generator)
+        direction = rng.normal(size=(*_checked_size(size, self.center.shape[:-1]), 3))
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+        radius = rng.uniform(size=(*size, 1)) ** (1 / 3)
+        local = radius * direction * self.semi_axes
+        return np.asarray(self.center + np.einsum("...ij,...j->...i", self.rotation, local))
+
+
+def _checked_size(size: tuple[int, ...], leading: tuple[int, ...]) -> tuple[int, ...]:
+    """A shape of points whose last axes are those of the ellipsoids."""
+    size = integers(size, "size")
+    if min(size, default=0) < 0 or len(size) < len(leading) or not _broadcast(size, leading):
+        raise ArgumentError(
+            f"size must be the shape of the points, the ellipsoids' {leading} last; it is {size}."
+        )
+    return size
+
+
+def _broadcast(size: tuple[int, ...], leading: tuple[int, ...]) -> bool:
+    return all(b in (1, a) for a, b in zip(size[::-1], leading[::-1], strict=False))
+
+
+def equivalent_ellipsoid(phi: ArrayLike, *, least_semi_axis: float = 0.0) -> Ellipsoid:
+    """The uniform ellipsoids that have the inertial parameters of bodies.
+
+    Args:
+        phi: (..., 10) physical inertial parameters.
+        least_semi_axis: Length, m, that shorter semi-axes get, so that bodies at the boundary of
+            physical ones can be drawn; only their mass then has to be above zero.
+
+    Returns:
+        Ellipsoids with semi-axes √(5 σᵢ/m) of the principal second moments σ, in ascending order.
+
+    Raises:
+        ArgumentError: A body is not physical, so that no ellipsoid is like it, or the least
+            semi-axis is negative.
+    """
+    phi = checked_phi(phi)
+    least_semi_axis = number(least_semi_axis, "least_semi_axis", lower=0.0)
+    thin = phi[..., 0] > 0
+    possible = thin if least_semi_axis > 0 else is_physical(phi)
+    if not possible.all():
+        bad = phi.reshape(-1, 10)[int(np.argmin(possible.ravel()))]
+        raise ArgumentError(f"No body has the inertial parameters {bad.tolist()}.")
+    principal = principal_axes(phi)
+    squares: Array = 5.0 * principal.second_moments / principal.mass[..., None]
+    # Rounding takes a thin body below zero.
+    least = max(least_semi_axis**2, float(np.finfo(float).tiny))
+    return Ellipsoid(principal.center, np.sqrt(np.maximum(squares, least)), principal.rotation)
+
+
+def ellipsoid_of_quadric(Q: ArrayLike) -> Ellipsoid:
+    """The ellipsoids [x;1]ᵀ Q [x;1] ≥ 0.
+
+    Args:
+        Q: (..., 4, 4) symmetric matrices.
+
+    Raises:
+        ArgumentError: Q describes no bounded region, as with its sign turned around, or is not
+            symmetric, finite and of that shape.
+    """
+    Q = real_array(Q, "Q", ("...", 4, 4))
+    if (np.abs(Q - np.swapaxes(Q, -1, -2)) > 1e-8 * np.abs(Q).max((-2, -1), keepdims=True)).any():
+        raise ArgumentError(
+            f"Expected symmetric matrices; got {Q.tolist()}.",
+            advice="0.5 * (Q + Q.T) describes the same region.",
+        )
+    values, axes = np.linalg.eigh(-Q[..., :3, :3])
+    if not (values > 0).all():
+        raise ArgumentError(
+            f"[x;1]ᵀ Q [x;1] ≥ 0 is not an ellipsoid for Q = {Q.tolist()}.",
+            advice="Its upper left 3×3 block must be negative definite; turn its sign around if "
+            "your Q is negative inside.",
+        )
+    center = np.asarray(np.linalg.solve(-Q[..., :3, :3], Q[..., :3, 3, None])[..., 0], float)
+    level = Q[..., 3, 3] + (Q[..., :3, 3] * center).sum(-1)
+    if not (level > 0).all():
+        raise ArgumentError(f"[x;1]ᵀ Q [x;1] ≥ 0 holds nowhere for Q = {Q.tolist()}.")
+    axes[..., 2] *= np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[..., None]
+    return Ellipsoid(center, np.sqrt(level[..., None] / values), axes)
+
+
+def realizability(phi: ArrayLike, Q: ArrayLike) -> Array:
+    """How far inside of an ellipsoid mass is on the average, tr(P(φ) Q) / m.
+
+    Args:
+        phi: (..., 10) inertial parameters of mass above zero.
+        Q: (..., 4, 4) matrices of ellipsoids, such as `Ellipsoid.quadric`.
+
+    Returns:
+        (...) averages of [x;1]ᵀ Q [x;1] over the mass: 1 if all is at the centre, ⅖ for a uniform
+        body that fills the ellipsoid, 0 if all is on the surface, for an `Ellipsoid.quadric`.
+
+    Raises:
+        ArgumentError: A mass is not above zero, or a shape does not fit.
+    """
+    trace, mass = _trace(phi, Q), np.asarray(phi, float)[..., 0]
+    if not (mass > 0).all():
+        raise ArgumentError(f"Averages over the mass need masses above zero; got {mass.tolist()}.")
+    return np.asarray(trace / mass)
+
+
+def is_realizable(phi: ArrayLike, Q: ArrayLike) -> NDArray[np.bool_]:
+    """Whether mass inside of an ellipsoid can have these inertial parameters.
+
+    Args:
+        phi: (..., 10) inertial parameters.
+        Q: (..., 4, 4) matrices of ellipsoids, [x;1]ᵀ Q [x;1] ≥ 0 inside.
+
+    Returns:
+        (...) booleans, P(φ) ≻ 0 and tr(P(φ) Q) ≥ 0 ([Lee2019] Eqs. (3.2.7), (3.5.46)).
+
+    Raises:
+        ArgumentError: A shape does not fit.
+    """
+    return np.asarray(is_physical(phi) & (_trace(phi, Q) >= 0))
+
+
+def _trace(phi: ArrayLike, Q: ArrayLike) -> Array:
+    """tr(P(φ) Q), (...)."""
+    sizes: Sizes = {}
+    phi, Q = checked_phi(phi, "phi", sizes), real_array(Q, "Q", ("...", 4, 4), sizes)
+    return np.asarray(np.einsum("...ij,...ij->...", pseudo_inertia(phi), Q))
+
+
+def realizability_row(Q: ArrayLike) -> Array:
+    """Coefficients a (..., 10) of the constraint aᵀφ = tr(P(φ) Q) ≥ 0 for Q (..., 4, 4)."""
+    return from_dual(real_array(Q, "Q", ("...", 4, 4)))
+
+
+def bounding_ellipsoid(points: ArrayLike, *, tolerance: float = 1e-6) -> Ellipsoid:
+    """The smallest ellipsoid around points, by Khachiyan's algorithm.
+
+    Args:
+        points: (k, 3) points in B, m.
+        tolerance: How much farther out than the smallest ellipsoid's surface a point may be before
+            all is scaled to contain it, in squared relative distance.
+
+    Returns:
+        An ellipsoid that contains every point.
+
+    Raises:
+        ArgumentError: There are too few points, all lie in a plane, or the tolerance is not above
+            zero.
+        ConvergenceError: The tolerance was not reached.
+    """
+    positive(tolerance, "tolerance")
+    points = real_array(points, "points", ("k", 3))
+    middle = points.mean(0) if len(points) else np.zeros(3)
+    _, extent, axes = np.linalg.svd(points - middle, full_matrices=False)
+    if len(extent) < 3 or extent[2] <= _FLAT * extent[0]:
+        raise ArgumentError(
+            f"The {len(points)} points lie in a plane, around which the smallest ellipsoid has no "
+            "volume.",
+            advice="Add points on both sides, such as those of a shape with its thickness.",
+        )
+    scale = extent / np.sqrt(len(points))
+    lifted = np.column_stack([(points - middle) @ axes.T / scale, np.ones(len(points))])
+    weights = _optimal_weights(lifted, tolerance)
+    moment = np.einsum("k,ki,kj->ij", weights, lifted, lifted)
+    center = moment[:3, 3]
+    covariance = moment[:3, :3] - np.outer(center, center)
+    values, turn = np.linalg.eigh(axes.T @ (scale[:, None] * covariance * scale) @ axes)
+    turn[:, 2] *= np.sign(np.linalg.det(turn))
+    center = middle + axes.T @ (scale * center)
+    local = (points - center) @ turn / np.sqrt(values)
+    reach = np.linalg.norm(local, axis=1).max() * (1 + 1e-12)
+    return Ellipsoid(center, reach * np.sqrt(values), turn)
+
+
+def _optimal_weights(lifted: Array, tolerance: float) -> Array:
+    """Weights (k,) of the points, whose weighted second moment is that of the ellipsoid."""
+    count, n = lifted.shape
+    weights = np.full(count, 1.0 / count)
+    for _ in range(_MOST_STEPS):
+        moment = np.einsum("k,ki,kj->ij", weights, lifted, lifted)
+        reach = (lifted * np.linalg.solve(moment, lifted.T).T).sum(1)
+        far, used = int(np.argmax(reach)), np.flatnonzero(weights)
+        near = used[int(np.argmin(reach[used]))]
+        if reach[far] <= n * (1 + tolerance):
+            return weights
+        # Toward the farthest point, or away from the nearest one that has weight.
+        at = far if reach[far] - n >= n - reach[near] else near
+        least = -weights[at] / (1.0 - weights[at])  # which takes all of its weight
+        step = (reach[at] - n) / (n * (reach[at] - 1.0)) if reach[at] > 1.0 else least
+        step = max(step, least)
+        weights *= 1.0 - step
+        weights[at] = max(weights[at] + step, 0.0)
+    raise ConvergenceError(
+        f"The ellipsoid around {count} points is not found to {tolerance:g} in {_MOST_STEPS} "
+        "steps.",
+        advice="Allow a larger tolerance.",
+    )

@@ -1,0 +1,105 @@
+"""Bodies that differ from given ones by random point masses: truths for studies, [Lee2019] §B.2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.boundary.arguments import instance, integer, number, real_array
+from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.inertia.body_distances import riemannian_distance
+from geodrake.inertia.ellipsoids import Ellipsoid, equivalent_ellipsoid
+from geodrake.inertia.kernels import Array
+from geodrake.inertia.parameters import from_point_masses, is_physical
+
+_MOST_DRAWS = 1000
+_TOLERANCE = 1e-6  # relative eigenvalue of P: a body of 1 m that is 1 mm thin
+
+
+@dataclass(frozen=True, eq=False)
+class Perturbation:
+    """Random physical bodies around given ones.
+
+    Attributes:
+        phi: (count, nb, 10) inertial parameters.
+        distances: (count, nb) geodesic distances from the given bodies ([Lee2019] Eq. (3.3.25)).
+        rejected: Number of draws that no body can be, which were drawn anew.
+    """
+
+    phi: Array
+    distances: Array
+    rejected: int
+
+    @property
+    def total_distances(self) -> Array:
+        """(count,) distances of all bodies together ([Lee2019] Eq. (3.3.26))."""
+        return np.asarray(np.linalg.norm(self.distances, axis=1))
+
+
+def perturb(
+    phi: ArrayLike,
+    count: int,
+    *,
+    rng: np.random.Generator,
+    mass_uncertainty: float = 0.5,
+    point_masses: int = 10,
+    support: Ellipsoid | None = None,
+) -> Perturbation:
+    """Random bodies: each adds or takes away point masses at random places of its support.
+
+        P̃ = P + Σ (Δm ηᵢ) [xᵢ;1][xᵢ;1]ᵀ,  Δm ∈ [−δ m, δ m],  Σ ηᵢ = 1       [Lee2019] (B.2.11)
+
+    Δm is uniform, the shares η are uniform among those that add up to one, and the places x are
+    uniform in the support. A body that is not physical, since mass was taken away where there is
+    none, is drawn anew. So is one that is thinner than a thousandth of its length.
+
+    Args:
+        phi: (nb, 10) physical inertial parameters.
+        count: Number of draws of all bodies.
+        rng: Source of the random numbers.
+        mass_uncertainty: δ in (0, 1).
+        point_masses: Number of point masses a body.
+        support: Ellipsoids of the bodies, of shape (nb,), or one for all; the equivalent uniform
+            ones if None.
+
+    Raises:
+        ArgumentError: A body is not physical, or a number is out of its range.
+        ConvergenceError: Hardly any draw of a body is physical.
+    """
+    phi = real_array(phi, "phi", ("nb", 10))
+    if not is_physical(phi).all():
+        wrong = np.flatnonzero(~is_physical(phi)).tolist()
+        raise ArgumentError(f"Bodies {wrong} are not physical, so nothing is near them.")
+    count, point_masses = (
+        integer(count, "count", lower=1),
+        integer(point_masses, "point_masses", lower=1),
+    )
+    number(mass_uncertainty, "mass_uncertainty", lower=0.0, upper=1.0, strict=True)
+    instance(rng, "rng", np.random.Generator)
+    given = equivalent_ellipsoid(phi) if support is None else support
+    support = instance(given, "support", Ellipsoid)
+    if support.center.shape[:-1] not in ((), (len(phi),)):
+        raise ArgumentError(
+            f"Expected one support, or one for each of {len(phi)} bodies; got "
+            f"{support.center.shape[:-1]}."
+        )
+    shape = (count, len(phi))
+    made, missing, rejected = np.empty((*shape, 10)), np.ones(shape, bool), 0
+    for _ in range(_MOST_DRAWS):
+        change = rng.uniform(-mass_uncertainty, mass_uncertainty, shape) * phi[:, 0]
+        shares = rng.dirichlet(np.ones(point_masses), shape)
+        places = np.moveaxis(support.random_points(rng, (point_masses, *shape)), 0, -2)
+        drawn = phi + from_point_masses(change[..., None] * shares, places)
+        good = missing & is_physical(drawn, tolerance=_TOLERANCE)
+        made[good] = drawn[good]
+        missing &= ~good
+        rejected += int(missing.sum())
+        if not missing.any():
+            return Perturbation(made, riemannian_distance(made, phi), rejected)
+    raise ConvergenceError(
+        f"Body {int(np.argwhere(missing)[0, 1])} was never physical in {_MOST_DRAWS} draws.",
+        advice="Choose a smaller mass_uncertainty, more point masses, or a support that is not "
+        "larger than the body.",
+    )

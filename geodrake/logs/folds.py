@@ -1,0 +1,252 @@
+"""Validation folds: whole trajectories, or long blocks of time with gaps between them.
+
+Residuals of real robots are correlated over many samples, so that folds of single samples call
+nearly every smooth regressor real. Folds here are long stretches of time. Their gaps take at most a
+twentieth of the data, so that the outermost samples of neighbouring folds may share filter windows.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+
+import numpy as np
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.motion import Trajectory
+
+_ENOUGH_TRAJECTORIES = 4
+_FOLDS = 8
+_MOST_BLOCKS = 1000  # of a log; each is held out of a fit once
+_LEAST_OUTPUTS = 10  # filtered samples in a fold
+_LARGEST_GAP = 0.05  # of a block
+_CORRELATION_SECONDS = 0.5  # of what friction and elasticity leave in a residual
+
+
+@dataclass(frozen=True)
+class Block:
+    """A stretch of the filtered samples of one segment.
+
+    Attributes:
+        trajectory: Index of the trajectory.
+        segment: Index of the segment in the trajectory.
+        start: First of the segment's filtered samples that is in the block.
+        stop: First one after the block.
+    """
+
+    trajectory: int
+    segment: int
+    start: int
+    stop: int
+
+    def __len__(self) -> int:
+        return self.stop - self.start
+
+
+@dataclass(frozen=True)
+class Fold:
+    """What is held out together.
+
+    Attributes:
+        name: Where it comes from, in words.
+        blocks: Its samples, as blocks.
+    """
+
+    name: str
+    blocks: tuple[Block, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.blocks))
+
+
+def validation_blocks(
+    trajectories: Sequence[Trajectory],
+    *,
+    blocks: int | None = None,
+    gap_seconds: float | None = None,
+) -> tuple[Fold, ...]:
+    """Split trajectories into folds that share no filtered sample and are apart in time.
+
+    Four trajectories or more are one fold each, or two if one alone has a known payload or has
+    none; fewer are cut into blocks of equal length, about eight in all. Samples in the gaps between
+    blocks belong to no fold.
+
+    Args:
+        trajectories: The prepared logs.
+        blocks: Blocks for each trajectory, if it is to be cut; fewer where a block would have less
+            than ten filtered samples.
+        gap_seconds: Time between neighbouring blocks, s; by default the length of the filter's
+            window and half a second, at most 5 % of a block.
+
+    Raises:
+        ArgumentError: If there is no trajectory, or `blocks` or `gap_seconds` is out of range.
+        LogError: If the trajectories are too short for two folds.
+    """
+    if not trajectories or not 0.0 <= (gap_seconds or 0.0) < np.inf:
+        raise ArgumentError(
+            f"Folds need a trajectory and a gap of zero or more; got {len(trajectories)} "
+            f"trajectories, gap_seconds={gap_seconds}."
+        )
+    least = 2 if len(trajectories) == 1 else 1
+    if blocks is not None and not least <= blocks <= _MOST_BLOCKS:
+        why = "something must be held out" if blocks < least else "each is held out of a fit once"
+        raise ArgumentError(
+            f"{blocks} blocks do not do for {len(trajectories)} log: {why}.",
+            advice=f"Ask for {least} to {_MOST_BLOCKS} blocks.",
+            blocks=blocks,
+        )
+    wanted = blocks or max(1, _FOLDS // len(trajectories))
+    if blocks is None and len(trajectories) >= _ENOUGH_TRAJECTORIES:
+        alone = 1 in Counter(trajectory.payloads for trajectory in trajectories).values()
+        wanted = 2 if alone else 1
+    folds = tuple(
+        fold
+        for index, trajectory in enumerate(trajectories)
+        for fold in _cut(trajectory, index, wanted, gap_seconds)
+    )
+    if len(folds) < 2:
+        outputs = sum(trajectories[0].output_counts)
+        raise LogError(
+            f"Log {trajectories[0].name!r} is too short to hold anything out: it gives {outputs} "
+            f"filtered samples, and two blocks with a gap need more than {2 * _LEAST_OUTPUTS}.",
+            advice="Give a longer log, a second one, or a larger bandwidth.",
+            outputs=outputs,
+        )
+    return folds
+
+
+def dealt_out(
+    folds: Sequence[Fold],
+    trajectories: Sequence[Trajectory],
+    windows: Sequence[tuple[int, float, float]],
+    *,
+    pieces: int,
+) -> tuple[Fold, ...]:
+    """Folds of which windows are cut into pieces, every other one given to another fold.
+
+    Args:
+        folds: The folds.
+        trajectories: The prepared logs.
+        windows: Index of the log, start and end of each window, s since the log began.
+        pieces: Pieces of a window.
+    """
+
+    def owners(number: int) -> list[int]:
+        other = (number + len(folds) // 2) % len(folds)
+        return [(number, other)[k % 2] for k in range(pieces)]
+
+    dealt = _redealt(folds, trajectories, windows, owners)
+    return tuple(replace(fold, blocks=dealt[number]) for number, fold in enumerate(folds))
+
+
+def set_apart(
+    folds: Sequence[Fold],
+    trajectories: Sequence[Trajectory],
+    windows: Sequence[tuple[int, float, float]],
+) -> tuple[Fold, ...]:
+    """Folds less some windows, which become a fold of their own.
+
+    Args:
+        folds: The folds.
+        trajectories: The prepared logs.
+        windows: Index of the log, start and end of each window, s since the log began.
+    """
+    dealt = _redealt(folds, trajectories, windows, lambda number: [len(folds)])
+    all_folds = [*folds, Fold("set apart", ())]
+    parted = (replace(fold, blocks=dealt[number]) for number, fold in enumerate(all_folds))
+    return tuple(fold for fold in parted if len(fold))
+
+
+def _redealt(
+    folds: Sequence[Fold],
+    trajectories: Sequence[Trajectory],
+    windows: Sequence[tuple[int, float, float]],
+    owners: Callable[[int], Sequence[int]],
+) -> Mapping[int, tuple[Block, ...]]:
+    """Blocks of every fold by its number, once windows are cut into pieces for their owners."""
+    dealt: dict[int, list[Block]] = defaultdict(list)
+    windows = _merged(windows)
+    for number, fold in enumerate(folds):
+        own = owners(number)
+        for block in fold.blocks:
+            cuts = {block.start: number}
+            for start, stop in _outputs_within(block, trajectories[block.trajectory], windows):
+                edges = np.linspace(start, stop, len(own) + 1).round().astype(int).tolist()
+                cuts |= dict(zip(edges[:-1], own, strict=True))
+                cuts[stop] = number
+            edges = sorted(cuts)
+            for start, stop in zip(edges, [*edges[1:], block.stop], strict=True):
+                if start < stop:
+                    dealt[cuts[start]].append(replace(block, start=start, stop=stop))
+    order = attrgetter("trajectory", "segment", "start")
+    blocks = {number: tuple(sorted(own, key=order)) for number, own in dealt.items()}
+    return defaultdict(tuple, blocks)
+
+
+def _merged(windows: Sequence[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
+    """Windows of which those that overlap are one."""
+    found: list[tuple[int, float, float]] = []
+    for log, start, end in sorted(windows):
+        if found and found[-1][0] == log and start <= found[-1][2]:
+            found[-1] = (log, found[-1][1], max(end, found[-1][2]))
+        else:
+            found.append((log, start, end))
+    return found
+
+
+def _outputs_within(
+    block: Block, trajectory: Trajectory, windows: Sequence[tuple[int, float, float]]
+) -> Iterator[tuple[int, int]]:
+    """First and last filtered sample of each window in a block."""
+    low_pass, segment = trajectory.filter, trajectory.segments[block.segment]
+    began, here = trajectory.began, float(segment[:1].time[0])
+    for log, *window in windows:
+        if log == block.trajectory:
+            since = (np.array(window) + began - here) / low_pass.period - low_pass.halfwidth
+            places = np.rint(since / low_pass.decimation).astype(int)
+            first, last = np.clip(places, block.start, block.stop).tolist()
+            if first < last:
+                yield first, last
+
+
+def _cut(trajectory: Trajectory, index: int, wanted: int, gap_seconds: float | None) -> list[Fold]:
+    counts = np.array(trajectory.output_counts)
+    ends = np.cumsum(counts)
+    total, period = int(ends[-1]), trajectory.filter.output_period
+    window = 2 * trajectory.filter.halfwidth * trajectory.filter.period
+    for pieces in range(max(1, min(wanted, total // _LEAST_OUTPUTS)), 0, -1):
+        gap = int(np.ceil((window + _CORRELATION_SECONDS) / period))
+        gap = min(gap, max(1, int(_LARGEST_GAP * total / pieces)))
+        if gap_seconds is not None:
+            gap = int(np.ceil(gap_seconds / period))
+        length = (total - gap * (pieces - 1)) // pieces
+        if length >= _LEAST_OUTPUTS:
+            break
+    if pieces == 1:
+        gap = 0
+    cuts = np.linspace(0, total + gap, pieces + 1).round().astype(int)
+    folds = []
+    for start, stop in zip(cuts[:-1], cuts[1:] - gap, strict=True):
+        begin = np.maximum(start - (ends - counts), 0).tolist()
+        end = np.minimum(stop - (ends - counts), counts).tolist()
+        blocks = tuple(
+            Block(index, k, begin[k], end[k]) for k in range(len(counts)) if end[k] > begin[k]
+        )
+        folds.append(Fold(_name(trajectory, blocks, pieces), blocks))
+    return folds
+
+
+def _name(trajectory: Trajectory, blocks: Sequence[Block], pieces: int) -> str:
+    if pieces == 1:
+        return trajectory.name
+    low_pass = trajectory.filter
+    first, last = (
+        trajectory.segments[index][center : center + 1].time[0]
+        for index, center in (
+            (block.segment, low_pass.halfwidth + low_pass.decimation * sample)
+            for block, sample in ((blocks[0], blocks[0].start), (blocks[-1], blocks[-1].stop - 1))
+        )
+    )
+    return f"{trajectory.name} {first:.2f}–{last:.2f} s"

@@ -1,0 +1,68 @@
+"""A body of known mass that a robot carried while it was logged, such as a calibration weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+from geodrake.inertia import from_mass_com_inertia
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+
+_HEAVIEST, _FARTHEST = 1e6, 1e3  # kg, and m; beyond them it is a slip of the keyboard
+_POINT = ((0.0, 0.0, 0.0),) * 3
+
+
+@dataclass(frozen=True)
+class KnownPayload:
+    """A known body fixed to a link of the robot, that is no part of its model.
+
+    What it needs is effort in true N·m. So logs with it and without identify gains of efforts,
+    which bodies of a model would take in otherwise.
+
+    Attributes:
+        body: Name of the link B that carries it.
+        mass: Mass, kg.
+        mass_center: Position p_BoBcm_B of its centre of mass from the link's origin, expressed in
+            the link's frame, m.
+        inertia: Rotational inertia about its centre of mass, in the axes of the link's frame,
+            kg·m²; by default that of a point mass.
+
+    Raises:
+        ArgumentError: The mass is not positive, or a value is beyond all reason.
+    """
+
+    body: str
+    mass: float
+    mass_center: Vector = (0.0, 0.0, 0.0)
+    inertia: tuple[Vector, Vector, Vector] = _POINT
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.mass <= _HEAVIEST:
+            raise ArgumentError(
+                f"A known payload of {self.body} has a mass of {self.mass:g} kg.",
+                advice=f"Give what a scale says of it: above 0 kg and up to {_HEAVIEST:g} kg.",
+            )
+        center, inertia = np.asarray(self.mass_center, float), np.asarray(self.inertia, float)
+        shapes = center.shape, inertia.shape
+        largest = _HEAVIEST * _FARTHEST**2
+        bounds = (center, _FARTHEST), (inertia, largest)
+        if shapes != ((3,), (3, 3)) or not all((np.abs(x) <= most).all() for x, most in bounds):
+            raise ArgumentError(
+                f"A known payload of {self.body} has its centre at {self.mass_center} m and the "
+                f"inertia {self.inertia} kg·m².",
+                advice=f"Give three numbers x, y, z, up to {_FARTHEST:g} m, and three rows of "
+                "three.",
+            )
+
+        object.__setattr__(self, "mass_center", tuple(center.tolist()))
+        object.__setattr__(self, "inertia", tuple(map(tuple, inertia.tolist())))
+
+    @property
+    def phi(self) -> Array:
+        """(10,) inertial parameters about the link's origin, expressed in the link's frame."""
+        return from_mass_com_inertia(self.mass, self.mass_center, self.inertia)

@@ -1,0 +1,244 @@
+"""Motions and measured logs, and the way from a raw log to smooth uniform segments."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, instances, real_array
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.filtering import ZeroPhaseFilter
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.smoothing import Stretch
+from geodrake.logs.time_stamps import check_time
+
+Array = NDArray[np.float64]
+
+MEMORY = 20_000
+"""Samples before the first one that effects with a memory look back at."""
+
+_ROWS = 100_000  # of a log that are copied at once
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog:
+    """What was measured at the joints of a robot; rows may hold NaN where nothing was.
+
+    Attributes:
+        name: What messages call the log.
+        joints: Names of the n joints.
+        time: (N,) time stamps, s, increasing, not necessarily uniform.
+        position: (N, n) joint positions, rad or m.
+        effort: (N, n) joint efforts, N·m or N.
+        velocity: (N, n) joint velocities, rad/s or m/s, if measured.
+        acceleration: (N, n) joint accelerations, rad/s² or m/s², if measured.
+        notes: What was noticed while reading, in words.
+        payloads: What the robot carried all the time, of known mass, and its model does not have.
+
+    Raises:
+        ArgumentError: If the shapes do not fit together, or a joint is named twice.
+        LogError: If time runs backwards, repeats or stands still.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    time: Array
+    position: Array
+    effort: Array
+    velocity: Array | None = None
+    acceleration: Array | None = None
+    notes: tuple[str, ...] = ()
+    payloads: tuple[KnownPayload, ...] = ()
+
+    def __post_init__(self) -> None:
+        for quantity in ("time", "position", "effort", "velocity", "acceleration"):
+            if (values := getattr(self, quantity)) is not None:
+                name = f"{quantity} of log {self.name!r}"
+                object.__setattr__(self, quantity, real_array(values, name, finite=False))
+        if np.ndim(self.time) != 1 or isinstance(self.joints, str):
+            raise ArgumentError(
+                f"Log {self.name!r} needs time stamps (N,) and a tuple of joint names; it got time "
+                f"of shape {np.shape(self.time)} and joints {self.joints!r}."
+            )
+        instance(self.name, "name", str)
+        object.__setattr__(self, "joints", instances(self.joints, "joints", str))
+        for name, values in (("position", self.position), ("effort", self.effort)):
+            instance(values, name, np.ndarray)
+        shape = (len(self.time), len(self.joints))
+        for quantity in ("position", "effort", "velocity", "acceleration"):
+            values = getattr(self, quantity)
+            if values is not None and np.shape(values) != shape:
+                raise ArgumentError(
+                    f"The {quantity} of log {self.name!r} has shape {np.shape(values)}; its "
+                    f"{shape[0]} time stamps and {shape[1]} joints need {shape}.",
+                    shape=np.shape(values),
+                )
+        if len(set(self.joints)) != len(self.joints):
+            raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
+        check_time(self.name, np.asarray(self.time, float))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def fingerprint(self) -> str:
+        """Digest of the measurements, whatever the order of the joints: distinguishes logs."""
+        order = np.argsort(self.joints)
+        digest = hashlib.sha256(np.ascontiguousarray(self.time).data)
+        for values in (self.position, self.effort):
+            for first in range(0, len(self), _ROWS):
+                digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]).data)
+        return digest.hexdigest()[:16]
+
+    def select(self, joints: Sequence[str]) -> JointLog:
+        """The log of some of its joints, in the order given; itself if that is its own order.
+
+        Args:
+            joints: Names of joints that the log has.
+
+        Raises:
+            LogError: If the log lacks one of them; the message offers the nearest names.
+        """
+        for joint in joints:
+            if joint not in self.joints:
+                raise _missing(self.name, joint, self.joints)
+        if tuple(joints) == self.joints:
+            return self
+        order = [self.joints.index(joint) for joint in joints]
+        pick = {
+            quantity: values[:, order]
+            for quantity in ("position", "effort", "velocity", "acceleration")
+            if (values := getattr(self, quantity)) is not None
+        }
+        return replace(self, joints=tuple(joints), **pick)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Positions, velocities and accelerations in Drake's order, sample by sample.
+
+    Attributes:
+        q: (N, nq) generalized positions.
+        v: (N, nv) generalized velocities.
+        vd: (N, nv) generalized accelerations.
+        time: (N,) instants, s, if they matter.
+        before: (M, nq) positions right before the first sample; None for samples out of order.
+    """
+
+    q: Array
+    v: Array
+    vd: Array
+    time: Array | None = None
+    before: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("q", "v", "vd", "time", "before"):
+            if (values := getattr(self, name)) is not None or name in ("q", "v", "vd"):
+                object.__setattr__(self, name, real_array(values, name, finite=False))
+        if self.q.ndim != 2 or self.v.ndim != 2 or self.vd.ndim != 2:
+            raise ArgumentError(
+                f"A motion is (N, nq) and (N, nv); got {self.q.shape} and {self.v.shape}."
+            )
+        times = () if self.time is None else np.shape(self.time)
+        lengths = {len(self.q), len(self.v), len(self.vd), *times}
+        if len(lengths) > 1 or np.shape(self.v) != np.shape(self.vd):
+            raise ArgumentError(
+                f"A motion needs as many samples of everything, and v like v̇; it got q "
+                f"{np.shape(self.q)}, v {np.shape(self.v)}, v̇ {np.shape(self.vd)}, time {times}."
+            )
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, samples: slice) -> Motion:
+        time = None if self.time is None else self.time[samples]
+        before = self.before
+        if before is not None:
+            before = np.concatenate([before, self.q[: samples.indices(len(self))[0]]])[-MEMORY:]
+        return Motion(self.q[samples], self.v[samples], self.vd[samples], time, before)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One log, prepared for identification.
+
+    Attributes:
+        name: Name of the log.
+        joints: Names of the n joints, in the log's order.
+        segments: Its stretches without gaps, in time.
+        filter: What efforts and regressors of every segment are to be filtered by.
+        speed_noise: (n,) deviation of the noise of the smoothed velocities, rad/s or m/s.
+        acceleration_noise: (n,) that of accelerations filtered as efforts are, rad/s² or m/s².
+        notes: What was done to the log and chosen from it, in words.
+        began: Its first time stamp, s.
+        payloads: Known payloads that the robot carried.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    segments: tuple[Stretch, ...]
+    filter: ZeroPhaseFilter
+    speed_noise: Array
+    acceleration_noise: Array
+    notes: tuple[str, ...] = ()
+    began: float = 0.0
+    payloads: tuple[KnownPayload, ...] = ()
+
+    @property
+    def output_counts(self) -> tuple[int, ...]:
+        """How many filtered and decimated samples each segment gives."""
+        return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
+
+
+def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
+    """The log with its joints in the model's order.
+
+    Args:
+        log: A log of exactly the model's joints, in any order.
+        model_joints: Names of the model's joints.
+
+    Raises:
+        LogError: If log or model has a joint that the other lacks; the message offers the
+            nearest names.
+    """
+    check_joints(log.name, log.joints, model_joints)
+    return log.select(model_joints)
+
+
+def check_joints(name: str, joints: Sequence[str], model_joints: Sequence[str]) -> None:
+    """Raise a LogError unless the joints of the log of that name are the model's, in any order.
+
+    Args:
+        name: Name of the log, for messages.
+        joints: Names of the log's joints.
+        model_joints: Names of the model's joints.
+    """
+    for joint in joints:
+        if joint not in model_joints:
+            raise LogError(
+                f"The model has no joint {joint!r}, which log {name!r} has"
+                f"{_nearest(joint, model_joints)}.",
+                advice="Rename the log's columns, or leave that joint's columns out.",
+                joint=joint,
+            )
+    for joint in model_joints:
+        if joint not in joints:
+            raise _missing(name, joint, joints)
+
+
+def _missing(name: str, joint: str, joints: Sequence[str]) -> LogError:
+    return LogError(
+        f"Log {name!r} has no joint {joint!r}{_nearest(joint, joints)}.",
+        advice="Rename the log's columns, or record that joint too.",
+        joint=joint,
+    )
+
+
+def _nearest(name: str, others: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, others, n=3, cutoff=0.4) or others
+    return f" (nearest: {', '.join(map(repr, close))})" if close else ""

@@ -1,0 +1,271 @@
+"""From raw logs to smooth uniform segments: gaps, standstills, jitter, bandwidth, derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.filtering import (
+    HIGHEST_BANDWIDTH,
+    ZeroPhaseFilter,
+    choose_bandwidth,
+    design_filter,
+    differentiate,
+)
+from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.logs.uniform_log import UniformLog, make_uniform
+from geodrake.logs.white_noise import quiet_density
+
+Array = NDArray[np.float64]
+
+LEAST_OUTPUTS = 10  # filtered samples that a log must give to be of use
+_STILL_SPEED, _SPEED_NOISE = 0.01, 4.0  # of the peak speed, and deviations of the speed's noise
+_SHARPER = 3.0  # bandwidth of the smoothed motion over that of efforts and regressors
+_SPEED_AGREEMENT = 0.05  # relative RMS of measured velocity − derivative of position
+_FREQUENCIES = 257  # at which the noise of accelerations is added up
+_NOTED_LAG = 0.1  # of the sampling period, between measured velocity and position
+
+
+def prepare_log(log: JointLog, *, bandwidth: float | None = None) -> Trajectory:
+    """Prepare one log; see `prepare_logs`.
+
+    Args:
+        log: The log.
+        bandwidth: Bandwidth of efforts and regressors, Hz; by default chosen from the data.
+    """
+    return prepare_logs([log], bandwidth=bandwidth)[0]
+
+
+def prepare_logs(
+    logs: Sequence[JointLog | UniformLog],
+    *,
+    bandwidth: float | None = None,
+    motion_bandwidth: float | None = None,
+    how: str = "as asked for",
+) -> tuple[Trajectory, ...]:
+    """Turn raw logs into smooth uniform segments and the filter for efforts and regressors.
+
+    A log is split at NaN rows and gaps, resampled to its median time step, low-passed without lag
+    and differentiated, and standstills at its two ends are left out. Measured velocities are
+    used when they agree with the positions, apart from a lag, which is taken out.
+
+    Efforts and regressors are filtered later, which takes the noise from all that is linear in the
+    acceleration. The motion is therefore smoothed less than they are, so that the instants at
+    which joints turn round, where dry friction jumps, stay sharp.
+
+    Args:
+        logs: The logs, all of the same joints; uniform ones if they are prepared more than once.
+        bandwidth: Common bandwidth of efforts and regressors, Hz; by default chosen from the data.
+        motion_bandwidth: Bandwidth of the smoothed motion, Hz; by default three times the other.
+        how: Where a given bandwidth comes from, for the notes.
+
+    Raises:
+        ArgumentError: If there is no log, joints differ, or the bandwidth does not fit.
+        LogError: If a log is still throughout, or too short for the bandwidth.
+    """
+    if not logs:
+        raise ArgumentError("There is no log.", advice="Give at least one.")
+    uniform = [each if isinstance(each, UniformLog) else make_uniform(each) for each in logs]
+    joints = [each.log.joints for each in uniform]
+    if any(names != joints[0] for names in joints):
+        raise ArgumentError(
+            f"Logs to prepare must be of the same joints; got {joints}.",
+            advice="Match every log to the model's joints first.",
+        )
+    if bandwidth is None:
+        how = "chosen from the data"
+        moving = np.any([each.moving for each in uniform], axis=0)
+        bandwidth = choose_bandwidth(
+            [
+                (part.position[:, moving], each.period)
+                for each in uniform
+                for part in each.sample_parts()
+            ]
+        )
+    sharp = motion_bandwidth or _SHARPER * bandwidth
+    return tuple(_prepare(each, bandwidth, sharp, how) for each in uniform)
+
+
+def _prepare(
+    uniform: UniformLog, bandwidth: float, motion_bandwidth: float, how: str
+) -> Trajectory:
+    log, period = uniform.log, uniform.period
+    low_pass = design_filter(period, bandwidth)
+    smoother = design_filter(period, min(motion_bandwidth, HIGHEST_BANDWIDTH / period))
+    notes = list(uniform.notes)
+    notes.append(
+        f"bandwidth {low_pass.bandwidth:.3g} Hz {how}; efforts decimated {1 / period:.4g} → "
+        f"{1 / low_pass.output_period:.4g} Hz"
+    )
+    long = tuple(p for p in uniform.pieces if low_pass.output_count(len(p)) > 0)
+    # Known before the work, which for a filter longer than the log is the longest there is.
+    _check_outputs(uniform, low_pass, sum(low_pass.output_count(len(p)) for p in long))
+    stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
+    derived = any(stretch.lag is None for stretch in stretches)
+    trajectory = Trajectory(
+        log.name,
+        log.joints,
+        stretches,
+        low_pass,
+        _speed_noise(uniform, smoother),
+        _acceleration_noise(uniform, low_pass, derived=derived),
+        tuple(notes),
+        float(log.time[0]),
+        log.payloads,
+    )
+    _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
+    dropped = len(uniform.pieces) - len(stretches)
+    if dropped:
+        note = f"left out {dropped} of {len(uniform.pieces)} pieces: still, or short for the filter"
+        return replace(trajectory, notes=(*notes, note))
+    return trajectory
+
+
+def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int) -> None:
+    """Raise a LogError unless a log gives enough filtered samples."""
+    if outputs >= LEAST_OUTPUTS:
+        return
+    ends = 4 * low_pass.halfwidth * uniform.period
+    raise LogError(
+        f"Log {uniform.log.name!r} is too short: its {uniform.seconds:.3g} s give {outputs} "
+        f"filtered samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are "
+        "needed.",
+        advice=f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
+        "motion in one piece, or ask for a larger bandwidth.",
+        seconds=uniform.seconds,
+        bandwidth=low_pass.bandwidth,
+    )
+
+
+def _smooth(
+    uniform: UniformLog, low_pass: ZeroPhaseFilter, smoother: ZeroPhaseFilter, notes: list[str]
+) -> tuple[Stretch, ...]:
+    lag, note = _measured_lag(uniform, smoother)
+    notes += [note] if note else []
+    whole = [Stretch(piece, 0, len(piece), smoother, lag) for piece in uniform.pieces]
+    kept = _keep(uniform, whole, low_pass, notes)
+    return tuple(
+        replace(stretch, first=rows.start, stop=rows.stop)
+        for stretch, rows in zip(whole, kept, strict=True)
+        if low_pass.output_count(rows.stop - rows.start) > 0
+    )
+
+
+def _measured_lag(
+    uniform: UniformLog, smoother: ZeroPhaseFilter
+) -> tuple[Array | None, str | None]:
+    """(n,) lag of measured velocities, s; None if there are none that agree with the positions."""
+    truths, measured, slopes = [], [], []
+    inner = slice(smoother.halfwidth, -smoother.halfwidth)  # free of reflected data
+    for part in uniform.sample_parts():
+        if part.velocity is None:
+            return None, None
+        truths.append(differentiate(smoother.smooth(part.position), uniform.period)[inner])
+        velocity = smoother.smooth(part.velocity)
+        measured.append(velocity[inner])
+        slopes.append(differentiate(velocity, uniform.period)[inner])
+    truth, found, slope = (np.concatenate(signals) for signals in (truths, measured, slopes))
+    still = np.where(uniform.moving, 0.0, np.inf)
+    # Differences of positions, or a filter in the drive, make velocities late.
+    steepness = np.sum(slope**2, axis=0) + still
+    lag = np.sum((truth - found) * slope, axis=0) / np.where(steepness > 0.0, steepness, np.inf)
+    error = np.sum((found + lag * slope - truth) ** 2, axis=0)
+    # A joint that does not move in these parts says nothing against its velocities.
+    speed = np.sum(truth**2, axis=0) + still
+    relative = np.sqrt(error / np.where(speed > 0.0, speed, np.inf))
+    worst, latest = int(np.argmax(relative)), int(np.argmax(np.abs(lag)))
+    if relative[worst] > _SPEED_AGREEMENT:
+        return None, (
+            f"measured velocities are not used: that of {uniform.log.joints[worst]} is "
+            f"{100 * relative[worst]:.0f} % off the derivative of its position"
+        )
+    if abs(lag[latest]) < _NOTED_LAG * uniform.period:
+        return lag, None
+    return lag, (
+        f"measured velocities moved onto the positions; that of {uniform.log.joints[latest]} is "
+        f"{1e3 * abs(lag[latest]):.2g} ms {'late' if lag[latest] > 0 else 'early'}"
+    )
+
+
+def _speed_noise(uniform: UniformLog, smoother: ZeroPhaseFilter) -> Array:
+    """(n,) deviation of white noise of the positions, low-passed and differentiated."""
+    cutoff = smoother.bandwidth
+    return uniform.noise * 2 * np.pi * cutoff * np.sqrt(2 * cutoff * uniform.period / 3)
+
+
+def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, derived: bool) -> Array:
+    """(n,) deviation of the noise of accelerations from white noise of what they come from.
+
+    Args:
+        uniform: The log.
+        low_pass: What efforts are filtered by, which the accelerations act like.
+        derived: Whether velocities are derived from the positions.
+    """
+    parts = list(uniform.sample_parts())
+    derived = derived or any(part.velocity is None for part in parts)
+    order = 2 if derived else 1
+    rate, power, weight = 1.0 / uniform.period, np.zeros(len(uniform.log.joints)), 0
+    for part in parts:
+        signal = part.position if derived or part.velocity is None else part.velocity
+        # Differences are free of the motion's large slow part, which would leak into the noise.
+        power += len(part) * quiet_density(signal, rate, low_pass.bandwidth, differences=order)
+        weight += len(part)
+    frequency = np.linspace(0.0, 2.0 * low_pass.bandwidth, _FREQUENCIES)
+    passed = low_pass.response(frequency) * (2.0 * np.pi * frequency) ** order
+    return np.sqrt(power / weight * np.trapezoid(passed**2, frequency))
+
+
+def _keep(
+    uniform: UniformLog,
+    whole: Sequence[Stretch],
+    low_pass: ZeroPhaseFilter,
+    notes: list[str],
+) -> Iterator[slice]:
+    """Samples of each piece to keep.
+
+    Near a piece's end, smoothing leans on reflected data, which is right only for a joint at rest:
+    those samples go. Of a standstill at an end of the log only what the filter needs to reach the
+    first moving sample stays.
+    """
+    smoother = whole[0].smoother
+    peak = np.max([stretch.peak_speed for stretch in whole], axis=0)
+    threshold = np.maximum(_STILL_SPEED * peak, _SPEED_NOISE * _speed_noise(uniform, smoother))
+    threshold = np.where(uniform.moving, threshold, np.inf)
+    moving = [_first_and_last_moving(stretch, threshold) for stretch in whole]
+    busy = [k for k, ends in enumerate(moving) if ends is not None]
+    lean, reach = smoother.halfwidth, low_pass.halfwidth
+    for k, (stretch, ends) in enumerate(zip(whole, moving, strict=True)):
+        count = len(stretch)
+        if not busy or k < busy[0] or k > busy[-1]:
+            yield slice(0, 0)
+            continue
+        before, after = (count, count) if ends is None else (ends[0], count - 1 - ends[1])
+        first, last = max(lean - before, 0), max(lean - after, 0)
+        if k == busy[0] and before > reach:
+            first = before - reach
+            notes.append(f"left out {first * uniform.period:.2f} s of standstill at the start")
+        if k == busy[-1] and after > reach:
+            last = after - reach
+            notes.append(f"left out {last * uniform.period:.2f} s of standstill at the end")
+        yield slice(first, max(first, count - last))
+
+
+def _first_and_last_moving(stretch: Stretch, threshold: Array) -> tuple[int, int] | None:
+    """First and last sample at which a joint is faster than its threshold (n,)."""
+
+    def moving(chunks: Iterator[tuple[int, Segment]]) -> Iterator[NDArray[np.intp]]:
+        for first, chunk in chunks:
+            fast = (np.abs(chunk.velocity) > threshold).any(axis=1)
+            if fast.any():
+                yield first + np.flatnonzero(fast)
+
+    earliest = next(moving(stretch.chunks()), None)
+    if earliest is None:
+        return None
+    latest = next(moving(stretch.chunks(backwards=True)))
+    return int(earliest[0]), int(latest[-1])

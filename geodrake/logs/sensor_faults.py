@@ -1,0 +1,290 @@
+"""What sensors do wrong, and no robot: spikes, wraps, frozen readings, values that cannot be.
+
+A fault of a sensor is told from motion by size: from one row to the next a robot moves about as far
+as it does elsewhere in the log, and a sensor jumps as it likes. On 97 joints of 20 public logs
+(UR10e, TX40, EMPS, LWR4, KR300 and a double pendulum at 100 Hz to 1 kHz, with payloads, pushes and
+quick turns) the largest step of a position is 2.2 times an ordinary one, at 15 rad/s; that of a
+velocity 12 times, at 1,800 rad/s²; that of an effort 14 times, at 1.2e6 N·m/s. Efforts stay the
+same for 0.02 s at most while their joint moves, and positions while theirs goes on by 4e-4 rad. The
+thresholds are some ten times that. What is found is left out, as an empty cell is, and said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+LARGEST = 1e9
+"""Magnitude above which nothing is a position, velocity or effort of a robot in SI units."""
+
+_JUMP = {"position": (20.0, 20.0), "velocity": (100.0, 1e5), "effort": (100.0, 1e7)}
+"""How many ordinary steps a jump has, and its least rate, in units of the quantity a second."""
+
+_BLOCK, _ORDINARY = 50, 0.75  # rows, and the share of such blocks without a larger step
+_FEW = 5  # rows after which a spike is over
+_BACK = 0.1  # of a spike's height by which the reading after it may differ from that before
+_ALONE = 0.05  # of a jump that the steps before and after it have at most
+_TURNS, _WRAP = (2.0 * np.pi, 360.0), 0.05  # one turn, and the share of it that a wrap may be off
+_FROZEN_SECONDS, _FROZEN_ROWS = 0.25, 20  # that a frozen reading lasts at least
+_MOVING = 0.1, 0.01, 0.02  # share of the peak speed, rad/s or m/s, and rad or m: a joint that moves
+_CATCH_UP = 3.0  # largest steps elsewhere that a frozen position makes at its end
+_RARE = 20.0  # times that a frozen effort lasts as long as 99 % of the runs of equal efforts
+_MOST_FROZEN = 0.5  # of a log, above which the rest says nothing of the robot
+
+
+def without_faults(log: JointLog) -> JointLog:
+    """A log without what its sensors did wrong, and with notes of it; itself if that is nothing.
+
+    Positions that wrap at a full turn are unwrapped. Readings that jump by orders of magnitude and
+    come back within a few rows become NaN, and so do positions and efforts that stay exactly the
+    same while the joint moves, and the last position before a jump that stays.
+
+    Args:
+        log: The log.
+
+    Raises:
+        LogError: A value is impossible, and not for a moment, or a sensor is frozen most of the
+            time.
+    """
+    steps = np.diff(log.time[np.isfinite(log.time)])
+    if not len(steps):
+        return log
+    period, notes, repaired = float(np.median(steps)), list(log.notes), dict[str, Any]()
+    for quantity in _JUMP:
+        for joint in range(0 if getattr(log, quantity) is None else len(log.joints)):
+            with np.errstate(over="ignore"):  # of steps between numbers that are no readings
+                column, found = _Sensor.of(log, quantity, joint, period).repaired()
+            if found:
+                repaired.setdefault(quantity, getattr(log, quantity).copy())[:, joint] = column
+                notes += found
+    return replace(log, **repaired, notes=tuple(notes)) if repaired else log
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensor:
+    """What one sensor of one joint measured.
+
+    Attributes:
+        log: The log.
+        quantity: What is measured, such as "position".
+        joint: Which joint's it is.
+        period: Typical time between rows, s.
+        rows: (K,) rows that are no empty cells; all of them if a slice.
+        time: (K,) instants, s.
+        values: (K,) readings.
+    """
+
+    log: JointLog
+    quantity: str
+    joint: int
+    period: float
+    rows: Indices | slice
+    time: Array
+    values: Array
+
+    @classmethod
+    def of(cls, log: JointLog, quantity: str, joint: int, period: float) -> _Sensor:
+        """The sensor of a quantity of a joint."""
+        column = getattr(log, quantity)[:, joint]
+        known = np.isfinite(column) & np.isfinite(log.time)
+        rows = slice(None) if known.all() else np.flatnonzero(known)
+        return cls(log, quantity, joint, period, rows, log.time[rows], column[rows])
+
+    @property
+    def name(self) -> str:
+        """Such as `position of elbow`."""
+        return f"{self.quantity} of {self.log.joints[self.joint]}"
+
+    def repaired(self) -> tuple[Array, list[str]]:
+        """The column (N,) of the log without faults, and what they were.
+
+        Raises:
+            LogError: The rest says nothing of the robot.
+        """
+        column = getattr(self.log, self.quantity)[:, self.joint]
+        values, words = self._unwrapped() if self.quantity == "position" else (self.values, "")
+        notes = [f"the {self.name} {words}"] if words else []
+        lost = np.zeros(len(values), bool)
+        for where, words in replace(self, values=values)._faults():
+            lost[where] = True
+            notes.append(f"the {self.name} {words}: left out")
+        if notes:
+            column = column.copy()
+            column[self.rows] = np.where(lost, np.nan, values)
+        return column, notes
+
+    def _faults(self) -> Iterator[tuple[Indices | slice, str]]:
+        """Readings that are none, and what is wrong with them."""
+        jumps = self._jumps()
+        spikes = self._spikes(jumps)
+        if len(spikes):
+            first = spikes[0]
+            yield (
+                spikes,
+                f"jumps and comes back, {len(spikes)} rows in all, the first at "
+                f"t = {self.time[first]:.2f} s to {self.values[first]:.4g}",
+            )
+        self._check_possible(spikes)
+        explained = [spikes, spikes - 1]
+        for first, last in self._frozen(jumps):
+            seconds = self.time[last] - self.time[first]
+            words = (
+                f"stays at {self.values[first]:.4g} for {seconds:.3g} s from "
+                f"t = {self.time[first]:.2f} s on, while the joint moves"
+            )
+            if last - first > _MOST_FROZEN * len(self.values):
+                raise LogError(
+                    f"In log {self.log.name!r} the {self.name} {words}.",
+                    advice="Has the sensor failed? If the joint was locked, leave out the columns "
+                    "of its velocity.",
+                )
+            yield slice(first, last + 1), words
+            explained.append(np.array([last]))
+        if self.quantity == "position":
+            yield from self._stays(np.setdiff1d(jumps, np.concatenate(explained)))
+
+    def _check_possible(self, spikes: Indices) -> None:
+        """Raise a LogError if readings beside spikes are none of a robot."""
+        rows = np.setdiff1d(np.flatnonzero(np.abs(self.values) > LARGEST), spikes)
+        if len(rows):
+            row = int(np.arange(len(self.log))[self.rows][rows[0]]) + 1
+            raise LogError(
+                f"Row {row} of log {self.log.name!r} has {self.values[rows[0]]:.4g} as the "
+                f"{self.name}, and {len(rows)} rows have the like: no robot in SI units has that.",
+                advice="Are these ticks of an encoder, or has the sensor failed?",
+                row=row,
+            )
+
+    def _unwrapped(self) -> tuple[Array, str]:
+        """Positions without wraps at a full turn, and what was done."""
+        steps = np.diff(self.values)
+        fast = np.abs(steps) > _JUMP["position"][1] * np.maximum(np.diff(self.time), self.period)
+        for turn in _TURNS if fast.any() else ():
+            near = fast & (np.abs(np.abs(steps) - turn) < _WRAP * turn)
+            rest = np.abs(np.where(near, steps - np.copysign(turn, steps), steps))
+            beside = np.concatenate([[0.0], rest, [0.0]])  # the joint moves on as it did
+            ordinary = np.maximum(np.maximum(beside[:-2], beside[2:]), _typical(rest))
+            near &= (rest <= 2.0 * ordinary) & (np.abs(steps) > 5.0 * ordinary)
+            if near.any():
+                turns = np.concatenate([[0.0], np.cumsum(np.where(near, np.sign(steps), 0.0))])
+                words = f"wraps at a turn of {turn:.4g}, {np.count_nonzero(near)} times, the first "
+                words += f"at t = {self.time[int(np.argmax(near))]:.2f} s: unwrapped"
+                return self.values - turn * turns, words
+        return self.values, ""
+
+    def _jumps(self) -> Indices:
+        """Readings right before a step that no robot makes."""
+        steps = np.abs(np.diff(self.values))
+        ratio, rate = _JUMP[self.quantity]
+        if not steps.max(initial=0.0) > rate * self.period:
+            return np.zeros(0, int)
+        limit = rate * np.maximum(np.diff(self.time), self.period)
+        return np.flatnonzero(steps > np.maximum(limit, ratio * _typical(steps)))
+
+    def _spikes(self, jumps: Indices) -> Indices:
+        """Readings between a jump and the way back, and those at an end of the log."""
+        values, last = self.values, len(self.values) - 1
+        steps = np.abs(np.diff(values)) if len(jumps) else np.zeros(0)
+        found, free = [np.zeros(0, int)], 0
+        for before in jumps.tolist():
+            if before < free:
+                continue
+            height = steps[before]
+            after = values[before + 2 : before + 2 + _FEW]
+            back = np.flatnonzero(np.abs(after - values[before]) <= _BACK * height)
+            start = before + 1
+            if len(back):
+                free = before + 2 + int(back[0])
+            elif before < _FEW and steps[before + 1] <= _ALONE * height:
+                start, free = 0, before + 1
+            elif last - before <= _FEW and steps[before - 1] <= _ALONE * height:
+                free = last + 1
+            else:
+                continue
+            found.append(np.arange(start, free))
+        return np.concatenate(found)
+
+    def _stays(self, jumps: Indices) -> Iterator[tuple[slice, str]]:
+        """Readings right before jumps that do not come back and that nothing announces."""
+        steps = np.abs(np.diff(self.values)) if len(jumps) else np.zeros(0)
+        for before in jumps.tolist():
+            beside = steps[max(0, before - 1) : before], steps[before + 1 : before + 2]
+            if max(step.max(initial=0.0) for step in beside) <= _ALONE * steps[before]:
+                there = f"{self.values[before]:.4g} to {self.values[before + 1]:.4g}"
+                words = f"jumps from {there} at t = {self.time[before]:.2f} s and stays there"
+                yield slice(before, before + 1), f"{words}, the row before it"
+
+    def _frozen(self, jumps: Indices) -> Iterator[tuple[int, int]]:
+        """First and last reading of stretches that are the same while the joint moves."""
+        steps = np.abs(np.diff(self.values))
+        edges = np.concatenate([[-1], np.flatnonzero(steps), [len(steps)]])
+        lengths = np.diff(edges)
+        least = max(_FROZEN_ROWS, round(_FROZEN_SECONDS / self.period))
+        if self.quantity == "velocity" or lengths.max(initial=0) < least:
+            return
+        if self.quantity == "effort":
+            least = max(least, round(_RARE * float(np.quantile(lengths, 0.99))))
+        runs = np.flatnonzero(lengths >= least)
+        firsts, lasts = edges[runs] + 1, edges[runs + 1]
+        ends = np.append(steps, 0.0)[lasts]  # steps that runs end with; none at the log's end
+        steps[jumps] = steps[lasts[lasts < len(steps)]] = 0.0
+        limit = max(_JUMP["position"][1] * self.period, _CATCH_UP * float(steps.max(initial=0.0)))
+        for first, last, end in zip(firsts.tolist(), lasts.tolist(), ends.tolist(), strict=True):
+            run = slice(first, last + 1)
+            if self.quantity == "effort":
+                frozen = self._is_frozen_effort(run)
+            else:
+                frozen = end > limit or self._moves_on(run)
+            if frozen:
+                yield first, last
+
+    def _moves_on(self, run: slice) -> bool:
+        """Whether the velocity says that the joint moves while its position stays."""
+        share, speed, least = _MOVING
+        here = self._velocity[run]
+        moves = np.abs(here).mean() > max(share * self._peak_speed, speed)
+        return bool(moves and np.ptp(np.cumsum(here)) * self.period > least)
+
+    @cached_property
+    def _velocity(self) -> Array:
+        """(K,) measured velocities, 0 where there are none."""
+        if self.log.velocity is None:
+            return np.zeros(len(self.values))
+        velocity = self.log.velocity[:, self.joint][self.rows]
+        return np.where(np.isfinite(velocity), velocity, 0.0)
+
+    @cached_property
+    def _peak_speed(self) -> float:
+        return float(np.abs(self._velocity).max())
+
+    def _is_frozen_effort(self, run: slice) -> bool:
+        """Whether the joint moves; at its largest efforts a drive saturates, at 0 it may be off."""
+        if self.values[run.start] in (0.0, *self._extremes):
+            return False
+        position = self.log.position[:, self.joint][self.rows][run]
+        position = position[np.isfinite(position)]
+        low, high = np.quantile(position, [0.05, 0.95]) if len(position) else (0.0, 0.0)
+        return bool(high - low > _MOVING[2])  # a spike is no motion
+
+    @cached_property
+    def _extremes(self) -> tuple[float, float]:
+        return float(self.values.min()), float(self.values.max())
+
+
+def _typical(steps: Array) -> float:
+    """The step that three of four blocks of a log do not go beyond."""
+    whole = len(steps) // _BLOCK * _BLOCK
+    if not whole:
+        return float(steps.max(initial=0.0))
+    return float(np.quantile(steps[:whole].reshape(-1, _BLOCK).max(axis=1), _ORDINARY))

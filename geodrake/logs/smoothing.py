@@ -1,0 +1,160 @@
+"""Stretches of a log that are resampled and smoothed where somebody looks, and nowhere else.
+
+A log of hours fills memory by itself; its uniform, smoothed and differentiated copies would do so
+four times over. Each slice is therefore made from the raw rows around it. Splines and filters
+forget what is far away, so that a slice does not depend, beyond rounding, on how a stretch is cut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.logs.filtering import ZeroPhaseFilter, differentiate, resample
+
+Array = NDArray[np.float64]
+
+CHUNK = 20_000
+"""Samples that are resampled and smoothed at once."""
+
+SPLINE_REACH = 40
+"""Samples beyond which an interpolating spline does not feel a change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Rows of a log between gaps, seen at uniform instants.
+
+    Attributes:
+        time: (K,) time stamps as logged, s.
+        position: (K, n) positions as logged.
+        velocity: (K, n) velocities as logged, if any are of use.
+        effort: (K, n) efforts as logged.
+        period: Time between the uniform instants, s.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array | None
+    effort: Array
+    period: float
+
+    def __len__(self) -> int:
+        return int((self.time[-1] - self.time[0]) / self.period + 1e-3) + 1
+
+    def __getitem__(self, samples: slice) -> Piece:
+        """Some of its samples, resampled."""
+        start, stop, _ = samples.indices(len(self))
+        grid = self.time[0] + self.period * np.arange(start, stop)
+        grid = np.minimum(grid, self.time[-1])
+        before, after = np.searchsorted(self.time, grid[[0, -1]]) if len(grid) else (0, 0)
+        rows = slice(max(0, before - SPLINE_REACH), after + SPLINE_REACH)
+        smooth = [self.position[rows]] + ([] if self.velocity is None else [self.velocity[rows]])
+        signals, effort = resample(self.time[rows], np.hstack(smooth), self.effort[rows], grid)
+        position, velocity = np.split(signals, [self.position.shape[1]], axis=1)
+        return Piece(
+            grid, position, None if self.velocity is None else velocity, effort, self.period
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Samples of a log without gaps, at uniform instants.
+
+    Positions, velocities and accelerations are smooth and belong together. Efforts are resampled
+    but not filtered: they and the regressors pass the same filter later.
+
+    Attributes:
+        time: (N,) instants, s, `period` apart.
+        position: (N, n) smoothed positions, rad or m.
+        velocity: (N, n) velocities, rad/s or m/s.
+        acceleration: (N, n) accelerations, rad/s² or m/s².
+        effort: (N, n) efforts as measured, N·m or N.
+        period: Time between samples, s.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    period: float
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, samples: slice) -> Segment:
+        return Segment(
+            time=self.time[samples],
+            position=self.position[samples],
+            velocity=self.velocity[samples],
+            acceleration=self.acceleration[samples],
+            effort=self.effort[samples],
+            period=self.period,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Part of a piece, smoothed and differentiated slice by slice.
+
+    Attributes:
+        piece: The piece.
+        first: First of the piece's samples.
+        stop: First one after the stretch.
+        smoother: Low-pass for positions and velocities.
+        lag: (n,) time by which measured velocities are late, s; None to derive the velocities
+            from the positions instead.
+    """
+
+    piece: Piece
+    first: int
+    stop: int
+    smoother: ZeroPhaseFilter
+    lag: Array | None
+
+    @property
+    def period(self) -> float:
+        """Time between samples, s."""
+        return self.piece.period
+
+    def __len__(self) -> int:
+        return self.stop - self.first
+
+    def __getitem__(self, samples: slice) -> Segment:
+        """Some of the samples, in memory."""
+        start, stop, _ = samples.indices(len(self))
+        start, stop = self.first + start, self.first + max(start, stop)
+        margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
+        low, high = max(0, start - margin), min(len(self.piece), stop + margin)
+        near, kept = self.piece[low:high], slice(start - low, stop - low)
+        position = self.smoother.smooth(near.position)
+        if self.lag is None or near.velocity is None:
+            velocity = differentiate(position, self.period)
+        else:
+            late = self.smoother.smooth(near.velocity)
+            velocity = late + self.lag * differentiate(late, self.period)
+        acceleration = differentiate(velocity, self.period)
+        return Segment(
+            near.time[kept],
+            position[kept],
+            velocity[kept],
+            acceleration[kept],
+            near.effort[kept],
+            self.period,
+        )
+
+    @cached_property
+    def peak_speed(self) -> Array:
+        """(n,) largest speed of every joint, rad/s or m/s."""
+        return np.max([np.abs(chunk.velocity).max(axis=0) for _, chunk in self.chunks()], axis=0)
+
+    def chunks(self, *, backwards: bool = False) -> Iterator[tuple[int, Segment]]:
+        """First sample and samples of one slice after another, from either end."""
+        starts = range(0, len(self), CHUNK)
+        for first in reversed(starts) if backwards else starts:
+            yield first, self[first : first + CHUNK]

@@ -1,0 +1,205 @@
+"""A raw log seen at uniform instants: gaps, empty cells and jitter, and which joints move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.motion import JointLog
+from geodrake.logs.sensor_faults import without_faults
+from geodrake.logs.smoothing import Piece
+
+Array = NDArray[np.float64]
+
+_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer time step is a gap, a shorter one is jitter
+_LEAST_ROWS = 8  # of a piece worth resampling
+_LONGEST_PERIOD = 0.5  # s; at 2 Hz and less, positions say nothing about accelerations
+_SHORTEST_PERIOD = 1e-5  # s; no robot is logged at more than 100 kHz
+_COARSEST = 0.1  # of a period, to which time stamps are to be distinguished
+_STILL_RANGE, _STILL_NOISE = 2e-3, 20.0  # rad or m, and noise deviations, of a joint at rest
+_PART, _PARTS = 100_000, 8  # samples, and how many such parts of a log are looked at for a choice
+
+
+@dataclass(frozen=True, eq=False)
+class UniformLog:
+    """A log in uniform pieces, and which of its joints move.
+
+    Attributes:
+        log: The log, without what sensors did wrong.
+        pieces: Its pieces between gaps, in time.
+        period: Time between samples, s.
+        noise: (n,) deviation of the noise of the positions, rad or m.
+        moving: (n,) whether a joint moves.
+        notes: What was noticed.
+    """
+
+    log: JointLog
+    pieces: tuple[Piece, ...]
+    period: float
+    noise: Array
+    moving: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """Length of all pieces together, s."""
+        return sum(map(len, self.pieces)) * self.period
+
+    def sample_parts(self) -> Iterator[Piece]:
+        """Parts of the pieces, evenly spread over a long log, by which choices are made."""
+        return _sample_parts(self.pieces)
+
+
+def make_uniform(log: JointLog) -> UniformLog:
+    """Split a log at gaps and empty cells, and find its period, its noise and what moves.
+
+    Raises:
+        LogError: If the log is still throughout, is sampled too rarely, as one with time in
+            milliseconds seems to be, or too often, has time stamps of too few digits, no rows in a
+            row, or a sensor that failed for good.
+    """
+    log = without_faults(log)
+    notes = list(log.notes)
+    if log.acceleration is not None:
+        notes.append("measured accelerations are not used; they are derived from velocities")
+    velocity = log.velocity
+    if velocity is not None and np.isnan(velocity).mean() > 0.1:
+        velocity = None
+        notes.append("measured velocities have too many empty cells and are not used")
+    measured = [log.time[:, None], log.position, log.effort]
+    measured += [] if velocity is None else [velocity]
+    complete = np.logical_and.reduce([np.isfinite(values).all(axis=1) for values in measured])
+    if np.count_nonzero(complete) < 2:
+        raise LogError(
+            f"Log {log.name!r} has {np.count_nonzero(complete)} rows without empty cells out of "
+            f"{len(log)}{_never_measured(log)}.",
+            advice="Log time, position and effort of every joint in the same row.",
+        )
+    runs, period, note = _runs(log.time, complete)
+    _check_period(log, period)
+    notes += [note] if note else []
+    pieces = tuple(
+        Piece(
+            log.time[run],
+            log.position[run],
+            None if velocity is None else velocity[run],
+            log.effort[run],
+            period,
+        )
+        for run in runs
+        if run.stop - run.start >= _LEAST_ROWS
+    )
+    noise, moving = _find_moving(log, pieces, period)
+    return UniformLog(log, pieces, period, noise, moving, tuple(notes))
+
+
+def _never_measured(log: JointLog) -> str:
+    """The first column without a single number, in words."""
+    if not np.isfinite(log.time).any():
+        return ": there is no time in any"
+    for quantity in ("position", "effort"):
+        empty = ~np.isfinite(getattr(log, quantity)).any(axis=0)
+        if empty.any():
+            return f": there is no {quantity} of {log.joints[int(np.argmax(empty))]} in any"
+    return ""
+
+
+def _check_period(log: JointLog, period: float) -> None:
+    """Refuse time stamps that no log of a robot in seconds has."""
+    latest = float(np.max(np.abs(log.time), initial=0.0, where=np.isfinite(log.time)))
+    span = f"from t = {log.time[0]:.6g} to {log.time[-1]:.6g} s"
+    if period >= _LONGEST_PERIOD:
+        raise LogError(
+            f"Log {log.name!r} has a sample every {period:.4g} s, {span}: too rarely for "
+            "accelerations.",
+            advice="Is time in ms, µs or ns? It must be in s. If it is, record at 50 Hz or more.",
+            period=period,
+        )
+    if period < _SHORTEST_PERIOD:
+        raise LogError(
+            f"Log {log.name!r} has a sample every {period:.4g} s, {span}: more often than a robot "
+            "is logged.",
+            advice="Is time in another unit? It must be in s.",
+            period=period,
+        )
+    if np.spacing(latest) > _COARSEST * period:
+        raise LogError(
+            f"Time stamps of log {log.name!r} go up to {latest:.6g} s, where neighbouring numbers "
+            f"are {np.spacing(latest):.2g} s apart; its rows are {period:.4g} s apart.",
+            advice="Is one of them wrong? Log the time since the start, in s.",
+            period=period,
+        )
+
+
+def _runs(time: Array, complete: NDArray[np.bool_]) -> tuple[list[slice], float, str | None]:
+    """Rows between gaps and incomplete rows, the sampling period, and a note if they are many."""
+    rows: NDArray[np.intp] | range
+    holes: NDArray[np.bool_] | bool
+    if complete.all():
+        rows, steps, holes = range(len(time)), np.diff(time), False
+    else:
+        rows = np.flatnonzero(complete)
+        steps, holes = np.diff(time[rows]), np.diff(rows) > 1
+    period = float(np.median(steps))
+    last = np.flatnonzero((steps > max(_GAP_STEPS * period, _GAP_SECONDS)) | holes).tolist()
+    runs = [
+        slice(int(rows[before + 1]), int(rows[end]) + 1)
+        for before, end in pairwise([-1, *last, len(rows) - 1])
+    ]
+    if not last:
+        return runs, period, None
+    longest = max(last, key=steps.__getitem__)
+    return (
+        runs,
+        period,
+        (
+            f"split into {len(runs)} pieces at gaps and empty cells, the longest of "
+            f"{steps[longest]:.3g} s at t = {time[rows[longest]]:.2f} s"
+        ),
+    )
+
+
+def _sample_parts(pieces: Sequence[Piece]) -> Iterator[Piece]:
+    parts = [
+        (piece, part)
+        for piece in pieces
+        for part in pairwise(_edges(len(piece), max(1, round(len(piece) / _PART))))
+    ]
+    chosen = np.unique(_edges(len(parts) - 1, min(len(parts), _PARTS) - 1))
+    return (parts[k][0][slice(*parts[k][1])] for k in chosen.tolist())
+
+
+def _edges(length: int, parts: int) -> list[int]:
+    return np.linspace(0, length, parts + 1).round().astype(int).tolist()
+
+
+def _find_moving(
+    log: JointLog, pieces: Sequence[Piece], period: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Noise deviation (n,) of each position, and which joints (n,) move."""
+    if not pieces:
+        raise LogError(
+            f"Log {log.name!r} has no {_LEAST_ROWS} rows in a row without a gap or an empty cell.",
+            advice="Record without dropouts, or log all joints in the same row.",
+        )
+    seconds = sum(map(len, pieces)) * period
+    bends = np.concatenate([np.diff(part.position, 2, axis=0) for part in _sample_parts(pieces)])
+    noise = np.median(np.abs(bends), axis=0) / (0.6745 * np.sqrt(6.0))
+    highest = np.max([piece.position.max(axis=0) for piece in pieces], axis=0)
+    lowest = np.min([piece.position.min(axis=0) for piece in pieces], axis=0)
+    reach = highest - lowest
+    moving = reach > np.maximum(_STILL_NOISE * noise, _STILL_RANGE)
+    if not moving.any():
+        most = int(np.argmax(reach))
+        raise LogError(
+            f"Log {log.name!r} is still throughout: in its {seconds:.3g} s no joint moves by more "
+            f"than {_STILL_RANGE:g} rad (m) and {_STILL_NOISE:.0f} times its position noise; "
+            f"{log.joints[most]} comes nearest with {reach[most]:.3g}, noise {noise[most]:.2g}.",
+            advice="Record several seconds in which each joint of interest moves back and forth.",
+        )
+    return noise, moving

@@ -1,0 +1,63 @@
+"""Do a log's numbers look like other units than rad, m, N·m and N?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
+
+_ROWS = 100_000  # of a log that are looked at together
+
+
+def effort_unit_hint(log: JointLog, effort_limits: ArrayLike) -> str | None:
+    """A sentence for the user if efforts look like another unit than N·m or N; else None.
+
+    Args:
+        log: The log.
+        effort_limits: (n,) limits of the model's joints, N·m or N; zeros and infinities say
+            nothing.
+    """
+    limits = np.broadcast_to(np.asarray(effort_limits, float), (len(log.joints),))
+    known = np.isfinite(limits) & (limits > 0)
+    if not known.any():
+        return None
+    peaks = _peaks(log.effort)
+    ratio = np.where(known, peaks / np.where(known, limits, 1.0), np.nan)
+    worst = int(np.nanargmax(ratio))
+    if ratio[worst] > 3.0:
+        return (
+            f"Efforts are in other units by the look of it: {log.joints[worst]} peaks at "
+            f"{peaks[worst]:.4g}, {ratio[worst]:.0f} times the model's limit of "
+            f"{limits[worst]:.4g} N·m or N. N·mm, motor torque or ticks?"
+        )
+    if ratio[worst] < 0.01:
+        return (
+            f"Efforts are in other units by the look of it: no joint goes beyond 1 % of the "
+            f"model's limit; {log.joints[worst]} comes nearest with {peaks[worst]:.3g} of "
+            f"{limits[worst]:.4g} N·m or N. Motor current, a share of the limit, or kN·m?"
+        )
+    return None
+
+
+def position_unit_hint(log: JointLog) -> str | None:
+    """A sentence for the user if joint positions look like degrees; else None."""
+    peaks = _peaks(log.position)
+    worst = int(np.argmax(peaks))
+    if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:
+        return (
+            f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
+            f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m."
+        )
+    return None
+
+
+def _peaks(values: Array) -> Array:
+    """(n,) largest magnitude of each column, 0 where nothing was measured."""
+    peaks = np.zeros(values.shape[1])
+    for first in range(0, len(values), _ROWS):
+        part = np.abs(values[first : first + _ROWS])
+        peaks = np.maximum(peaks, np.max(part, axis=0, initial=0.0, where=np.isfinite(part)))
+    return peaks

@@ -1,0 +1,113 @@
+"""What known payloads are to a model: bodies that it has while a log lasts, and no longer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects import FittedEffect, Role
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.lookup import effect_of
+from geodrake.errors import ArgumentError
+from geodrake.inertia import change_frame
+from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Payloads = tuple[KnownPayload, ...]
+
+
+def carried_phi(model: RobotModel, payloads: Payloads) -> Array:
+    """(nb, 10) inertial parameters that known payloads add to the bodies of a model.
+
+    Args:
+        model: The model of the robot without the payloads.
+        payloads: Known payloads, each in the frame of a body or of a link that is welded to one.
+
+    Raises:
+        ArgumentError: The model has no such body, or it does not move.
+    """
+    phi = np.zeros_like(model.phi)
+    for payload in payloads:
+        index, own = _in_frame_of_body(lumped_bodies(model.plant), payload)
+        phi[index] += own
+    return phi
+
+
+def carrying(model: RobotModel, payloads: Payloads) -> RobotModel:
+    """The model of the robot while it carries known payloads; itself if there are none.
+
+    Args:
+        model: The model of the robot without the payloads.
+        payloads: Known payloads.
+    """
+    phi = carried_phi(model, payloads)
+    carried = [
+        FittedEffect(payload, own)
+        for body, own in zip(model.bodies, phi, strict=True)
+        if own.any()
+        for payload in effect_of(Role.BODY).shaped(body)
+    ]
+    return replace(model, effects=(*model.effects, *carried)) if carried else model
+
+
+def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple[str, ...]:
+    """Joints whose gain known payloads identify: those that bear what not all logs have alike.
+
+    What the robot holds in all of them its bodies can take in, with any gain.
+
+    Args:
+        model: The model.
+        logs: Known payloads of every log.
+    """
+    phi = np.array([carried_phi(model, payloads) for payloads in logs])
+    changes = np.any(phi != phi[0], axis=(0, 2))
+    bodies = RobotBodies(model.tree, np.zeros((1, model.plant.num_positions())), model.total_phi)
+    names = [body for body, changed in zip(model.bodies, changes, strict=True) if changed]
+    bearing = {dof for name in names for dof in bodies.motion(name).dofs}
+    return tuple(joint for at, joint in enumerate(model.joints) if at in bearing)
+
+
+def payload_notes(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
+    """What is done about known payloads, in words.
+
+    Args:
+        model: The model.
+        logs: The logs, with the payloads known in each.
+
+    Raises:
+        ArgumentError: The model has no such body, or it does not move.
+    """
+    notes = [
+        f"{log.name}: the effort of {payload.mass:g} kg known at {payload.body} is taken off the "
+        "measured one"
+        for log in logs
+        for payload in log.payloads
+    ]
+    known = joints_with_known_gain(model, [log.payloads for log in logs]) if notes else ()
+    if notes and not known and model.information is None:
+        notes.append(
+            "known payloads identify no gain of efforts, as all logs have the same: the bodies "
+            "could take it in; give a log without them too"
+        )
+    return notes
+
+
+def _in_frame_of_body(bodies: Sequence[LumpedBody], payload: KnownPayload) -> tuple[int, Array]:
+    """Index of the body that a payload's link belongs to, and its parameters (10,) there."""
+    for index, body in enumerate(bodies):
+        for member in body.members:
+            if member.name == payload.body:
+                X = member.X_RB
+                return index, change_frame(payload.phi, X.rotation().matrix(), X.translation())
+    names = [member.name for body in bodies for member in body.members]
+    raise ArgumentError(
+        f"The model has no body {payload.body!r} that moves, to carry a known payload of "
+        f"{payload.mass:g} kg.",
+        advice=f"Bodies are: {', '.join(names)}.",
+    )

@@ -1,0 +1,280 @@
+"""Identified inertias written into the user's own model file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+
+from geodrake.boundary.arguments import file_path, instance
+from geodrake.boundary.whole_files import write_whole
+from geodrake.effects import Role
+from geodrake.errors import ModelError, OutputError
+from geodrake.inertia import (
+    Array,
+    change_frame,
+    from_pseudo_inertia,
+    from_spatial_inertia,
+    is_physical,
+    pseudo_inertia,
+)
+from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files.description import drake_messages, read_description
+from geodrake.robot.files.inertia_text import link_names, with_inertias
+from geodrake.robot.files.reading import model_text_of
+from geodrake.robot.repairs import TOLERANCE
+
+_UNCHANGED = 1e-13
+"""Relative difference below which a link keeps the numbers that the file has for it."""
+
+_SUFFIXES = {"urdf": (".urdf",), "sdf": (".sdf", ".world"), "xml": (".xml", ".mjcf")}
+_RELATIVE = re.compile(rb"""(?:filename|file|meshdir|assetdir)\s*=\s*["'](?![\w.+-]+:|/)[^"']""")
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """A model file with identified inertias.
+
+    Attributes:
+        content: Its bytes.
+        links: Names of the links whose numbers changed.
+        notes: What it cannot carry, and how welded links share an inertia.
+    """
+
+    content: bytes
+    links: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def save_export(model: RobotModel, path: str | Path) -> Export:
+    """Write a copy of a model's file that has the model's inertias; whole or not at all.
+
+    Args:
+        model: The model; its `total_phi` is written, payloads included.
+        path: Where to.
+
+    Raises:
+        ModelError: The model's file cannot take them.
+        OutputError: The target cannot be written, or is named like another format.
+    """
+    path = file_path(path)
+    check_export(instance(model, "model", RobotModel), path)
+    export = export_model(model)
+    write_whole(path, export.content)
+    return export
+
+
+def check_export(model: RobotModel, path: Path) -> None:
+    """Refuse a model, or a name for its copy, before the work.
+
+    Args:
+        model: The model to be exported.
+        path: Target.
+
+    Raises:
+        ModelError: The model is put together from several files.
+        OutputError: The name has the suffix of another format.
+    """
+    kind = _kind(model)
+    if path.suffix.lower() not in _SUFFIXES[kind]:
+        raise OutputError(
+            f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, and so is its "
+            "copy.",
+            advice=f"Name it {path.stem}{_SUFFIXES[kind][0]}.",
+            path=path,
+        )
+
+
+_FORMATS = {"urdf": "a URDF", "sdf": "an SDF", "xml": "an MJCF"}
+
+
+def export_model(model: RobotModel) -> Export:
+    """A copy of a model's file with the model's inertias; only numbers of `inertial` differ.
+
+    Links that are welded together are one body to identification. Of those the heaviest takes
+    what the others leave of the identified body, if that is something that a body can be;
+    otherwise all are stretched and reweighted by the one affine map that takes the body of the
+    file to the identified one.
+
+    Args:
+        model: The model; its `total_phi` is written, payloads included.
+
+    Raises:
+        ModelError: The model's file cannot take the inertias.
+    """
+    instance(model, "model", RobotModel)
+    kind, data = _kind(model), model.path.read_bytes()
+    stated, here = _stated_inertias(model.path), link_names(data, model.path)
+    written: dict[str, Array] = {}
+    shared, absent = [], []
+    for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
+        names = [_scoped(model.plant, member.index) for member in body.members]
+        before = np.array([stated.get(name, np.zeros(10)) for name in names])
+        after, how = distributed(body, before, phi)
+        changed = {
+            name: new
+            for name, old, new in zip(names, before, after, strict=True)
+            if _differ(old, new)
+        }
+        if not here.issuperset(changed) and kind == "xml":
+            absent.append(body.name)  # between several joints of one MJCF body
+            continue
+        written |= changed
+        if how and changed:
+            shared.append(how)
+    content = with_inertias(data, model.path, written)
+    _check(content, model.path, written)
+    links = tuple(name.rpartition("::")[2] for name in written)
+    notes = (*_left_out(model, absent), *shared, *_file_notes(data, model.path))
+    return Export(content, links, notes)
+
+
+def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
+    """An identified body shared among the links that make it up.
+
+    Args:
+        body: The links.
+        stated: (k, 10) what the file states for each, in its own frame.
+        phi: (10,) identified parameters in the frame of the representative.
+
+    Returns:
+        (k, 10) inertial parameters of each link in its own frame, and how several of them share
+        the body, in words.
+    """
+    frames = [(m.X_RB.rotation().matrix(), m.X_RB.translation()) for m in body.members]
+    counts = np.isfinite(stated).all(1) & (stated[:, 0] > 0)
+    after = stated.copy()
+    if counts.sum() <= 1:
+        taker = int(np.argmax(counts))
+        after[taker] = _into_frame(phi, *frames[taker])
+        return after, ""
+    parts = np.array([change_frame(x, *frame) for x, frame in zip(stated, frames, strict=True)])
+    parts[~counts] = 0.0
+    taker = int(np.argmax(parts[:, 0]))
+    rest = phi - parts.sum(0) + parts[taker]
+    names = [member.name for member, used in zip(body.members, counts, strict=True) if used]
+    if is_physical(rest, tolerance=TOLERANCE):
+        parts[taker] = rest
+        others = [name for name in names if name != body.members[taker].name]
+        how = (
+            f"{', '.join(others)}: welded to {body.members[taker].name}, and as in the file; "
+            f"{body.members[taker].name} takes the change of both"
+        )
+    else:
+        parts = _stretched(parts, phi)
+        how = f"{', '.join(names)}: welded together, so all change alike to be the identified body"
+    for k in np.flatnonzero(counts):
+        after[k] = _into_frame(parts[k], *frames[k])
+    return after, how
+
+
+def _stretched(parts: Array, phi: Array) -> Array:
+    """Bodies (k, 10) under the affine map and reweighting that takes their sum to another body.
+
+    P ↦ A P Aᵀ with a triangular A keeps each one as possible as it was; bodies whose sum has no
+    volume get shares of the other body by their mass.
+    """
+    total = parts.sum(0)
+    if not is_physical(total, tolerance=TOLERANCE):
+        return np.asarray(parts[:, :1] / total[0] * phi)
+    A = _upper_root(phi) @ np.linalg.inv(_upper_root(total))
+    return from_pseudo_inertia(A @ pseudo_inertia(parts) @ A.T)
+
+
+def _upper_root(phi: Array) -> Array:
+    """Upper triangular U with P(φ) = U Uᵀ, which maps [x;1] affinely."""
+    return np.asarray(np.linalg.cholesky(pseudo_inertia(phi)[::-1, ::-1])[::-1, ::-1])
+
+
+def _into_frame(phi: Array, R_RB: Array, p_RoBo_R: Array) -> Array:
+    """Parameters in the representative's frame R, in the frame B of a link."""
+    return change_frame(phi, R_RB.T, -R_RB.T @ p_RoBo_R)
+
+
+def _stated_inertias(path: Path) -> Mapping[str, Array]:
+    """What a file says of every link (10,), possible or not, by scoped name."""
+    with drake_messages():
+        description = read_description(path)
+        plant = MultibodyPlant(time_step=0.0)
+        description.add_to(plant)
+    found = {}
+    for k in range(1, plant.num_bodies()):
+        spatial = plant.get_body(BodyIndex(k)).default_spatial_inertia()
+        found[_scoped(plant, k)] = from_spatial_inertia(spatial)
+    return found | dict(description.set_aside)
+
+
+def _differ(old: Array, new: Array) -> bool:
+    scale = np.abs(new).max()
+    return not np.all(np.abs(new - old) <= _UNCHANGED * scale)  # NaN differs
+
+
+def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
+    """That what was written reads back; XML has more ways to hide a number than edits know."""
+    text = model_text_of(content, path)
+    for name, phi in written.items():
+        read = text.stated_inertia(name)
+        size = np.abs(phi).max()
+        if read is None or not np.allclose(read, phi, rtol=1e-9, atol=1e-12 * size):
+            raise ModelError(
+                f"The inertia of {name.rpartition('::')[2]} cannot be changed in {path}: it is "
+                "written in a way that geodrake does not find its way around in.",
+                advice="Expand entities and includes in the file first.",
+                link=name,
+            )
+
+
+def _left_out(model: RobotModel, absent: Sequence[str]) -> list[str]:
+    """Notes on what the file cannot carry."""
+    notes = []
+    names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
+    if names:
+        notes.append(
+            f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
+            "and armature in it stay as they are): --save keeps everything"
+        )
+    carried = [f.effect.where[0] for f in model.effects if f.effect.role is Role.BODY]
+    if carried:
+        notes.append(f"the payload is part of {', '.join(carried)} in the exported file")
+    if absent:
+        notes.append(
+            f"{', '.join(absent)} is between several joints of one body, so the exported file has "
+            "no place for its inertia"
+        )
+    return notes
+
+
+def _file_notes(data: bytes, path: Path) -> list[str]:
+    notes = []
+    if _RELATIVE.search(data):
+        notes.append(
+            f"{path.name} names other files by relative paths, so the exported file belongs into "
+            "the same folder"
+        )
+    if re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
+        notes.append(
+            f'{path.name} has inertiafromgeom="true", with which MuJoCo ignores all inertias; '
+            "take it out of the exported file"
+        )
+    return notes
+
+
+def _kind(model: RobotModel) -> str:
+    if model.path.suffix.lower() in (".yaml", ".yml"):
+        raise ModelError(
+            f"{model.path} puts several model files together, and there is no one file to write "
+            "inertias into.",
+            advice="Save the model with --save instead.",
+            path=model.path,
+        )
+    return read_description(model.path).texts[0].kind
+
+
+def _scoped(plant: MultibodyPlant, index: int | BodyIndex) -> str:
+    return plant.get_body(BodyIndex(index)).scoped_name().get_full()

@@ -1,0 +1,307 @@
+"""A robot model: rigid bodies, effects, their parameters, and what is known about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
+
+from geodrake.boundary.arguments import instance, instances, one_or_each, real_array
+from geodrake.effects import RobotMotion, Role, catalogue
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.delays import delays_of
+from geodrake.effects.effect_columns import EffectColumns
+from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.errors import ArgumentError
+from geodrake.inertia import inertial_parameters
+from geodrake.logs.motion import Motion
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
+from geodrake.robot.regressor import body_regressor, inverse_dynamics
+
+Array = NDArray[np.float64]
+
+LARGEST_REGRESSOR = 5_000_000
+"""Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
+
+    Attributes:
+        plant: Finalized MultibodyPlant of the rigid bodies alone, inertias as in its file;
+            `create_context` has the model's.
+        path: The model file that the plant came from.
+        floating: Whether free roots float instead of being welded to the world.
+        phi: (nb, 10) inertial parameters, those of fitted payloads left out.
+        effects: Effects with their parameters.
+        information: (p, p) information matrix (inverse covariance) of the inertial parameters and
+            then of all effects' parameters; None if the model was never fitted.
+        effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
+            or N; None if the model was never fitted.
+        fitted_to: Fingerprints of the logs that the model was fitted to.
+        fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
+            where it was not seen to.
+        notes: What was noticed while loading: repairs, things left out.
+    """
+
+    plant: MultibodyPlant
+    path: Path
+    floating: bool
+    phi: Array
+    effects: tuple[FittedEffect, ...] = ()
+    information: Array | None = None
+    effort_noise: Array | None = None
+    fitted_to: tuple[str, ...] = ()
+    fading_speed: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    @cached_property
+    def tree(self) -> KinematicTree:
+        """The plant's kinematics, read once."""
+        return KinematicTree.from_plant(self.plant)
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the nv velocities."""
+        return joint_names(self.plant)
+
+    @cached_property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the nb bodies, bodies welded together counting as one."""
+        return self.tree.bodies
+
+    @cached_property
+    def last_bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that carry no other one: hands, feet."""
+        mobilizers, carrying = self.tree.mobilizers, set[int]()
+        for index in range(len(mobilizers) - 1, -1, -1):  # outboard first
+            mobilizer = mobilizers[index]
+            if mobilizer.parent >= 0 and (mobilizer.body >= 0 or index in carrying):
+                carrying.add(mobilizer.parent)
+        return tuple(
+            self.bodies[mobilizer.body]
+            for index, mobilizer in enumerate(mobilizers)
+            if index not in carrying and mobilizer.body >= 0
+        )
+
+    @cached_property
+    def joint_pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of single-degree joints of one type that follow each other along the tree."""
+        single = set(self._single_joints[0])
+        pairs = []
+        for mobilizer in self.tree.mobilizers:
+            if mobilizer.parent >= 0:
+                parent = self.tree.mobilizers[mobilizer.parent]
+                pair = (parent.velocities.start, mobilizer.velocities.start)
+                alike = len({self._joint_type(start) for start in pair}) == 1
+                if single.issuperset(pair) and alike:
+                    pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
+        return tuple(pairs)
+
+    @property
+    def delays(self) -> Array:
+        """(nv,) seconds by which measured efforts lag, as far as the model knows."""
+        return delays_of([fitted.effect for fitted in self.effects], self.joints)
+
+    @cached_property
+    def total_phi(self) -> Array:
+        """(nb, 10) inertial parameters, payloads included."""
+        phi = self.phi.copy()
+        for fitted in self.effects:
+            if fitted.effect.role is Role.BODY:
+                phi[self.bodies.index(fitted.effect.where[0])] += fitted.parameters
+        return phi
+
+    def sign_widths(self, least: ArrayLike) -> Array:
+        """(nv,) speeds below which dry friction fades, at least those given, rad/s or m/s."""
+        width = one_or_each(least, "a sign width", len(self.joints))
+        return np.maximum(width, 0.0 if self.fading_speed is None else self.fading_speed)
+
+    def motion(
+        self, motion: Motion, *, sign_width: ArrayLike = 0.0, load: Array | None = None
+    ) -> RobotMotion:
+        """A motion as effects see it: by joint, with the rigid bodies' effort as load.
+
+        Args:
+            motion: (N, ·) positions, velocities and accelerations in Drake's order.
+            sign_width: As in `sign_widths`.
+            load: (N, nv) effort of the rigid bodies, if it is known already.
+        """
+        samples = instance(motion, "motion", Motion).q, motion.v, motion.vd
+        if load is not None:
+            load = real_array(load, "load", motion.v.shape, finite=False)
+        else:
+            load = inverse_dynamics(self.tree, *samples, self.total_phi)
+        q = np.full(motion.v.shape, np.nan)
+        at_velocity, at_position = self._single_joints
+        q[:, at_velocity] = motion.q[:, at_position]
+        width = self.sign_widths(sign_width)
+        seen = RobotMotion(
+            self.joints,
+            q,
+            motion.v,
+            motion.vd,
+            load,
+            width,
+            lambda body: body_regressor(self.tree, *samples, self.bodies.index(body)),
+            RobotBodies(self.tree, motion.q, self.total_phi),
+            motion.time,
+        )
+        if motion.before is not None:
+            before = np.full((len(motion.before), len(self.joints)), np.nan)
+            before[:, at_velocity] = motion.before[:, at_position]
+            seen = replace(seen, before=before)
+        return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
+
+    def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:
+        """Effort that a motion needs, (N, nv), N·m or N; delays are not applied.
+
+        Args:
+            motion: N samples in Drake's order.
+            sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
+                or (nv,).
+        """
+        size = max(1, LARGEST_REGRESSOR // (len(self.joints) * self.phi.size))
+        effort = np.empty(instance(motion, "motion", Motion).v.shape)
+        if motion.time is not None and motion.before is None:
+            motion = replace(motion, before=motion.q[:0])
+        for start in range(0, len(motion), size):
+            part = slice(start, start + size)
+            seen = self.motion(motion[part], sign_width=sign_width)
+            effort[part] = self._unscaled_effort(seen)
+            for fitted in self.effects:
+                if fitted.effect.role is Role.SCALE:
+                    effort[part] += fitted.effect.effort(seen, fitted.parameters)
+        return effort
+
+    def _unscaled_effort(self, seen: RobotMotion) -> Array:
+        """Effort (N, nv) of the bodies and all effects but scales."""
+        columns, mu = self._unscaled_effects
+        return seen.load + columns.effort(seen, mu)
+
+    @cached_property
+    def _unscaled_effects(self) -> tuple[EffectColumns, Array]:
+        """All effects but payloads and scales, and their parameters."""
+        some = [f for f in self.effects if f.effect.role not in (Role.BODY, Role.SCALE)]
+        columns = EffectColumns(self.joints, tuple(fitted.effect for fitted in some))
+        return columns, np.concatenate([np.zeros(0), *(fitted.parameters for fitted in some)])
+
+    def positions(self, by_joint: Array) -> Array:
+        """(N, nq) positions in Drake's order from (N, nv) positions of single-degree joints.
+
+        Raises:
+            ArgumentError: The robot has joints of several degrees, whose positions are not those.
+        """
+        by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)), finite=False)
+        at_velocity, at_position = self._single_joints
+        if len(at_velocity) < len(self.joints):
+            several = [n for i, n in enumerate(self.joints) if i not in at_velocity]
+            raise ArgumentError(
+                f"Logs hold one position for each joint; {', '.join(several)} belong to joints of "
+                "several degrees of freedom.",
+                advice="Weld the base, or use the regressors from Python.",
+            )
+        q = np.zeros((len(by_joint), self.plant.num_positions()))
+        q[:, at_position] = by_joint[:, at_velocity]
+        return q
+
+    def _joint_type(self, velocity: int) -> str:
+        """Drake's name for the type of the joint that a velocity belongs to."""
+        joints = (self.plant.get_joint(index) for index in self.plant.GetJointIndices())
+        return next(j.type_name() for j in joints if j.velocity_start() == velocity)
+
+    @cached_property
+    def single_joints(self) -> tuple[str, ...]:
+        """Names of the joints of one degree of freedom."""
+        return tuple(self.joints[i] for i in self._single_joints[0])
+
+    @cached_property
+    def sliding_joints(self) -> tuple[str, ...]:
+        """Names of the prismatic joints, whose positions are in m and efforts in N."""
+        starts = self._single_joints[0]
+        return tuple(self.joints[i] for i in starts if self._joint_type(i) == "prismatic")
+
+    @cached_property
+    def _single_joints(self) -> tuple[list[int], list[int]]:
+        plant = self.plant
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+        single = [j for j in joints if j.num_velocities() == 1 and j.num_positions() == 1]
+        return [j.velocity_start() for j in single], [j.position_start() for j in single]
+
+    def create_context(self) -> Context:
+        """A default Context of the plant with the model's inertial parameters, payloads included.
+
+        The plant itself keeps the inertias of its file; effects are for `geodrake.control.systems`.
+        """
+        context = self.plant.CreateDefaultContext()
+        set_inertial_parameters(self.plant, context, self.total_phi)
+        return context
+
+    def with_fit(
+        self,
+        phi: Array,
+        effects: Sequence[FittedEffect],
+        *,
+        information: Array,
+        effort_noise: Array,
+    ) -> RobotModel:
+        """The model with fitted parameters in place of its own.
+
+        Args:
+            phi: (nb, 10) inertial parameters without payloads.
+            effects: Effects and their parameters.
+            information: (p, p) information matrix of all of them.
+            effort_noise: (nv,) held-out RMS that the fit leaves.
+
+        Raises:
+            ArgumentError: A value is not finite, or a shape does not fit the model.
+        """
+        effects = instances(effects, "effects", FittedEffect)
+        p = self.phi.size + sum(len(fitted.parameters) for fitted in effects)
+        phi = real_array(phi, "phi", self.phi.shape)
+        information = real_array(information, "information", (p, p), finite=False)
+        if not np.isfinite(information).all():
+            raise ArgumentError("information must be finite.")
+        effort_noise = real_array(effort_noise, "effort_noise", (len(self.joints),))
+        return replace(
+            self,
+            phi=phi,
+            effects=effects,
+            information=information,
+            effort_noise=effort_noise,
+        )
+
+
+def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
+    """The model of a plant: damping, friction and rotor inertia of the file become effects.
+
+    Args:
+        loaded: The plant of a model file, and what the file says of friction, damping and rotors.
+        floating: Whether free roots float instead of being welded to the world.
+    """
+    joints = joint_names(loaded.plant)
+    effects: list[FittedEffect] = []
+    notes = [*map(str, loaded.repairs), *loaded.notes]
+    for kind in catalogue():
+        values = loaded.stated.get(kind.stated_as, np.zeros(len(joints)))
+        stated = [(joint, value) for joint, value in zip(joints, values, strict=True) if value]
+        for joint, value in stated:
+            effects += [FittedEffect(each, np.array([value])) for each in kind.shaped(joint)]
+        if stated:
+            listed = ", ".join(f"{joint} {value:g}" for joint, value in stated)
+            notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
+    phi = inertial_parameters(loaded.plant)
+    return RobotModel(loaded.plant, loaded.path, floating, phi, tuple(effects), notes=tuple(notes))
+
+
+def load_description(path: str | Path, *, floating: bool = False) -> RobotModel:
+    """The model of a URDF, SDF, MJCF or Drake directives file; see `geodrake.robot.load_plant`."""
+    return from_loaded_plant(load_plant(path, floating=floating), floating=floating)

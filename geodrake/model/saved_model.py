@@ -1,0 +1,325 @@
+"""Fitted models as YAML files, read and written through Drake's `yaml_load_typed`."""
+
+# Drake reads the schema from the annotations themselves, so they must not be strings here.
+import dataclasses as dc
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
+
+from geodrake.boundary.arguments import file_path, instance, instances
+from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.whole_files import write_whole
+from geodrake.boundary.yaml_text import yaml_text
+from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError, OutputError
+from geodrake.model.admissible import check_model
+from geodrake.model.robot_model import RobotModel, load_description
+
+T = TypeVar("T")
+FORMAT = "geodrake model 1"
+_HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?format: *['\"]?geodrake model\b", re.MULTILINE)
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass
+class SavedEffect:
+    """One effect: its name, place, shape and parameters."""
+
+    name: str = ""
+    where: list[str] = dc.field(default_factory=list)
+    shape: dict[str, float] = dc.field(default_factory=dict)
+    parameters: list[float] = dc.field(default_factory=list)
+    deviations: list[float] = dc.field(default_factory=list)
+
+
+@dataclass
+class SavedModel:
+    """Schema of `model.yaml`.
+
+    Attributes:
+        format: Name and version of the format.
+        base_model: Path of the model file, relative to this one.
+        base_sha256: Digest of the model file when the model was saved.
+        floating: Whether free roots float.
+        inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
+        effects: The effects.
+        information: Information matrix of the inertial parameters, then of the effects'.
+        effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
+        fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
+        fitted_to: Fingerprints of the logs that the model was fitted to.
+    """
+
+    format: str = FORMAT
+    base_model: str = ""
+    base_sha256: str = ""
+    floating: bool = False
+    inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
+    effects: list[SavedEffect] = dc.field(default_factory=list)
+    effort_noise: dict[str, float] = dc.field(default_factory=dict)
+    fading_speed: dict[str, float] = dc.field(default_factory=dict)
+    fitted_to: list[str] = dc.field(default_factory=list)
+    information: list[list[float]] = dc.field(default_factory=list)
+
+
+def load_model(
+    path: str | Path, *, floating: bool = False, extra: Sequence[type[Effect]] = ()
+) -> RobotModel:
+    """Load a robot model: a URDF, SDF, MJCF or Drake directives file, or a saved model.
+
+    Args:
+        path: The file.
+        floating: Leave roots free that the file does not attach to the world (a saved model
+            remembers).
+        extra: Effect classes of the user's own that a saved model may name.
+
+    Raises:
+        ModelError: The file cannot be read or does not describe a robot; or the file that a saved
+            model is based on is gone or has other joints or bodies.
+    """
+    instances(extra, "extra", type)
+    path = regular_file(file_path(path), "model file", ModelError)
+    if is_saved_model(path):
+        return _read(path, extra)
+    return load_description(path, floating=floating)
+
+
+def is_saved_model(path: Path) -> bool:
+    """Whether a file is one that `save_model` wrote, of whatever version."""
+    try:
+        with path.open("rb") as file:
+            return path.suffix in {".yaml", ".yml"} and _HEAD.search(file.read(1000)) is not None
+    except OSError:
+        return False
+
+
+def save_model(model: RobotModel, path: str | Path) -> None:
+    """Write a model; the file appears whole or not at all.
+
+    Args:
+        model: The model.
+        path: Target, a YAML file; the base model's path is written relative to it.
+
+    Raises:
+        OutputError: The target cannot be written.
+    """
+    path = file_path(path)
+    write_whole(path, saved_text(model, path))
+
+
+def saved_text(model: RobotModel, path: str | Path) -> str:
+    """What `save_model` writes.
+
+    Args:
+        model: The model.
+        path: Where it is to be written; the model file is named from there.
+
+    Raises:
+        OutputError: The model file is gone, or its path is none that YAML can hold.
+    """
+    base = _base_of(instance(model, "model", RobotModel))
+    saved = SavedModel(
+        base_model=os.path.relpath(base, Path(path).resolve().parent),
+        base_sha256=hashlib.sha256(base.read_bytes()).hexdigest(),
+        floating=model.floating,
+        inertial_parameters={
+            b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
+        },
+        effects=[_saved_effect(fitted) for fitted in model.effects],
+        effort_noise=_by_joint(model, model.effort_noise),
+        fading_speed=_by_joint(model, model.fading_speed),
+        fitted_to=list(model.fitted_to),
+        information=[] if model.information is None else model.information.tolist(),
+    )
+    return str(yaml_dump_typed(saved, schema=SavedModel))
+
+
+def _base_of(model: RobotModel) -> Path:
+    """Path of the model file, which the saved model needs to be read again."""
+    base = model.path.resolve()
+    if not base.is_file():
+        raise OutputError(
+            f"Cannot save the model: its file {base} is gone.", advice="Put it back.", path=base
+        )
+    try:
+        str(base).encode()
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"Cannot save the model: the path of its file {base} is not UTF-8.",
+            advice="Rename the file or its folder.",
+            path=base,
+        ) from error
+    return base
+
+
+def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
+    return {} if values is None else dict(zip(model.joints, values.tolist(), strict=True))
+
+
+def _saved_effect(fitted: FittedEffect) -> SavedEffect:
+    effect = fitted.effect
+    shape = {name: float(value) for name, value in effect.shape.items() if value is not None}
+    deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
+    return SavedEffect(
+        effect.name, list(effect.where), shape, fitted.parameters.tolist(), deviations
+    )
+
+
+def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
+    text = yaml_text(path)
+    try:
+        saved = yaml_load_typed(schema=SavedModel, data=text)
+    except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
+        field = _odd_field(text)
+        what = f"{path} is no geodrake model" + (f", by its field {field!r}" if field else "")
+        reason = " ".join(str(error).split())[:300].rstrip(".")
+        raise ModelError(f"{what}: {reason}.", advice="Save the model again.", path=path) from error
+    if saved.format != FORMAT:
+        raise ModelError(
+            f"{path} has the format {saved.format!r}; this version of geodrake reads {FORMAT!r}.",
+            advice="Use the version that saved it, or save the model again.",
+            path=path,
+        )
+    _check_effects(path, saved, extra)
+    base = _base_of_saved(path, saved)
+    model = load_description(base, floating=saved.floating)
+    try:
+        loaded = _with_parameters(model, saved, base, extra)
+        check_model(loaded)
+    except GeodrakeError as error:
+        raise ModelError(
+            f"{path} does not fit its base model {base}, or any robot: {error}",
+            advice="Fit and save the model again.",
+            path=path,
+        ) from error
+    return loaded
+
+
+def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:
+    """Refuse effects that neither the catalogue nor the user's own files have."""
+    for effect in saved.effects:
+        try:
+            effect_class(effect.name, extra)
+        except ArgumentError as error:
+            near = error.evidence.get("nearest")
+            raise ModelError(
+                f"{path} has the effect {effect.name!r}, which geodrake does not know.",
+                advice="If it is one of your own, give its file: --effects FILE.py (from Python: "
+                "load_model(path, extra=…))."
+                + (f" Or was {', '.join(near)} meant?" if near else ""),
+                path=path,
+            ) from error
+
+
+def _odd_field(text: str) -> str:
+    """The first field that is not of its type; nothing if that cannot be told."""
+    with suppress(Exception):
+        for name, value in yaml_load(data=text).items():
+            try:
+                yaml_load_typed(schema=SavedModel, data=yaml_dump({name: value}))
+            except Exception:  # whatever it is, it is told of already
+                return str(name)
+    return ""
+
+
+def _base_of_saved(path: Path, saved: SavedModel) -> Path:
+    """The model file that a saved model is based on."""
+    base = path.resolve().parent / saved.base_model
+    try:
+        regular_file(base, "file", ModelError)
+    except ModelError as error:
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which cannot be read. {error.problem}",
+            advice="Move it back, or change base_model in the saved model.",
+            base=base,
+        ) from error
+    if is_saved_model(base):
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which is a saved model itself.",
+            advice="Change base_model to the URDF, SDF, MJCF or directives file.",
+            base=base,
+        )
+    if not _DIGEST.fullmatch(saved.base_sha256):
+        raise ModelError(
+            f"{path} has base_sha256 = {saved.base_sha256[:80]!r}, which is no SHA-256 digest.",
+            advice="Save the model again.",
+            path=path,
+        )
+    return base
+
+
+def _with_parameters(
+    model: RobotModel, saved: SavedModel, base: Path, extra: Sequence[type[Effect]]
+) -> RobotModel:
+    bodies = _ordered("inertial_parameters", saved.inertial_parameters, model.bodies)
+    phi = np.array([_numbers(f"inertial_parameters of {b!r}", x, 10) for b, x in bodies.items()])
+    effects = tuple(_fitted_effect(model, effect, extra) for effect in saved.effects)
+    p = phi.size + sum(len(f.effect.parameters) for f in effects)
+    information = None
+    if saved.information:
+        rows = [_numbers("rows of its information matrix", row, p) for row in saved.information]
+        if len(rows) != p:
+            raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
+        information = np.array(rows)
+    notes = model.notes
+    if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
+        notes += (f"{base.name} has changed since the model was saved.",)
+    return replace(
+        model,
+        phi=phi,
+        effects=effects,
+        information=information,
+        effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
+        fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
+        fitted_to=tuple(saved.fitted_to),
+        notes=notes,
+    )
+
+
+def _fitted_effect(
+    model: RobotModel, saved: SavedEffect, extra: Sequence[type[Effect]]
+) -> FittedEffect:
+    effect = make_effect(saved.name, saved.where, saved.shape, extra)
+    places = model.bodies if effect.places == "body" else model.joints
+    for place in saved.where:
+        if place not in places:
+            raise ModelError(
+                f"it has {saved.name} at {place!r}, which the robot does not have.",
+                advice=f"It has {', '.join(places)}.",
+            )
+    count, what = len(effect.parameters), f"of {saved.name} at {effect.place}"
+    return FittedEffect(
+        effect,
+        _numbers(f"parameters {what}", saved.parameters, count),
+        _numbers(f"deviations {what}", saved.deviations, count) if saved.deviations else None,
+    )
+
+
+def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:
+    if len(values) != count:
+        raise ModelError(f"{what} are {len(values)} numbers instead of {count}.")
+    return np.array(values, float)
+
+
+def _of_joints(
+    model: RobotModel, field: str, values: dict[str, float]
+) -> NDArray[np.float64] | None:
+    return np.array([*_ordered(field, values, model.joints).values()]) if values else None
+
+
+def _ordered(field: str, values: dict[str, T], names: Sequence[str]) -> dict[str, T]:
+    """The values in the order of some names, when there is one for each and no other."""
+    odd = [name for name in values if name not in names]
+    missing = [name for name in names if name not in values]
+    if odd or missing:
+        reason = f"has {odd[0]!r}, which the robot does not" if odd else f"lacks {missing[0]!r}"
+        raise ModelError(f"{field} {reason}.", advice=f"It has {', '.join(names)}.")
+    return {name: values[name] for name in names}

@@ -1,0 +1,88 @@
+"""What results look like: matplotlib figures, and reports as self-contained HTML pages."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geodrake.report.adaptation_view import AdaptationView, save_recording
+    from geodrake.report.draft import draft_figure, render_drafted, render_explained
+    from geodrake.report.excitation import (
+        eigenvalue_figure,
+        motion_figure,
+        render_excitation,
+    )
+    from geodrake.report.figures import (
+        candidate_figure,
+        joint_error_figure,
+        step_figure,
+        step_stages,
+    )
+    from geodrake.report.identifiable import identifiable_figure, render_identifiable
+    from geodrake.report.identification_page import render_identification
+    from geodrake.report.numbers import Units
+    from geodrake.report.report import (
+        comparison_figures,
+        diagnosis_figures,
+        render_comparison,
+        render_diagnosis,
+        render_explanation,
+        report_figures,
+        save_figures,
+    )
+    from geodrake.report.rollout import render_rollout, rollout_figure
+    from geodrake.report.series_figures import effort_figure, residual_figure
+
+__all__ = [
+    "AdaptationView",
+    "Units",
+    "candidate_figure",
+    "comparison_figures",
+    "diagnosis_figures",
+    "draft_figure",
+    "effort_figure",
+    "eigenvalue_figure",
+    "identifiable_figure",
+    "joint_error_figure",
+    "motion_figure",
+    "render_comparison",
+    "render_diagnosis",
+    "render_drafted",
+    "render_excitation",
+    "render_explained",
+    "render_explanation",
+    "render_identifiable",
+    "render_identification",
+    "render_rollout",
+    "report_figures",
+    "residual_figure",
+    "rollout_figure",
+    "save_figures",
+    "save_recording",
+    "step_figure",
+    "step_stages",
+]
+
+_MODULES = (
+    "numbers",
+    "report",
+    "draft",
+    "excitation",
+    "figures",
+    "identifiable",
+    "identification_page",
+    "rollout",
+    "series_figures",
+    "adaptation_view",
+)
+
+
+def __getattr__(name: str) -> Any:
+    """Import matplotlib when a figure or a page is first asked for; words and numbers need none."""
+    if name in __all__:
+        for module in _MODULES:
+            found = vars(import_module(f"geodrake.report.{module}"))
+            if name in found:
+                return found[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,161 @@
+"""What drafted formulas look like: a figure, and their part of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from geodrake.diagnosis.drafting import Correlate, Draft
+from geodrake.diagnosis.drafting.results import DraftedEffect
+from geodrake.diagnosis.results import Explanation
+from geodrake.report import style
+from geodrake.report.numbers import Units, number
+from geodrake.report.page import Section, pictures
+from geodrake.report.report import render_explanation
+from geodrake.report.tables import formulas_table
+from geodrake.report.words import correlate_words, draft_advice
+
+_CAPTION = (
+    "What everything else leaves at a joint, and the effort of the formula: over time, and one "
+    "against the other. On the line, the formula explains all."
+)
+_GAP = 1.5  # samples farther apart than so many times the usual are not joined by a line
+
+
+def render_drafted(
+    found: tuple[Explanation, Draft], *, title: str, model_name: str, log_names: Sequence[str]
+) -> str:
+    """The report of an explanation and of the formulas for its rest.
+
+    Args:
+        found: What `geodrake.diagnosis.drafting.draft_effects` gives.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+    """
+    explanation, draft = found
+    section = draft_section(draft, Units.of(explanation.model))
+    return render_explanation(
+        explanation, title=title, model_name=model_name, log_names=log_names, more=(section,)
+    )
+
+
+def render_explained(
+    found: tuple[Explanation, Sequence[Correlate]],
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+) -> str:
+    """The report of an explanation and of what its rest goes with; see `render_drafted`.
+
+    Args:
+        found: An explanation, and what `geodrake.diagnosis.drafting.rest_correlates` gives.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+    """
+    explanation, correlates = found
+    advice = draft_advice(explanation)
+    return render_explanation(
+        explanation,
+        title=title,
+        model_name=model_name,
+        log_names=log_names,
+        more=(rest_section(correlates),),
+        advice=(advice,) if advice else (),
+    )
+
+
+def rest_section(correlates: Sequence[Correlate]) -> Section:
+    """What an error goes with that nothing explains; empty if nothing is known."""
+    text = ("Shares of the error left at a joint that go with simple signals, on held-out data.",)
+    items = tuple(map(correlate_words, correlates))
+    return Section("What the rest goes with", text if items else (), items=items)
+
+
+def draft_section(draft: Draft, units: Units) -> Section:
+    """The formulas found and what the rest goes with, with the figure.
+
+    Args:
+        draft: The formulas found.
+        units: Units of the robot's joints.
+    """
+    title = "Formulas for the rest"
+    items = tuple(map(correlate_words, draft.correlates))
+    if not draft.effects:
+        text = "No formula takes away enough of the error on held-out data to be believed."
+        return Section(title, (text,), items=items)
+    joints = [effect.formula.joint for effect in draft.effects]
+    text = (
+        "Sums of products of simple functions of the motion, found by a sparse search and judged "
+        f"on held-out data; RMS in {units.effort(joints)}. A formula that fits is not yet a cause."
+    )
+    figures = pictures({"draft": draft_figure(draft, units=units)}, {"draft": _CAPTION})
+    return Section(title, (text,), (formulas_table(draft),), items, figures)
+
+
+@style.own_look()
+def draft_figure(draft: Draft, *, units: Units | None = None) -> Figure:
+    """What formulas explain: over time, and against what everything else leaves.
+
+    Args:
+        draft: A draft with an effect at least.
+        units: Units of the joints; those of revolute joints by default.
+
+    Returns:
+        Two axes for each joint.
+    """
+    units = units or Units()
+    figure = style.new_figure(0.8 + 2.2 * len(draft.effects))
+    grid = figure.subplots(len(draft.effects), 2, squeeze=False, width_ratios=[2, 1])
+    for (over_time, against), effect in zip(grid, draft.effects, strict=True):
+        unit = units.effort([effect.formula.joint])
+        _draw_over_time(style.polish(over_time), effect)
+        _draw_against(style.polish(against), effect)
+        change = f"RMS {number(effect.rms_before)} → {number(effect.rms_after)} {unit}"
+        style.joint_title(over_time, effect.formula.joint)
+        against.set_title(change, loc="right", pad=4, **style.plain(style.SMALL, style.QUIET))
+        label = style.plain(style.SMALL, style.QUIET)
+        over_time.set_ylabel(f"effort, {unit}", **label)
+        over_time.set_xlabel("samples, block after block", **label)
+        against.set_xlabel(f"formula, {unit}", **label)
+        against.set_ylabel("left without it", **label)
+    style.legend_above(
+        figure,
+        (
+            Line2D([], [], color=style.MEASURED, linewidth=3.2, label="left without it"),
+            Line2D([], [], color=style.AFTER, linewidth=1.2, label="formula on held-out data"),
+            Patch(color=style.FLOOR, alpha=0.25, label="± sensor noise"),
+        ),
+    )
+    return figure
+
+
+def _draw_over_time(ax: Axes, effect: DraftedEffect) -> None:
+    steps = np.diff(effect.time)
+    usual = np.median(np.abs(steps)) if len(steps) else 1.0
+    breaks = 1 + np.flatnonzero((steps > _GAP * usual) | (steps < 0))
+    at = np.insert(np.arange(len(effect.time), dtype=float), breaks, np.nan)
+    for values, color, width in (
+        (effect.residual, style.MEASURED, 2.6),
+        (effect.effort, style.AFTER, 1.0),
+    ):
+        ax.plot(at, np.insert(values, breaks, np.nan), color=color, linewidth=width)
+
+
+def _draw_against(ax: Axes, effect: DraftedEffect) -> None:
+    ends = np.array([effect.effort.min(), effect.effort.max()])
+    ax.plot(ends, ends, color=style.INK, linewidth=0.8)
+    ax.fill_between(
+        ends, ends - effect.floor, ends + effect.floor, color=style.FLOOR, alpha=0.25, linewidth=0
+    )
+    ax.scatter(
+        effect.effort, effect.residual, s=5, color=style.AFTER, alpha=0.35, linewidth=0,
+        rasterized=True,
+    )  # fmt: skip

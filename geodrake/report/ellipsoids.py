@@ -1,0 +1,161 @@
+"""Bodies as the uniform ellipsoids that have their inertia, ready to be drawn over the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JointIndex
+from pydrake.systems.framework import Context
+
+from geodrake.errors import ArgumentError
+from geodrake.identification.models import ModelIdentification
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+
+PRIOR, IDENTIFIED, TRUTH = "#8a94a0", "#1b6ca8", "#3f9c6b"
+BOUNDARY = "#c8322b"
+OTHERS = ("#7a4fa3", "#c78a1e", "#2a8f8f", "#a34f6e", "#5b7a2a")
+"""Colours of what is drawn: prior, identified, truth, bodies at the boundary, regularizers."""
+
+LEAST_THICKNESS = 0.002
+"""Semi-axis that is drawn at least, m: a body at the boundary may be flat."""
+
+
+@dataclass(frozen=True, eq=False)
+class EllipsoidSet:
+    """The bodies of one model of a robot.
+
+    Attributes:
+        name: What the model is called, such as "prior" or "truth".
+        color: Colour of its bodies, #rrggbb.
+        phi: (nb, 10) physical inertial parameters, bodies in the order of `lumped_bodies`.
+        at_boundary: (nb,) whether a body is at the boundary of physical consistency.
+    """
+
+    name: str
+    color: str
+    phi: Array
+    at_boundary: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, name: str, phi: Array, *, color: str = IDENTIFIED, at_boundary: Sequence[int] = ()
+    ) -> EllipsoidSet:
+        """A set in which the bodies of some numbers are at the boundary.
+
+        Args:
+            name: What the legend calls the set.
+            phi: (nb, 10) inertial parameters of the bodies.
+            color: Colour of the set, as matplotlib takes it.
+            at_boundary: Indices of the bodies at the boundary of the physical ones.
+
+        Raises:
+            ArgumentError: phi is not (nb, 10).
+        """
+        phi = np.asarray(phi, float)
+        if phi.ndim != 2 or phi.shape[1] != PARAMETERS_PER_BODY:
+            raise ArgumentError(f"phi must have shape (nb, 10); got {phi.shape}.")
+        marks = np.zeros(len(phi), bool)
+        marks[list(at_boundary)] = True
+        return cls(name, color, phi, marks)
+
+    def body_color(self, body: int) -> str:
+        """Colour of a body: the set's, or that of the boundary."""
+        return BOUNDARY if self.at_boundary[body] else self.color
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedEllipsoids:
+    """Ellipsoids in the world, ascending semi-axes no less than `LEAST_THICKNESS`.
+
+    Attributes:
+        center: (nb, 3) centres, m.
+        semi_axes: (nb, 3) semi-axes, m.
+        rotation: (nb, 3, 3) rotations R_WE.
+    """
+
+    center: Array
+    semi_axes: Array
+    rotation: Array
+
+    def points(self, around: int = 20) -> Array:
+        """(nb, around // 2 + 1, around + 1, 3) points of the surfaces, a net of angles."""
+        polar = np.linspace(0.0, np.pi, around // 2 + 1)[:, None]
+        azimuth = np.linspace(0.0, 2 * np.pi, around + 1)
+        sphere = np.stack(
+            np.broadcast_arrays(
+                np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
+            ),
+            -1,
+        )
+        local = sphere * self.semi_axes[:, None, None]
+        return np.asarray(
+            self.center[:, None, None] + np.einsum("bij,bklj->bkli", self.rotation, local)
+        )
+
+
+def placed(plant: MultibodyPlant, context: Context, phi: Array) -> PlacedEllipsoids:
+    """The equivalent ellipsoids of bodies where a plant's configuration puts them.
+
+    Args:
+        plant: A finalized plant.
+        context: The plant's context, whose positions count.
+        phi: (nb, 10) physical inertial parameters in the order of `lumped_bodies`.
+
+    Raises:
+        ArgumentError: phi has another number of bodies than the plant, or is not physical.
+    """
+    bodies = lumped_bodies(plant)
+    if len(phi) != len(bodies):
+        raise ArgumentError(f"phi has {len(phi)} bodies; the plant has {len(bodies)}.")
+    poses = [plant.EvalBodyPoseInWorld(context, plant.get_body(b.body_index)) for b in bodies]
+    R_WB = np.array([pose.rotation().matrix() for pose in poses])
+    p_WB = np.array([pose.translation() for pose in poses])
+    own = equivalent_ellipsoid(phi)
+    return PlacedEllipsoids(
+        p_WB + np.einsum("bij,bj->bi", R_WB, own.center),
+        np.maximum(own.semi_axes, LEAST_THICKNESS),
+        R_WB @ own.rotation,
+    )
+
+
+def skeleton(plant: MultibodyPlant, context: Context) -> Array:
+    """The robot as lines: (k, 2, 3) ends in the world, m, from joint to joint.
+
+    Args:
+        plant: A finalized plant.
+        context: Its Context, for the pose.
+    """
+    lines = []
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(JointIndex(index))
+        parent = plant.EvalBodyPoseInWorld(context, joint.parent_body()).translation()
+        child = plant.EvalBodyPoseInWorld(context, joint.child_body()).translation()
+        middle = joint.frame_on_parent().CalcPoseInWorld(context).translation()
+        other = joint.frame_on_child().CalcPoseInWorld(context).translation()
+        lines += [(parent, middle), (middle, other), (other, child)]
+    found = np.array(lines).reshape(-1, 2, 3)
+    return found[np.linalg.norm(found[:, 1] - found[:, 0], axis=-1) > 1e-6]
+
+
+def identification_sets(found: ModelIdentification) -> tuple[EllipsoidSet, ...]:
+    """Prior and identified bodies, and those of the other regularizers it was compared with."""
+    bodies = found.model.bodies
+
+    def numbers(names: Sequence[str]) -> list[int]:
+        return [bodies.index(name) for name in names if name in bodies]
+
+    sets = [EllipsoidSet.of("prior", found.prior.phi, color=PRIOR)]
+    words = f"identified, {found.regularizer}"
+    sets.append(EllipsoidSet.of(words, found.model.phi, at_boundary=numbers(found.at_boundary)))
+    others = [other for other in found.alternatives if other.regularizer != found.regularizer]
+    for k, other in enumerate(others):
+        color = OTHERS[k % len(OTHERS)]
+        at = numbers(other.at_boundary)
+        sets.append(EllipsoidSet.of(other.regularizer, other.phi, color=color, at_boundary=at))
+    return tuple(sets)

@@ -1,0 +1,188 @@
+"""A designed motion, as figures and a report."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from geodrake.excitation import ExcitationResult, Separation
+from geodrake.excitation.verdict import THRESHOLD, identifiable_directions, improvement
+from geodrake.inertia import Array
+from geodrake.report import style
+from geodrake.report.excitation_tables import limits_table, starts_table
+from geodrake.report.excitation_words import excitation_verdict, nearest_bodies
+from geodrake.report.numbers import Units, number, percent
+from geodrake.report.page import (
+    Page,
+    Section,
+    Tile,
+    pictures,
+    render,
+    without_empty,
+)
+from geodrake.report.tell_apart import pairs_section, tiles_of_pairs
+
+_FINE = 600  # instants that are drawn
+_COLUMNS = (
+    ("position", "rad", ""),
+    ("velocity", "rad/s", "velocity"),
+    ("acceleration", "rad/s²", "acceleration"),
+    ("effort", "N·m", "effort"),
+)
+_MOTION_CAPTION = (
+    "Position, velocity, acceleration and effort of every joint. Dotted lines are limits; an axis "
+    "without them shows a motion that stays far inside."
+)
+_EIGENVALUE_CAPTION = (
+    "Relative deviation of an estimate along every principal direction, for the motion designed. "
+    "The dotted line is a deviation of ten per cent."
+)
+
+
+def render_excitation(result: ExcitationResult, *, title: str, model_name: str) -> str:
+    """The report of a designed motion.
+
+    Args:
+        result: The design.
+        title: Title of the page.
+        model_name: What the model is called.
+    """
+    apart = isinstance(result.objective, Separation)
+    factor = np.sqrt(improvement(result)) if apart else improvement(result)
+    page = Page(
+        title,
+        f"a motion for {model_name}",
+        "compared",
+        "designed",
+        f"A motion {number(float(factor))} times better than the best random one.",
+        (excitation_verdict(result),),
+        tiles_of_pairs(result) if apart else _tiles(result),
+        without_empty(
+            (
+                pairs_section(result) if apart else _information(result),
+                _motion(result),
+                _starts(result),
+                _notes(result),
+            )
+        ),
+        "Made by geodrake: limits hold between samples too; information is that of the samples "
+        "with the noise that was asked for.",
+    )
+    return render(page)
+
+
+def _tiles(result: ExcitationResult) -> tuple[Tile, ...]:
+    objective, count = result.objective, len(result.eigenvalues)
+    criterion = objective.criterion.name.replace("_", " ")
+    tiles = (
+        Tile(criterion, number(result.value), f"{objective.normalization} normalization"),
+        Tile("better than random", f"{number(improvement(result))} ×", "than the best start"),
+    )
+    if objective.normalization != "geometric":
+        return tiles
+    found = f"{identifiable_directions(result)} of {count}"
+    return (
+        *tiles,
+        Tile("directions identifiable", found, f"to {percent(float(np.sqrt(THRESHOLD)))}"),
+    )
+
+
+def _motion(result: ExcitationResult) -> Section:
+    units = Units.of(result.objective.target.model)
+    table, nearest = limits_table(result, units), nearest_bodies(result)
+    text = ["Where the joints move, and the largest shares of their limits that the motion uses."]
+    if nearest:
+        text.append(f"Nearest to each other: {nearest}")
+    figures = pictures({"motion": motion_figure(result)}, {"motion": _MOTION_CAPTION})
+    return Section("The motion", tuple(text), (table,), (), figures)
+
+
+def _information(result: ExcitationResult) -> Section:
+    figures = pictures(
+        {"eigenvalues": eigenvalue_figure(result)}, {"eigenvalues": _EIGENVALUE_CAPTION}
+    )
+    text = (
+        f"From {result.samples} samples. Directions are combinations of inertial parameters and of "
+        "those of effects, in the units of the normalization."
+    )
+    return Section("What it identifies", (text,), pictures=figures)
+
+
+def _starts(result: ExcitationResult) -> Section:
+    apart = isinstance(result.objective, Separation)
+    text = (
+        ("One over the squared deviations of the hardest pair; less is better.",) if apart else ()
+    )
+    return Section("Starts", text, (starts_table(result),))
+
+
+def _notes(result: ExcitationResult) -> Section:
+    return Section("Notes", items=result.notes)
+
+
+@style.own_look()
+def motion_figure(result: ExcitationResult, *, most: int = style.MOST_JOINTS) -> Figure:
+    """Position, velocity, acceleration and effort of every joint, with their limits.
+
+    Args:
+        result: The design.
+        most: Largest number of joints to show.
+    """
+    model, trajectory, limits = result.objective.target.model, result.trajectory, result.limits
+    units, joints = Units.of(model), limits.joints[:most]
+    times = trajectory.family.times(_FINE)
+    states = trajectory.states(times)
+    width = result.objective.target.sign_width
+    effort = model.effort(trajectory.motion_of(states), sign_width=width)
+    at = times if trajectory.family.timed else np.arange(float(len(times)))
+    figure = style.new_figure(0.8 + 1.35 * len(joints))
+    grid = figure.subplots(len(joints), 4, sharex=True, squeeze=False)
+    for j, joint in enumerate(joints):
+        style.joint_title(grid[j, 0], joint)
+        for ax, values, (name, unit, limit) in zip(
+            grid[j], (*states, effort), _COLUMNS, strict=True
+        ):
+            bounds = (limits.lower[j], limits.upper[j])
+            if limit:
+                bounds = (-getattr(limits, limit)[j], getattr(limits, limit)[j])
+            _draw(style.polish(ax), at, values[:, j], bounds, timed=trajectory.family.timed)
+            words = f"{name}, {units.at(joint, unit)}"
+            ax.set_ylabel(words, **style.plain(style.SMALL - 1, style.QUIET))
+    for ax in grid[-1]:
+        label = "time, s" if trajectory.family.timed else "sample"
+        ax.set_xlabel(label, **style.plain(style.SMALL, style.QUIET))
+    if len(joints) < len(limits.joints):
+        style.note_below(figure, f"The first {len(joints)} of {len(limits.joints)} joints.")
+    return figure
+
+
+def _draw(ax: Axes, at: Array, values: Array, bounds: tuple[float, float], *, timed: bool) -> None:
+    look = {"linewidth": 1.4} if timed else {"linewidth": 0, "marker": ".", "markersize": 3}
+    ax.plot(at, values, color=style.AFTER, **look)
+    reach = 2.5 * max(float(np.abs(values).max()), 1e-9)
+    for bound in bounds:
+        if np.abs(bound) <= reach:
+            ax.axhline(bound, color=style.INK, linestyle=":", linewidth=1.0)
+
+
+@style.own_look()
+def eigenvalue_figure(result: ExcitationResult) -> Figure:
+    """Deviations along the principal directions, from the most certain on."""
+    figure = style.new_figure(2.8)
+    ax = style.polish(figure.subplots())
+    values = result.eigenvalues[::-1]
+    deviations = 1.0 / np.sqrt(np.where(values > 0, values, np.nan))
+    count = np.arange(1, len(values) + 1)
+    ax.plot(count, deviations, "o", color=style.AFTER, markersize=4)
+    handles = [Line2D([], [], color=style.AFTER, marker="o", linewidth=0, label="designed")]
+    if result.objective.normalization == "geometric":
+        limit = float(np.sqrt(THRESHOLD))
+        ax.axhline(limit, color=style.INK, linestyle=":", linewidth=1.0)
+    style.log_scale(ax, "y")
+    label = style.plain(style.SMALL, style.QUIET)
+    ax.set_xlabel("principal direction", **label)
+    ax.set_ylabel("deviation", **label)
+    style.legend_above(figure, handles)
+    return figure

@@ -1,0 +1,114 @@
+"""The report of an identification: held-out errors, and what became of bodies and effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from matplotlib.figure import Figure
+
+from geodrake.identification.models import ModelIdentification
+from geodrake.report import sections, style, words
+from geodrake.report.figures import joint_error_figure
+from geodrake.report.identification_tables import (
+    bodies_table,
+    fitted_effects_table,
+    gamma_words,
+    identification_verdict,
+    regularizers_table,
+)
+from geodrake.report.numbers import Units, number, percent
+from geodrake.report.page import Page, Section, Tile, render, without_empty
+from geodrake.report.report import figures_section, footer, subject, with_pictures
+from geodrake.report.series_figures import effort_figure, residual_figure
+
+
+def render_identification(
+    found: ModelIdentification,
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+    units: Units | None = None,
+) -> str:
+    """The report of an identification; arguments as for `render_comparison`.
+
+    Args:
+        found: The result of `geodrake.identification.models.identify.identify_model`.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+        units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+    """
+    units = units or Units.of(found.model)
+    verdict = identification_verdict(found)
+    before, after = found.before, found.after
+    tiles = (
+        Tile("as it stands", number(before.nrms), "nrms: error over std of the effort"),
+        Tile("identified", number(after.nrms), "nrms on held-out data"),
+        Tile("sensor noise", number(after.floor_nrms), "the nrms of a perfect model"),
+        Tile("removable", percent(words.removable_share(after)), "of the squared error left"),
+    )
+    figures = identification_figures(found, units)
+    joints = sections.joints_section({"before": before, "after": after}, units)
+    parts = (
+        with_pictures(joints, figures, "joint_errors"),
+        sections.failing_section(found.comparison),
+        bodies_section(found),
+        *effects_sections(found, units),
+        figures_section(figures, without=("joint_errors",)),
+        sections.method_section(found.comparison, refitted=True),
+        sections.notes_section(found.notes),
+    )
+    page = Page(
+        title,
+        subject(model_name, log_names),
+        "identified",
+        "identified",
+        verdict[:1].upper() + verdict[1:],
+        (),
+        tiles,
+        without_empty(parts),
+        footer(found.comparison),
+    )
+    return render(page)
+
+
+def identification_figures(found: ModelIdentification, units: Units) -> dict[str, Figure]:
+    """The figures of an identification's report, by name.
+
+    Args:
+        found: The identification.
+        units: Units of the joints.
+    """
+    identified = [("identified", [joint.rms for joint in found.after.joints])]
+    return {
+        "joint_errors": joint_error_figure(found.before, identified),
+        "efforts": effort_figure(found.comparison, units=units),
+        "residuals_after": residual_figure(found.comparison, color=style.AFTER, units=units),
+    }
+
+
+def bodies_section(found: ModelIdentification) -> Section:
+    """Mass and centre of mass of every body, with their standard deviations."""
+    text = (
+        f"With the {found.regularizer} regularizer and gamma {gamma_words(found.gamma)}; value ± "
+        "standard deviation, masses in kg, centres of mass in mm in the body's frame. At the "
+        "boundary, only the bounds of what a body can be keep the data from asking for more."
+    )
+    return Section("Bodies", (text,), (bodies_table(found),))
+
+
+def effects_sections(found: ModelIdentification, units: Units) -> tuple[Section, ...]:
+    """Effects that were fitted and regularizers that were compared, where there are any.
+
+    Args:
+        found: The identification.
+        units: Units of the joints and effects of the model.
+    """
+    effects, others = fitted_effects_table(found, units), regularizers_table(found)
+    return (
+        Section("Effects", tables=(effects,) if effects.rows else ()),
+        Section(
+            "Regularizers at the same training residual", tables=(others,) if others.rows else ()
+        ),
+    )

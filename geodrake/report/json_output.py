@@ -1,0 +1,248 @@
+"""Results as JSON: plain dictionaries of finite numbers and names; every null comes with a reason.
+
+The keys of an explanation are a stable interface; more may be added, none are renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from geodrake.boundary.escaping import json_text
+from geodrake.control.rollout import Rollout
+from geodrake.diagnosis.drafting import Correlate, Draft
+from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
+
+_APART = "the robot departs further than can be simulated"
+_UNKNOWN = "the logs do not identify it"
+
+
+@dataclass(frozen=True)
+class NoNumber:
+    """What stands for a number that there is not: null in JSON, with the reason."""
+
+    reason: str
+
+
+def number_or(value: float | None, reason: str) -> float | NoNumber:
+    """A finite number, or why there is none.
+
+    Args:
+        value: The number, None where there is none.
+        reason: Why there may be none, for the key `nulls`.
+    """
+    return NoNumber(reason) if value is None or not math.isfinite(value) else value
+
+
+def comparison_dict(comparison: Comparison) -> dict[str, Any]:
+    """A comparison: errors of the whole and of each joint, and where they are concentrated.
+
+    Args:
+        comparison: The result of `geodrake.identification.logs.compare.compare`.
+
+    Returns:
+        `error` (nrms, floor_nrms, pooled_rms), `joints` by name (rms, std, nrms, floor in N·m or
+        N, removable), `failing` and `notes`.
+    """
+    errors = comparison.errors
+    return {
+        "error": {
+            "nrms": errors.nrms,
+            "floor_nrms": errors.floor_nrms,
+            "pooled_rms": errors.pooled_rms,
+        },
+        "joints": {
+            joint.joint: {
+                "rms": joint.rms,
+                "std": joint.std,
+                "nrms": joint.nrms,
+                "floor": joint.floor,
+                "removable": joint.removable,
+            }
+            for joint in errors.joints
+        },
+        "failing": [_failing(case) for case in comparison.failing],
+        "notes": list(comparison.notes),
+    }
+
+
+def diagnosis_dict(diagnosis: Diagnosis) -> dict[str, Any]:
+    """A diagnosis: verdict, candidates from the best on, and errors before any of them.
+
+    Args:
+        diagnosis: The result of `geodrake.diagnosis.diagnose.diagnose`.
+    """
+    return {
+        "verdict": diagnosis.verdict,
+        "candidates": [asdict(candidate) for candidate in diagnosis.candidates],
+        "error": _errors(start=diagnosis.start, refit=diagnosis.refitted),
+        "notes": list(diagnosis.notes),
+    }
+
+
+def explanation_dict(explanation: Explanation) -> dict[str, Any]:
+    """An explanation: verdict, steps, and errors at the start, after refitting and at the end.
+
+    Args:
+        explanation: The result of `geodrake.diagnosis.explain.explain` or `…add.add`.
+    """
+    tables = {"start": explanation.start, "refit": explanation.refitted, "end": explanation.end}
+    return {
+        "verdict": explanation.verdict,
+        "steps": [_step(step) for step in explanation.steps],
+        "error": _errors(**tables),
+        "failing": [_failing(case) for case in explanation.after.failing],
+        "notes": list(explanation.notes),
+    }
+
+
+def draft_dict(draft: Draft) -> dict[str, Any]:
+    """Drafted formulas: where, in words, coefficients, held-out RMS before and after.
+
+    Args:
+        draft: The result of `geodrake.diagnosis.drafting.draft_effects`.
+    """
+    return {
+        "effects": [
+            {
+                "name": draft.names[effect.formula.joint],
+                "joint": effect.formula.joint,
+                "formula": effect.formula.words(),
+                "coefficients": {
+                    p.name: {"value": value, "deviation": deviation, "unit": p.unit}
+                    for p, value, deviation in zip(
+                        effect.formula.parameters,
+                        effect.coefficients,
+                        effect.deviations,
+                        strict=True,
+                    )
+                },
+                "rms_before": effect.rms_before,
+                "rms_after": effect.rms_after,
+                "floor": effect.floor,
+                "false_alarm_probability": effect.false_alarm_probability,
+                "indistinguishable_from": effect.rivals,
+            }
+            for effect in draft.effects
+        ],
+        "correlates": correlates_list(draft.correlates),
+        "needless": [{"effect": e.name, "where": e.where} for e in draft.needless],
+        "error": _errors(before=draft.before, after=draft.after),
+    }
+
+
+def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
+    """What the error left goes with: joint, words, share of its squared error.
+
+    Args:
+        correlates: The result of `geodrake.diagnosis.drafting.rest_correlates`.
+    """
+    return [asdict(correlate) for correlate in correlates]
+
+
+def rollout_dict(rollout: Rollout) -> dict[str, Any]:
+    """A rollout: departures of every joint from the measured motion, and effects left out.
+
+    Args:
+        rollout: The result of `geodrake.control.rollout.roll_out`.
+    """
+    return {
+        "horizon": rollout.horizon,
+        "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
+        "broken": rollout.broken,
+        "left_out": [{"effect": e.name, "where": e.where} for e in rollout.left_out],
+        "relative": number_or(rollout.relative, _APART),
+        "joints": {
+            joint.joint: {
+                "rms": number_or(joint.rms, _APART),
+                "moved": joint.moved,
+                "relative": number_or(joint.relative, _APART),
+                "worst": joint.worst,
+            }
+            for joint in rollout.joints
+        },
+        "notes": list(rollout.notes),
+    }
+
+
+def to_json(result: Mapping[str, Any]) -> str:
+    """Text of a result; every number in it is finite, or null with a reason.
+
+    Where there is a null, the key `nulls` says of each why: its place as a JSON pointer, such as
+    `/steps/0/deviations/flange/mass`, and the reason in words.
+    """
+    nulls: dict[str, str] = {}
+    plain = _plain(result, "", nulls)
+    if nulls:
+        plain["nulls"] = nulls
+    return json_text(json.dumps(plain, indent=2, ensure_ascii=False, allow_nan=False)) + "\n"
+
+
+def _step(step: Step) -> dict[str, Any]:
+    return {
+        "effect": step.effect,
+        "where": step.where,
+        "error_before": step.error_before,
+        "error_after": step.error_after,
+        "parameters": step.parameters,
+        "deviations": {
+            place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
+            for place, own in step.deviations.items()
+        },
+        "indistinguishable_from": step.indistinguishable_from,
+        "rivals": [asdict(rival) for rival in step.rivals],
+        "false_alarm_probability": step.false_alarm_probability,
+        "agreement": step.agreement,
+        "rms_before": step.rms_before,
+        "rms_after": step.rms_after,
+    }
+
+
+def _errors(**tables: ErrorTable) -> dict[str, Any]:
+    """RMS by joint of several tables, then their nrms and pooled RMS; the floor is common."""
+    last = list(tables.values())[-1]
+    return {
+        **{name: table.by_joint() for name, table in tables.items()},
+        "floor": {joint.joint: joint.floor for joint in last.joints},
+        **{f"{name}_nrms": table.nrms for name, table in tables.items()},
+        "floor_nrms": last.floor_nrms,
+        "pooled_rms": {name: table.pooled_rms for name, table in tables.items()},
+    }
+
+
+def _plain(value: Any, place: str, nulls: dict[str, str]) -> Any:
+    """The value in dictionaries, lists, strings, Python numbers and None.
+
+    Args:
+        value: What is to be written.
+        place: Where it stands, as a JSON pointer.
+        nulls: Gets why what stands where is null.
+    """
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v, f"{place}/{_token(k)}", nulls) for k, v in value.items()}
+    if hasattr(value, "tolist"):  # numpy arrays and scalars
+        return _plain(value.tolist(), place, nulls)
+    if isinstance(value, Iterable) and not isinstance(value, str):
+        return [_plain(item, f"{place}/{k}", nulls) for k, item in enumerate(value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        value = NoNumber("was not determined" if math.isnan(value) else "is infinite")
+    elif value is None:
+        value = NoNumber("does not apply here")
+    if isinstance(value, NoNumber):
+        nulls[place] = value.reason
+        return None
+    return value
+
+
+def _token(key: object) -> str:
+    """A key in a JSON pointer (RFC 6901)."""
+    return str(key).replace("~", "~0").replace("/", "~1")
+
+
+def _failing(case: Failing) -> dict[str, Any]:
+    """A circumstance in numbers; efforts are in N·m or N by the kind of the joint."""
+    return {name: value for name, value in asdict(case).items() if name != "unit"}

@@ -1,0 +1,145 @@
+"""Bodies as ellipsoids in MeshCat, over a robot that is there or over its lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from pydrake.geometry import Cylinder, Ellipsoid, Meshcat, MeshcatParams, Rgba, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
+
+from geodrake.boundary.escaping import html_text, path_part
+from geodrake.inertia import Array
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.report.ellipsoids import BOUNDARY, EllipsoidSet, placed, skeleton
+from geodrake.robot.files.description import drake_messages
+
+_OPAQUE = 0.55
+_LINE_WIDTH = 0.006  # m
+_LEAST_GAP = 0.3  # m
+
+
+class MeshcatEllipsoids:
+    """Ellipsoids of one or more models of a robot in a running MeshCat.
+
+    Each set is a folder of the scene, to be shown or hidden in MeshCat's controls. `update` moves
+    the ellipsoids with the robot; called with a time it adds to MeshCat's recording.
+
+    Args:
+        meshcat: Where to draw.
+        plant: A finalized plant.
+        sets: The models.
+        path: Folder of the scene to draw in; what was in it is deleted.
+        spacing: Distance in y by which sets are drawn beside each other, m; 0 to draw them over
+            each other.
+
+    Raises:
+        ArgumentError: A set does not fit the plant, or is not physical.
+    """
+
+    def __init__(
+        self,
+        meshcat: Meshcat,
+        plant: MultibodyPlant,
+        sets: Sequence[EllipsoidSet],
+        *,
+        path: str = "ellipsoids",
+        spacing: float = 0.0,
+    ) -> None:
+        self._meshcat, self._plant, self._sets = meshcat, plant, tuple(sets)
+        self._shifts = [np.array([0.0, k * spacing, 0.0]) for k in range(len(self._sets))]
+        names = [path_part(body.name) for body in lumped_bodies(plant)]
+        self._paths = [
+            [f"{path}/{path_part(one.name)}/{name}" for name in names] for one in self._sets
+        ]
+        context = plant.CreateDefaultContext()
+        meshcat.Delete(path)
+        for one, paths in zip(self._sets, self._paths, strict=True):
+            bodies = placed(plant, context, one.phi)
+            for k, (place, semi_axes) in enumerate(zip(paths, bodies.semi_axes, strict=True)):
+                opaque = 0.8 if one.at_boundary[k] else _OPAQUE
+                color = Rgba(*to_rgb(one.body_color(k)), opaque)
+                meshcat.SetObject(place, Ellipsoid(*semi_axes), color)
+        self.update(context)
+
+    def update(self, context: Context, time: float | None = None) -> None:
+        """Put the ellipsoids where the bodies are.
+
+        Args:
+            context: The plant's context.
+            time: Time in MeshCat's recording, s; None to move them now only.
+        """
+        for one, paths, shift in zip(self._sets, self._paths, self._shifts, strict=True):
+            bodies = placed(self._plant, context, one.phi)
+            for place, R_WE, center in zip(paths, bodies.rotation, bodies.center, strict=True):
+                X_WE = RigidTransform(RotationMatrix(R_WE), center + shift)
+                self._meshcat.SetTransform(place, X_WE, time)
+
+
+def ellipsoid_page(
+    plant: MultibodyPlant, sets: Sequence[EllipsoidSet], *, context: Context | None = None
+) -> str:
+    """One HTML page that loads nothing from elsewhere, with the sets side by side.
+
+    Args:
+        plant: A finalized plant.
+        sets: The models, each drawn over the robot's lines.
+        context: The plant's context, for its positions; the default ones if None.
+    """
+    if context is None:
+        context = plant.CreateDefaultContext()
+    lines = skeleton(plant, context)
+    spacing = _spacing(plant, context, sets)
+    with drake_messages():  # where MeshCat listens does not matter for a page
+        meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+        MeshcatEllipsoids(meshcat, plant, sets, spacing=spacing).update(context)
+        for k, one in enumerate(sets):
+            _draw_lines(meshcat, f"robot/{path_part(one.name)}", lines, k * spacing)
+        shift = np.array([0.0, 0.5 * (len(sets) - 1) * spacing, 0.0])
+        middle = lines.reshape(-1, 3).mean(0) + shift
+        size = np.ptp(lines.reshape(-1, 3), axis=0).max()
+        far = max(0.55 * spacing * len(sets), 0.6 * size) + 0.5 * size
+        meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
+        meshcat.SetProperty("/Background", "bottom_color", [0.93, 0.95, 0.97])
+        meshcat.SetProperty("/Grid", "visible", False)
+        meshcat.SetProperty("/Axes", "visible", False)
+        meshcat.SetCameraPose(middle + far * np.array([0.9, -0.2, 0.4]), middle)
+        page = meshcat.StaticHtml()
+    return page.replace("</body>", f"{_legend(sets)}</body>", 1)
+
+
+def _spacing(plant: MultibodyPlant, context: Context, sets: Sequence[EllipsoidSet]) -> float:
+    """Distance in y at which the sets do not overlap, m."""
+    clouds = [placed(plant, context, one.phi).points(8).reshape(-1, 3) for one in sets]
+    points = np.concatenate([*clouds, skeleton(plant, context).reshape(-1, 3)])
+    return float(1.1 * np.ptp(points[:, 1]) + _LEAST_GAP)
+
+
+def _draw_lines(meshcat: Meshcat, path: str, lines: Array, shift: float) -> None:
+    ink = Rgba(0.12, 0.16, 0.22, 1.0)
+    for k, (start, end) in enumerate(lines + np.array([0.0, shift, 0.0])):
+        length = float(np.linalg.norm(end - start))
+        R_WL = RotationMatrix.MakeFromOneVector((end - start) / length, 2)
+        meshcat.SetObject(f"{path}/{k}/line", Cylinder(_LINE_WIDTH, length), ink)
+        meshcat.SetTransform(f"{path}/{k}/line", RigidTransform(R_WL, 0.5 * (start + end)))
+        meshcat.SetObject(f"{path}/{k}/end", Sphere(2 * _LINE_WIDTH), ink)
+        meshcat.SetTransform(f"{path}/{k}/end", RigidTransform(start))
+
+
+def _legend(sets: Sequence[EllipsoidSet]) -> str:
+    """What the colours mean, from left to right, over the scene."""
+    entries = [(one.color, one.name) for one in sets]
+    if any(one.at_boundary.any() for one in sets):
+        entries.append((BOUNDARY, "at the boundary of what a body can be"))
+    spans = "".join(
+        f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
+        f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'
+        for color, name in entries
+    )
+    return (
+        '<div style="position:absolute;left:16px;top:16px;padding:10px 14px;background:#ffffffd0;'
+        f'font:14px/1.6 sans-serif;color:#1f2a37;pointer-events:none">{spans}</div>'
+    )

@@ -1,0 +1,191 @@
+"""Numbers as people read them: sensible digits, standard deviations, shares, chances, units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from geodrake.boundary.escaping import printable
+from geodrake.effects import Effect, catalogue
+from geodrake.effects.role import Role
+from geodrake.effects.shape import when_sliding
+from geodrake.model.robot_model import RobotModel
+
+UNKNOWN = "–"
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LEAST_CHANCE = 1e-6
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A value with so many significant digits; as a multiple of 10ⁿ if very small or large.
+
+    Args:
+        value: Any number.
+        digits: Significant digits, at least one.
+    """
+    if not math.isfinite(value):
+        return UNKNOWN
+    if value == 0:
+        return "0"
+    exponent = _exponent(value, digits)
+    if not -4 <= exponent < max(6, digits):
+        return f"{_fixed(value / 10.0**exponent, digits - 1)}{_power(exponent)}"
+    return _fixed(value, digits - 1 - exponent)
+
+
+def with_deviation(value: float, deviation: float) -> str:
+    """`3.084 ± 0.012`: both to the last digit that the standard deviation leaves certain.
+
+    Args:
+        value: The value.
+        deviation: Its standard deviation; left out where it is not a positive finite number.
+    """
+    if not (math.isfinite(value) and math.isfinite(deviation) and deviation > 0):
+        return number(value)
+    exponent = _exponent(deviation, 2)
+    digits = 2 if round(deviation / 10.0**exponent, 1) < 3 else 1
+    largest = _exponent(max(abs(value), deviation), 3)
+    scale = 0 if -4 <= largest < 6 else largest
+    decimals = digits - 1 - exponent + scale
+    text = f"{_fixed(value / 10.0**scale, decimals)} ± {_fixed(deviation / 10.0**scale, decimals)}"
+    return f"({text}){_power(scale)}" if scale else text
+
+
+def estimate(value: float, deviation: float) -> str:
+    """A value with its standard deviation; where there is none, as for a shape, plain digits.
+
+    Args:
+        value: The value.
+        deviation: Its standard deviation in the same unit; not finite if there is none.
+    """
+    if math.isfinite(deviation):
+        return with_deviation(value, deviation)
+    text = number(value, 4)
+    return text.rstrip("0").rstrip(".") if "." in text and "·" not in text else text
+
+
+def percent(share: float) -> str:
+    """A share in percent, with more digits where it is close to none or all of it."""
+    if not math.isfinite(share):
+        return UNKNOWN
+    if 0.9995 <= share < 1:
+        return "> 99.9 %"
+    if 0 < share < 0.0005:
+        return "< 0.1 %"
+    close = 0 < share < 0.0995 or 0.9895 <= share < 1
+    return f"{100 * share:.{1 if close else 0}f} %".replace("-", "−")
+
+
+def chance(probability: float) -> str:
+    """A probability, those below a millionth as `< 10⁻⁶`."""
+    return "< 10⁻⁶" if probability < _LEAST_CHANCE else number(probability, 2)
+
+
+def relative(deviation: float) -> str:
+    """A relative deviation: `12 %`, or `3.1 times its size`."""
+    if not math.isfinite(deviation):
+        return "unknown"
+    return percent(deviation) if deviation < 1 else f"{number(deviation)} times its size"
+
+
+def shortened(text: str, most: int) -> str:
+    """A printable text of at most so many characters, its middle left out where it is longer.
+
+    Args:
+        text: Any text.
+        most: Most characters.
+    """
+    text = printable(text)
+    if len(text) <= most:
+        return text
+    tail = (most - 1) // 2
+    return f"{text[: most - 1 - tail]}…{text[len(text) - tail :]}"
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of a robot's joints and of the parameters of effects.
+
+    Attributes:
+        joints: Names of all joints.
+        prismatic: Names of those whose effort is a force, N, and whose position is in m.
+        effects: Effect classes by name, those of the catalogue and the user's own.
+    """
+
+    joints: tuple[str, ...] = ()
+    prismatic: frozenset[str] = frozenset()
+    effects: Mapping[str, type[Effect]] = field(
+        default_factory=lambda: {effect.name: effect for effect in catalogue()}
+    )
+
+    @classmethod
+    def of(cls, model: RobotModel, extra: Sequence[type[Effect]] = ()) -> Units:
+        """The units of a model's joints, and of its effects.
+
+        Args:
+            model: The model.
+            extra: Effects of the user's own that the model need not have.
+        """
+        own = {kind.name: kind for kind in (*extra, *(type(f.effect) for f in model.effects))}
+        return cls(model.joints, frozenset(model.sliding_joints), {**cls().effects, **own})
+
+    def at(self, joint: str, unit: str) -> str:
+        """A unit that is written for a revolute joint, at a joint.
+
+        Args:
+            joint: Name of the joint.
+            unit: The unit at a revolute joint, such as N·m/rad.
+        """
+        if joint in self.prismatic:
+            return when_sliding(unit)
+        return unit
+
+    def effort(self, joints: Collection[str] | None = None) -> str:
+        """The unit of the efforts of several joints, or of all: `N·m`, `N` or `N·m or N`."""
+        names = self.joints if joints is None else joints
+        found = {self.at(joint, "N·m") for joint in names} or {"N·m"}
+        return " or ".join(sorted(found, reverse=True))
+
+    def parameter(self, effect: str, name: str, place: str) -> str:
+        """Unit in which a parameter is shown; "" for plain numbers and those nothing is known of.
+
+        Args:
+            effect: Name of the effect.
+            name: Name of the parameter.
+            place: Joint or body, or a pair of joints as `a & b`.
+        """
+        if self._in_milliseconds(effect, name):
+            return "ms"
+        unit = self.effects[effect].unit_of(name) if effect in self.effects else "1"
+        return "" if unit == "1" else self.at(place.partition(" & ")[0], unit)
+
+    def shown(self, effect: str, name: str, value: float) -> float:
+        """A parameter's value in the unit in which it is shown, `parameter`.
+
+        Args:
+            effect: Name of the effect.
+            name: Name of the parameter.
+            value: Its value, SI.
+        """
+        return 1e3 * value if self._in_milliseconds(effect, name) else value
+
+    def _in_milliseconds(self, effect: str, name: str) -> bool:
+        """Whether a parameter is a time by which efforts are late, which is short."""
+        kind = self.effects.get(effect)
+        return kind is not None and kind.role is Role.DELAY and kind.unit_of(name) == "s"
+
+
+def _exponent(value: float, digits: int) -> int:
+    """The power of ten of a value's first digit, after rounding to so many digits."""
+    return int(f"{value:.{digits - 1}e}".partition("e")[2])
+
+
+def _fixed(value: float, decimals: int) -> str:
+    """A value rounded to decimals, which may be negative, with a true minus sign."""
+    text = f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return text.replace("-", "−") if float(text) else text.lstrip("-")
+
+
+def _power(exponent: int) -> str:
+    return f"·10{str(exponent).translate(_SUPERSCRIPTS)}"

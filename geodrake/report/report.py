@@ -1,0 +1,320 @@
+"""Reports: one self-contained HTML page for a comparison, a diagnosis or an explanation."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from geodrake.boundary.escaping import path_part
+from geodrake.boundary.whole_files import write_together
+from geodrake.diagnosis.results import Diagnosis, Explanation
+from geodrake.errors import OutputError
+from geodrake.identification.logs.model_errors import Comparison
+from geodrake.report import sections, style, words
+from geodrake.report.figures import (
+    candidate_figure,
+    joint_error_figure,
+    step_figure,
+    step_stages,
+)
+from geodrake.report.numbers import Units, number, percent
+from geodrake.report.page import Page, Section, Tile, pictures, render, without_empty
+from geodrake.report.series_figures import effort_figure, residual_figure
+from geodrake.report.tables import error_stages
+
+_CAPTIONS = {
+    "steps": "The error on held-out data falling with each step, on a logarithmic axis.",
+    "candidates": "The error on held-out data that each candidate would leave.",
+    "joint_errors": "RMS error of each joint over the standard deviation of its effort, on a "
+    "logarithmic axis.",
+    "efforts": "Measured and predicted efforts, and under them measured − predicted. Lines break "
+    "where samples were left out.",
+    "residuals_before": "What the model as it stands gets wrong: measured − predicted effort "
+    "against velocity, position and load.",
+    "residuals_after": "What the final model still gets wrong, each joint on its own scale.",
+}
+
+
+def render_comparison(
+    comparison: Comparison,
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+    units: Units | None = None,
+) -> str:
+    """The report of a comparison.
+
+    Args:
+        comparison: The result of `geodrake.identification.logs.compare.compare`.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+        units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+
+    Returns:
+        One HTML page that loads nothing from elsewhere.
+    """
+    units = units or Units()
+    errors = comparison.errors
+    figures = comparison_figures(comparison, units=units)
+    tiles = (
+        Tile("error", number(errors.nrms), "nrms: error over std of the effort"),
+        Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model"),
+        Tile("removable", percent(words.removable_share(errors)), "of the squared error"),
+    )
+    parts = (
+        with_pictures(sections.joints_section({"RMS": errors}, units), figures, "joint_errors"),
+        sections.failing_section(comparison),
+        figures_section(figures, without=("joint_errors",)),
+        sections.method_section(comparison, refitted=False),
+        sections.notes_section(comparison.notes),
+    )
+    page = Page(
+        title,
+        subject(model_name, log_names),
+        "compared",
+        "compared",
+        words.comparison_headline(comparison),
+        words.comparison_lead(comparison),
+        tiles,
+        without_empty(parts),
+        footer(comparison),
+    )
+    return render(page)
+
+
+def render_diagnosis(
+    diagnosis: Diagnosis,
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+    units: Units | None = None,
+) -> str:
+    """The report of a diagnosis; arguments as for `render_comparison`.
+
+    Args:
+        diagnosis: The result of `geodrake.diagnosis.diagnose`.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+        units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+    """
+    units = units or Units()
+    start, comparison = diagnosis.start, diagnosis.comparison
+    best = diagnosis.candidates[0].error_after if diagnosis.candidates else diagnosis.refitted.nrms
+    tiles = (
+        Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
+        Tile("refitted", number(diagnosis.refitted.nrms), "its own parameters, held-out data"),
+        *([Tile("with the effect", number(best), "held-out data")] if diagnosis.candidates else []),
+        Tile("sensor noise", number(start.floor_nrms), "the nrms of a perfect model"),
+    )
+    figures = diagnosis_figures(diagnosis, units=units)
+    ranking = sections.candidates_section(diagnosis, units)
+    parts = (
+        with_pictures(ranking, figures, "candidates"),
+        with_pictures(sections.joints_section({"RMS": start}, units), figures, "joint_errors"),
+        sections.failing_section(comparison),
+        figures_section(figures, without=("candidates", "joint_errors")),
+        sections.method_section(comparison, refitted=True),
+        sections.notes_section(diagnosis.notes),
+    )
+    page = Page(
+        title,
+        subject(model_name, log_names),
+        diagnosis.verdict,
+        "effect found" if diagnosis.candidates else diagnosis.verdict,
+        words.diagnosis_headline(diagnosis),
+        words.diagnosis_lead(diagnosis),
+        tiles,
+        without_empty(parts),
+        footer(comparison),
+    )
+    return render(page)
+
+
+def render_explanation(
+    explanation: Explanation,
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+    more: Sequence[Section] = (),
+    advice: Sequence[str] = (),
+) -> str:
+    """The report of an explanation; arguments as for `render_comparison`.
+
+    Units are those of the explanation's own model; `advice` are paragraphs that end the verdict.
+
+    Args:
+        explanation: The result of `geodrake.diagnosis.explain` or `add`; units are those of its
+            model.
+        title: Title of the page.
+        model_name: What the model is called.
+        log_names: What the logs are called.
+        more: Further sections, after those of the explanation.
+        advice: Paragraphs that end the verdict.
+    """
+    units = Units.of(explanation.model)
+    joints = sections.joints_section(error_stages(explanation), units)
+    figures = report_figures(explanation)
+    parts = (
+        with_pictures(sections.steps_section(explanation, units), figures, "steps"),
+        sections.parameters_section(explanation, units),
+        with_pictures(joints, figures, "joint_errors"),
+        sections.failing_section(explanation.after),
+        *more,
+        figures_section(figures, without=("steps", "joint_errors")),
+        sections.method_section(explanation.after, refitted=True),
+        sections.notes_section(explanation.notes),
+    )
+    page = Page(
+        title,
+        subject(model_name, log_names),
+        explanation.verdict,
+        words.explanation_mark(explanation),
+        words.explanation_headline(explanation),
+        (*words.explanation_lead(explanation), *advice),
+        _explanation_tiles(explanation),
+        without_empty(parts),
+        footer(explanation.before),
+    )
+    return render(page)
+
+
+def comparison_figures(comparison: Comparison, *, units: Units | None = None) -> dict[str, Figure]:
+    """The figures of a comparison's report, by name.
+
+    Args:
+        comparison: The comparison.
+        units: Units of the joints; those of revolute joints by default.
+    """
+    return {
+        "efforts": effort_figure(comparison, units=units),
+        "residuals_before": residual_figure(comparison, units=units),
+        "joint_errors": joint_error_figure(comparison.errors),
+    }
+
+
+def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> dict[str, Figure]:
+    """The figures of a diagnosis' report, by name.
+
+    Args:
+        diagnosis: The diagnosis.
+        units: Units of the joints; those of revolute joints by default.
+    """
+    figures = comparison_figures(diagnosis.comparison, units=units)
+    if diagnosis.candidates:
+        figures["candidates"] = candidate_figure(diagnosis)
+    return figures
+
+
+def report_figures(explanation: Explanation) -> dict[str, Figure]:
+    """The figures of an explanation's report, by name."""
+    units = Units.of(explanation.model)
+    before, after = explanation.before, explanation.after
+    if not explanation.steps:
+        return comparison_figures(before, units=units)
+    return {
+        "steps": step_figure(explanation),
+        "joint_errors": joint_error_figure(explanation.start, step_stages(explanation)),
+        "efforts": effort_figure(before, after=after, units=units),
+        "residuals_before": residual_figure(before, units=units),
+        "residuals_after": residual_figure(after, color=style.AFTER, units=units),
+    }
+
+
+def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Path, ...]:
+    """Write figures as PNG files, all of them or none.
+
+    Args:
+        figures: Name -> figure, such as `report_figures` gives.
+        folder: Where `<name>.png` goes; made if it does not exist.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    folder = Path(folder)
+    paths = {name: folder / f"{path_part(name)}.png" for name in figures}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"Cannot write to {folder}: {error.strerror}.",
+            advice="Choose another place.",
+            path=folder,
+        ) from error
+    write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
+    return tuple(paths.values())
+
+
+def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
+    start, end = explanation.start, explanation.end
+    gone = words.explained_share(start.nrms, end.nrms)
+    now = Tile("now", number(end.nrms), "nrms on held-out data")
+    explained = Tile("explained", percent(gone) if gone > 0 else "none", "of the squared error")
+    return (
+        Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
+        *([now] if explanation.steps else []),
+        Tile("sensor noise", number(end.floor_nrms), "the nrms of a perfect model"),
+        *([explained] if explanation.steps else []),
+        Tile("removable", percent(words.removable_share(end)), "of the squared error left"),
+    )
+
+
+def figures_section(figures: Mapping[str, Figure], without: Sequence[str] = ()) -> Section:
+    """Figures of series with their captions, but for those that another section shows.
+
+    Args:
+        figures: The figures by name.
+        without: Names of those that another section shows.
+    """
+    captions = {name: text for name, text in _CAPTIONS.items() if name not in without}
+    return Section("Measured and predicted", pictures=pictures(figures, captions))
+
+
+def with_pictures(section: Section, figures: Mapping[str, Figure], *names: str) -> Section:
+    """A section with figures, by name, and their captions.
+
+    Args:
+        section: The section without them.
+        figures: All figures by name.
+        *names: Names of those to add.
+    """
+    captions = {name: _CAPTIONS[name] for name in names}
+    return Section(
+        section.title, section.text, section.tables, section.items, pictures(figures, captions)
+    )
+
+
+def subject(model_name: str, log_names: Sequence[str]) -> str:
+    """What was compared with what, in words.
+
+    Args:
+        model_name: What the model is called.
+        log_names: What the logs are called.
+    """
+    return f"{model_name} against {', '.join(log_names)}"
+
+
+def footer(comparison: Comparison) -> str:
+    """Versions of geodrake and of the data."""
+    try:
+        version = importlib.metadata.version("geodrake")
+    except importlib.metadata.PackageNotFoundError:
+        version = "(not installed)"
+    digest = hashlib.sha256()
+    for series in comparison.series:
+        digest.update(f"{series.joint}\n{series.block}\n".encode(errors="surrogateescape"))
+        for values in (series.time, series.position, series.measured):
+            digest.update(values.round(9).tobytes())
+    samples = sum(len(series.time) for series in comparison.series)
+    return (
+        f"Made by geodrake {version}. Data: {samples} prepared samples of effort with fingerprint "
+        f"{digest.hexdigest()[:12]}; the same logs, prepared in the same way, have the same one."
+    )

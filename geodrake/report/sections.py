@@ -1,0 +1,129 @@
+"""Sections of reports: tables with what they mean, and remarks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from geodrake.diagnosis.ambiguity import distinguishing_commands
+from geodrake.diagnosis.results import Diagnosis, Explanation
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.report.numbers import Units
+from geodrake.report.page import Section
+from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
+from geodrake.report.words import failing_words
+
+NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
+
+
+def steps_section(explanation: Explanation, units: Units) -> Section:
+    """The steps: effect, where, error before and after, rivals, chance of a false alarm.
+
+    Args:
+        explanation: The explanation.
+        units: Units of the robot's joints.
+    """
+    if not explanation.steps:
+        return Section("What is missing", (NOTHING_FOUND,))
+    text = (
+        "Effects in the order of what they take away. After each, everything that may move was "
+        "refitted. Blocks better is the share of the held-out stretches of data in which the "
+        "error falls where the effect acts: a finding to rely on lowers it in most. The false "
+        "alarm is the chance that an effect that is not there gains as much."
+    )
+    if any(step.rivals for step in explanation.steps):
+        text += (
+            " Beside an effect that is indistinguishable stands the nrms with it instead, against "
+            "that with the effect itself when it was chosen."
+        )
+    table = steps_table(explanation, units)
+    return Section("What is missing", (text, *distinguishing_motions(explanation)), (table,))
+
+
+def parameters_section(explanation: Explanation, units: Units) -> Section:
+    """The parameters that were found, with their standard deviations and units.
+
+    Args:
+        explanation: The explanation.
+        units: Units of the robot's joints.
+    """
+    tables = [parameters_table(step, units) for step in explanation.steps if step.parameters]
+    text = ("Value ± standard deviation, where the fit knows one.",) if tables else ()
+    return Section("Parameters found", text, tuple(tables), abreast=True)
+
+
+def joints_section(stages: Mapping[str, ErrorTable], units: Units) -> Section:
+    """Errors of every joint; see `errors_table`."""
+    joints = [joint.joint for joint in next(iter(stages.values())).joints]
+    text = (
+        f"RMS of measured − predicted effort in {units.effort(joints)}, beside the standard "
+        "deviation of the measured effort (std). nrms is error over std. Removable is the share "
+        "of the squared error that some model could still take away: the rest is sensor noise."
+    )
+    return Section("Joint by joint", (text,), (errors_table(stages, units),))
+
+
+def candidates_section(diagnosis: Diagnosis, units: Units) -> Section:
+    """The candidates that convince, the chosen one first.
+
+    Args:
+        diagnosis: The diagnosis.
+        units: Units of the robot's joints.
+    """
+    if not diagnosis.candidates:
+        return Section("Candidates", (NOTHING_FOUND,))
+    text = (
+        "Each was added alone to the model, and everything that may move refitted; before and "
+        "after are nrms on held-out data. Evidence is twice the log-likelihood ratio there, less "
+        "the price of the parameters; chance is that of a false alarm. The first is the simplest "
+        "of those that are as good as the best, as far as the logs show; = marks the others."
+    )
+    table = candidates_table(diagnosis, units)
+    return Section("Candidates", (text, *distinguishing_motions(diagnosis)), (table,))
+
+
+def distinguishing_motions(found: Diagnosis | Explanation) -> tuple[str, ...]:
+    """A sentence with the commands that design motions which would settle what is ambiguous."""
+    commands = distinguishing_commands(found)
+    if not commands:
+        return ()
+    return (f"Motions that would distinguish what the logs cannot: {'; '.join(commands)}.",)
+
+
+def failing_section(comparison: Comparison) -> Section:
+    """Where the error is concentrated, in words."""
+    title = "Where it fails"
+    if not comparison.failing:
+        return Section(title, ("No joint errs much more under some circumstance than elsewhere.",))
+    return Section(title, items=tuple(map(failing_words, comparison.failing)))
+
+
+def method_section(comparison: Comparison, *, refitted: bool) -> Section:
+    """How the errors were measured.
+
+    Args:
+        comparison: The comparison whose series name the folds.
+        refitted: Whether models were refitted, with the folds held out.
+    """
+    folds = list(dict.fromkeys(series.block for series in comparison.series))
+    text = [
+        "Efforts and everything they are compared with passed through the same zero-phase filter, "
+        "and were then reduced to the rate that its bandwidth allows. The noise floor is "
+        "estimated from the efforts themselves."
+    ]
+    if refitted:
+        text.append(
+            f"Every error of a refitted model is of held-out data: each of the {len(folds)} folds, "
+            "long blocks with gaps between them or whole logs, was predicted with parameters "
+            "fitted to the others. The model as it stands was not refitted."
+        )
+    else:
+        text.append(
+            "The model was taken as it stands and nothing was refitted: all data are held-out "
+            "data, provided that the model was not fitted to these logs before."
+        )
+    return Section("How errors were measured", tuple(text), items=(f"Folds: {', '.join(folds)}.",))
+
+
+def notes_section(notes: Sequence[str]) -> Section:
+    """What was done to the logs and noticed about the model."""
+    return Section("Notes on logs and model", items=tuple(notes))

@@ -1,0 +1,198 @@
+"""How figures look: palette, axes, and the way to PNG. Nothing of matplotlib's state is changed."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context, rcParamsDefault
+from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.font_manager import findfont, get_font
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from PIL import Image
+
+from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.report.numbers import shortened
+
+INK = "#1f2a37"
+QUIET = "#6b7683"
+RULE = "#d8dee6"
+MEASURED = "#a9b4c0"
+BEFORE = "#e08a3c"
+AFTER = "#1b6ca8"
+FLOOR = "#3f9c6b"
+TIED = "#9cc3e0"
+
+WIDTH = 10.0
+"""Width of every figure, inches."""
+DPI = 130
+SMALL, NORMAL = 8.0, 9.0
+MOST_JOINTS = 8
+_NAME_LENGTH = 30
+_MOST_LETTERS = 160
+_FONT = "DejaVu Sans"  # which comes with matplotlib
+_SETTINGS = {
+    **{name: value for name, value in rcParamsDefault.items() if not name.startswith("backend")},
+    "text.parse_math": False,
+    "font.family": _FONT,
+}
+
+
+@contextmanager
+def own_look() -> Iterator[None]:
+    """A figure is made or drawn: with matplotlib's own settings, not those of the user.
+
+    Dollars in names of joints are letters, not the signs of mathematics.
+    """
+    with rc_context(_SETTINGS):
+        yield
+
+
+def new_figure(height: float) -> Figure:
+    """An empty figure of the common width and a height in inches."""
+    return Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white", layout="constrained")
+
+
+def polish(ax: Axes, *, grid: str = "both") -> Axes:
+    """Gives axes the common look.
+
+    Args:
+        ax: The axes, changed in place.
+        grid: "x", "y", "both" or "none".
+    """
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.spines[["left", "bottom"]].set_color(RULE)
+    ax.tick_params(labelcolor=QUIET, labelsize=SMALL, length=3, color=RULE)
+    ax.tick_params(which="minor", length=2, color=RULE)
+    ax.set_axisbelow(True)
+    if grid != "none":
+        ax.grid(True, axis=grid, color=RULE, linewidth=0.5, alpha=0.7)  # type: ignore[arg-type]
+    return ax
+
+
+def plain(size: float = NORMAL, color: str = INK, **more: Any) -> dict[str, Any]:
+    """Text properties; names of joints may contain `$`, which must not be read as mathematics.
+
+    Args:
+        size: Size of the letters, points.
+        color: Their colour, as matplotlib takes it.
+        **more: Further properties of matplotlib's `Text`.
+    """
+    return {"fontsize": size, "color": color, "parse_math": False, **more}
+
+
+def joint_title(ax: Axes, joint: str, detail: str = "") -> None:
+    """Puts a joint's name above its axes, and a detail at the right.
+
+    Args:
+        ax: The axes.
+        joint: Name of the joint.
+        detail: Words at the right; "" for none.
+    """
+    ax.set_title(label(joint, 48), loc="left", pad=4, **plain(fontweight="bold"))
+    if detail:
+        ax.set_title(label(detail), loc="right", pad=4, **plain(SMALL, QUIET))
+
+
+def joint_label(joint: str) -> str:
+    """A joint's name, short enough for an axis."""
+    return label(joint, _NAME_LENGTH)
+
+
+def label(text: str, most: int = _MOST_LETTERS) -> str:
+    """Words for a figure: not too many letters, and those that the font does not have as �.
+
+    Args:
+        text: Any text.
+        most: Most letters; the middle of a longer text is left out.
+    """
+    font = get_font(findfont(_FONT))
+    return "".join(c if font.get_char_index(ord(c)) else "�" for c in shortened(text, most))
+
+
+def log_scale(ax: Axes, axis: str) -> None:
+    """Makes an axis logarithmic, its ticks written as plain numbers.
+
+    Args:
+        ax: The axes.
+        axis: "x" or "y".
+    """
+    of: XAxis | YAxis = ax.xaxis if axis == "x" else ax.yaxis
+    ax.set(**{f"{axis}scale": "log"})
+    low, high = of.get_view_interval()
+    subs = (1.0, 2.0, 5.0) if high / low < 3e3 else (1.0,)
+    of.set_major_locator(LogLocator(subs=subs, numticks=12))
+    of.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    of.set_minor_formatter(NullFormatter())
+
+
+def legend_above(figure: Figure, handles: Sequence[Any], *, columns: int = 5) -> None:
+    """One legend for the whole figure, above it.
+
+    Args:
+        figure: The figure.
+        handles: Artists with labels.
+        columns: Number of columns.
+    """
+    figure.legend(
+        handles=list(handles),
+        loc="outside upper left",
+        ncols=columns,
+        frameon=False,
+        fontsize=SMALL + 0.5,
+        labelcolor=INK,
+        handlelength=1.8,
+        columnspacing=1.8,
+    )
+
+
+def note_below(figure: Figure, text: str) -> None:
+    """A remark under a figure.
+
+    Args:
+        figure: The figure.
+        text: The remark; "" for none.
+    """
+    if text:
+        figure.supxlabel(text, x=0.01, ha="left", **plain(SMALL, QUIET))
+
+
+def worst_joints(errors: ErrorTable, most: int = MOST_JOINTS) -> tuple[str, ...]:
+    """The joints of largest error over standard deviation, in the table's order.
+
+    Args:
+        errors: Errors of all joints.
+        most: Most joints.
+    """
+    order = np.argsort([-joint.nrms for joint in errors.joints], kind="stable")
+    return tuple(errors.joints[i].joint for i in sorted(order[:most]))
+
+
+def of_worst(shown: int, joints: int) -> str:
+    """What to say where not all joints are shown.
+
+    Args:
+        shown: Number of joints that are shown.
+        joints: Number of joints that the robot has.
+    """
+    if shown >= joints:
+        return ""
+    return f"The {shown} joints of largest nrms, of {joints}."
+
+
+@own_look()
+def png(figure: Figure) -> bytes:
+    """A figure as PNG of 256 colours, a third of the size; the same figure gives the same bytes."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    image = Image.fromarray(pixels).convert("RGB")
+    buffer = io.BytesIO()
+    image.quantize(256, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
+    return buffer.getvalue()

@@ -1,0 +1,283 @@
+"""Tables of results as plain data, for a terminal and for a page alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from geodrake.control.rollout import Rollout
+from geodrake.diagnosis.drafting import Draft
+from geodrake.diagnosis.drafting.results import DraftedEffect
+from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.report.numbers import (
+    UNKNOWN,
+    Units,
+    chance,
+    number,
+    percent,
+    with_deviation,
+)
+from geodrake.report.words import (
+    departure,
+    effect_label,
+    effect_signature,
+    ordered_places,
+    parameter_value,
+    places_label,
+    removable_share,
+    removed_share,
+    rivals,
+    step_parameters,
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An entry of a table.
+
+    Attributes:
+        text: What it says, in lines.
+        note: What stands under it in small letters on a page.
+        bar: Share in [0, 1] that a page draws as a bar beside the text; None for no bar.
+        typed: How commands call it, which a terminal shows in place of the text.
+    """
+
+    text: str
+    note: str = ""
+    bar: float | None = None
+    typed: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of words and numbers.
+
+    Attributes:
+        head: Titles of the columns.
+        rows: The rows, as long as the head.
+        words: How many columns from the left hold words; the others hold numbers.
+        title: What stands above it.
+        total: Whether the last row sums the others up.
+    """
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    words: int = 1
+    title: str = ""
+    total: bool = False
+
+
+def cells(*texts: str | Cell) -> tuple[Cell, ...]:
+    """A row of a table."""
+    return tuple(text if isinstance(text, Cell) else Cell(text) for text in texts)
+
+
+def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
+    """Errors of every joint, the noise floor, and the share that is removable in the end.
+
+    Args:
+        stages: Title -> errors of a model, from the first to the last.
+        units: Units of the joints.
+    """
+    *_, last = stages.values()
+    mixed = " or " in units.effort([joint.joint for joint in last.joints])
+    rows = [
+        cells(
+            f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint,
+            number(after.std),
+            *(number(errors.joints[j].rms) for errors in stages.values()),
+            number(after.floor),
+            number(after.nrms),
+            _share(after.removable),
+        )
+        for j, after in enumerate(last.joints)
+    ]
+    total = cells(
+        "nrms of all joints",
+        "",
+        *(number(errors.nrms) for errors in stages.values()),
+        number(last.floor_nrms),
+        number(last.nrms),
+        _share(removable_share(last)),
+    )
+    head = ("joint", "std", *stages, "noise", "nrms", "removable")
+    return Table(head, (*rows, total), total=True)
+
+
+def error_stages(explanation: Explanation) -> dict[str, ErrorTable]:
+    """The errors of an explanation from the start to the end, by title."""
+    start, refitted, end = explanation.start, explanation.refitted, explanation.end
+    return {"start": start, "refitted": refitted, "end": end}
+
+
+def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
+    """The candidates that convince, the chosen one first; = marks those that are as good.
+
+    Args:
+        diagnosis: The diagnosis.
+        units: Units of the joints and effects of the model.
+    """
+    joints = [joint.joint for joint in diagnosis.start.joints]
+    rows = tuple(
+        cells(
+            "=" if candidate.tied and count > 1 else str(count),
+            effect_cell(candidate.effect, units),
+            places_label(candidate.where, joints),
+            number(candidate.error_before),
+            number(candidate.error_after),
+            number(candidate.evidence),
+            chance(candidate.false_alarm_probability),
+        )
+        for count, candidate in enumerate(diagnosis.candidates, 1)
+    )
+    head = ("", "effect", "where", "before", "after", "evidence", "chance")
+    return Table(head, rows, words=3)
+
+
+def steps_table(explanation: Explanation, units: Units) -> Table:
+    """The steps: effect, where, rivals, errors before and after, chance of a false alarm.
+
+    Args:
+        explanation: The explanation.
+        units: Units of the joints and effects of the model.
+    """
+    joints = [joint.joint for joint in explanation.start.joints]
+    rows = tuple(
+        cells(
+            str(count),
+            effect_cell(step.effect, units),
+            places_label(step.where, joints),
+            ", ".join(rivals(step, label=True)) or UNKNOWN,
+            number(step.error_before),
+            number(step.error_after),
+            removed_share(step),
+            percent(step.agreement),
+            chance(step.false_alarm_probability),
+        )
+        for count, step in enumerate(explanation.steps, 1)
+    )
+    head = (
+        "", "missing effect", "where", "indistinguishable from", "nrms before", "after",
+        "squared error gone", "blocks better", "false alarm",
+    )  # fmt: skip
+    return Table(head, rows, words=4)
+
+
+def short_steps_table(explanation: Explanation, units: Units) -> Table:
+    """The steps with what was found, narrow enough for a terminal.
+
+    Args:
+        explanation: The explanation.
+        units: Units of the joints and effects of the model.
+    """
+    start, refitted = explanation.start.nrms, explanation.refitted.nrms
+    rows = [cells("", "as it stands", "", "", number(start), "")]
+    if explanation.steps:
+        values = number(start), number(refitted)
+        rows.append(cells("", "refitted", "its own parameters", *values, ""))
+    for count, step in enumerate(explanation.steps, 1):
+        lines = [places_label(step.where, units.joints), *step_parameters(step, units)]
+        if step.indistinguishable_from:
+            lines.append(f"or: {', '.join(rivals(step))}")
+        rows.append(
+            cells(
+                str(count),
+                step.effect,
+                "\n".join(lines),
+                number(step.error_before),
+                number(step.error_after),
+                percent(step.agreement),
+            )
+        )
+    head = ("", "effect", "where, how much", "before", "after", "blocks better")
+    return Table(head, tuple(rows), words=3)
+
+
+def parameters_table(step: Step, units: Units) -> Table:
+    """Places by parameters; a column's unit stands in its head where all places share it.
+
+    Args:
+        step: A step with parameters.
+        units: Units of the joints and effects of the model.
+    """
+    names = list(dict.fromkeys(name for values in step.parameters.values() for name in values))
+    places = ordered_places(step)
+    head, columns = ["where"], []
+    for name in names:
+        found = [units.parameter(step.effect, name, place) for place in places]
+        shared = len(set(found)) == 1
+        title = effect_label(name)
+        head.append(f"{title}, {found[0]}" if shared and found[0] else title)
+        column = [parameter_value(step, place, name, units) for place in places]
+        if not shared:
+            column = [f"{text} {unit}" for text, unit in zip(column, found, strict=True)]
+        columns.append(column)
+    rows = tuple(cells(place, *texts) for place, *texts in zip(places, *columns, strict=True))
+    title = effect_label(step.effect)
+    return Table(tuple(head), rows, title=title[:1].upper() + title[1:])
+
+
+def formulas_table(draft: Draft) -> Table:
+    """Drafted effects with their coefficients."""
+    rows = tuple(
+        cells(
+            Cell(effect.formula.joint, typed=draft.names[effect.formula.joint]),
+            "\n".join((effect.formula.words(), *_coefficients(effect))),
+            number(effect.rms_before),
+            number(effect.rms_after),
+            number(effect.floor),
+            chance(effect.false_alarm_probability),
+        )
+        for effect in draft.effects
+    )
+    head = ("joint", "formula", "RMS before", "after", "noise", "false alarm")
+    return Table(head, rows, words=2)
+
+
+def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Table:
+    """How far every joint departs from its measured motion.
+
+    Args:
+        after: The rollout.
+        before: A rollout of the same passages with another model; None for none.
+        units: Units of the joints of the model.
+    """
+    rows = []
+    for j, joint in enumerate(after.joints):
+        log, instant = joint.worst
+        rows.append(
+            cells(
+                f"{joint.joint}, {units.at(joint.joint, 'rad')}",
+                number(joint.moved),
+                *([number(before.joints[j].rms)] if before else []),
+                number(joint.rms),
+                departure(joint.relative),
+                f"{log} {instant:.1f} s",
+            )
+        )
+    ends = ("before", "after") if before else ("departure",)
+    return Table(("joint", "moved", *ends, "share of motion", "worst at"), tuple(rows))
+
+
+def _share(share: float) -> Cell:
+    return Cell(percent(share), bar=share)
+
+
+def effect_cell(name: str, units: Units) -> Cell:
+    """An effect, or two that were found together, by name.
+
+    Args:
+        name: Name of the effect, or two joined by " + ".
+        units: Units, with the classes of the effects.
+    """
+    label, typed = effect_label(name), name.replace(" + ", "\n+ ")
+    return Cell(label, effect_signature(name, units), typed=typed)
+
+
+def _coefficients(effect: DraftedEffect) -> list[str]:
+    values = zip(effect.formula.parameters, effect.coefficients, effect.deviations, strict=True)
+    return [
+        f"{p.name} = {with_deviation(float(c), float(d))} {p.unit}".removesuffix(" 1")
+        for p, c, d in values
+    ]

@@ -1,0 +1,490 @@
+"""Results in sentences: names as people read them, verdicts of a terminal, leads of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from geodrake.boundary.escaping import printable
+from geodrake.diagnosis.drafting import Correlate
+from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.effects import catalogue
+from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
+from geodrake.report.numbers import Units, estimate, number, percent
+
+_MOST_NAMED = 4
+_MOST_VALUES = 2  # places whose values are listed one by one
+_NEARLY_ALL = 0.9995
+_MOST_PLACES = 3
+_PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """`a`, `a and b`, `a, b and c`.
+
+    Args:
+        names: The words.
+        last: The word before the last one.
+    """
+    head, tail = ", ".join(names[:-1]), "".join(names[-1:])
+    return f"{head} {last} {tail}" if head else tail
+
+
+def effect_label(name: str) -> str:
+    """The name of an effect or a parameter in words, such as "Coulomb friction"."""
+    labels = {effect.name: effect.label for effect in catalogue() if effect.label}
+    return " + ".join(labels.get(part) or _spaced(part) for part in name.split(" + "))
+
+
+def _spaced(name: str) -> str:
+    words = printable(name).replace("_", " ").split(" ")
+    return " ".join(_PROPER_NAMES.get(word, word) for word in words)
+
+
+def effect_signature(effect: str, units: Units) -> str:
+    """What an effect, or each of `a + b`, looks like, in words; "" where nothing is known of it.
+
+    Args:
+        effect: Name of the effect, or several joined by " + ".
+        units: Units, with the classes of the effects.
+    """
+    known = [units.effects[name] for name in effect.split(" + ") if name in units.effects]
+    return listed([kind.signature for kind in known if kind.signature])
+
+
+def places_label(where: Sequence[str], joints: Collection[str], *, most: int | None = None) -> str:
+    """Where an effect acts, in words.
+
+    Args:
+        where: Names of joints or bodies; none for the whole robot.
+        joints: Names of all joints of the robot.
+        most: Largest number of names that are listed; more are counted.
+
+    Returns:
+        "all 6 joints", "the whole robot", "5 joints" or the names.
+    """
+    if not where:
+        return "the whole robot"
+    if len(joints) > 2 and set(where) == set(joints):
+        return f"all {len(joints)} joints"
+    if most is not None and len(where) > most:
+        return f"{len(where)} {'joints' if set(where) <= set(joints) else 'links'}"
+    return listed(where)
+
+
+def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
+    """A parameter of a step with its standard deviation, in the unit in which it is shown.
+
+    Args:
+        step: The step.
+        place: Joint, joints or body, as the step names it.
+        name: Name of the parameter.
+        units: Units of the joints and effects of the model.
+    """
+    value = step.parameters[place].get(name, np.nan)
+    deviation = step.deviations.get(place, {}).get(name, np.nan)
+    return estimate(*(units.shown(step.effect, name, each) for each in (value, deviation)))
+
+
+def ordered_places(step: Step) -> list[str]:
+    """The places of a step's parameters, in the order in which it acts there."""
+    rank = {place: i for i, place in enumerate(step.where)}
+    return sorted(step.parameters, key=lambda place: rank.get(place, len(rank)))
+
+
+def step_parameters(step: Step, units: Units) -> tuple[str, ...]:
+    """The parameters of a step, a line each: values at few places, or their range.
+
+    Args:
+        step: The step.
+        units: Units of the joints and effects of the model.
+    """
+    values = _by_name(step)
+    summary = units.effects[step.effect].summary if step.effect in units.effects else ""
+    if summary in values:
+        values = {summary: values[summary]}
+    return tuple(f"{name} {_amount(step, name, units)}" for name in values)
+
+
+def finding(step: Step, units: Units) -> str:
+    """`payload on wrist_3_link, 3.08 ± 0.04 kg, nrms 0.434 -> 0.048`.
+
+    Args:
+        step: The step.
+        units: Units of the joints and effects of the model.
+    """
+    words = f"{step.effect} on {places_label(step.where, units.joints)}"
+    values = _by_name(step)
+    if "mass" in values or len(values) == 1:
+        name = "mass" if "mass" in values else next(iter(values))
+        words += f", {_amount(step, name, units)}"
+    errors = f"nrms {number(step.error_before)} -> {number(step.error_after)}"
+    if not lowers_error(step):
+        return f"{words}, though it does not lower the held-out error ({errors})"
+    return f"{words}, {errors}"
+
+
+def lowers_error(step: Step) -> bool:
+    """Whether a step lowers the held-out error; an effect that was asked for need not."""
+    return step.error_after < step.error_before
+
+
+def rivals(step: Step, label: bool = False) -> list[str]:
+    """What the logs cannot distinguish a step from: `viscous_friction (0.0312 against 0.0310)`.
+
+    In brackets is the held-out nrms with the rival, and that with the effect at the same time.
+
+    Args:
+        step: The step.
+        label: Whether effects are named in words.
+    """
+    named = effect_label if label else str
+    fitted = [
+        f"{named(rival.effect)} ({number(rival.error, 4)} against "
+        f"{number(rival.error_of_choice, 4)})"
+        for rival in step.rivals
+    ]
+    return [*fitted, *map(named, step.unfitted_rivals)]
+
+
+def explanation_verdict(explanation: Explanation, units: Units) -> str:
+    """What an explanation amounts to, in a few sentences.
+
+    Args:
+        explanation: The explanation.
+        units: Units of the joints and effects of the model.
+    """
+    end, steps = explanation.end, explanation.steps
+    if explanation.verdict == "adequate":
+        return f"Adequate: no effect is worth adding; {_noise_alone(end)}."
+    found = "no effect that geodrake knows takes the error down"
+    if len(steps) == 1:
+        found = finding(steps[0], units)
+    elif steps:
+        found = (
+            f"{listed([step.effect for step in steps])} take the held-out error from nrms "
+            f"{number(steps[0].error_before)} to {number(end.nrms)}"
+        )
+    if explanation.verdict == "explained":
+        return f"Explained: {found}; {_noise_alone(end)}."
+    rest = f"An error is left that nothing explains: {_against_noise(end)}."
+    head = "Explained in part" if steps else "Unexplained"
+    return f"{head}: {found}. {rest}{_worst(explanation)}"
+
+
+def draft_advice(explanation: Explanation) -> str:
+    """What to do where an error is left that nothing explains; else nothing."""
+    if explanation.verdict != "unexplained":
+        return ""
+    return (
+        "For a formula of what is left, run geodrake explain with --draft-effect my_effect.py: "
+        "that searches what it goes with, and writes the formula as an effect."
+    )
+
+
+def addition_verdict(explanation: Explanation, units: Units) -> str:
+    """What adding an effect changed, and what is left.
+
+    Args:
+        explanation: The result of `add`.
+        units: Units of the joints and effects of the model.
+    """
+    found = listed([finding(step, units) for step in explanation.steps]) or "nothing"
+    if explanation.verdict != "unexplained":
+        return f"Added {found}; {_noise_alone(explanation.end)}."
+    return f"Added {found}. Left: {_against_noise(explanation.end)}.{_worst(explanation)}"
+
+
+def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
+    """What a diagnosis amounts to, in a few sentences.
+
+    Args:
+        diagnosis: The diagnosis.
+        units: Units of the joints and effects of the model.
+    """
+    left = diagnosis.refitted
+    if not diagnosis.candidates:
+        if diagnosis.verdict == "adequate":
+            return f"Adequate: nothing is missing; {_noise_alone(left)}."
+        return (
+            "Unexplained: no effect that geodrake knows takes the error down: "
+            f"{_against_noise(left)}."
+        )
+    best = diagnosis.candidates[0]
+    words = (
+        f"Missing: {best.effect} on {places_label(best.where, units.joints)}; adding it takes the "
+        f"held-out nrms from {number(best.error_before)} to {number(best.error_after)}."
+    )
+    tied = _tied(diagnosis)
+    return f"{words} {_indistinguishable(tied)}" if tied else words
+
+
+def comparison_verdict(comparison: Comparison) -> str:
+    """What a comparison amounts to, in a sentence."""
+    errors = comparison.errors
+    return (
+        f"{_against_noise(errors)}; a better model could remove "
+        f"{percent(removable_share(errors))} of the squared error."
+    )
+
+
+def failing_words(case: Failing) -> str:
+    """Where a joint errs most, in a sentence."""
+    return (
+        f"{case.joint} errs most {case.circumstance}: RMS {number(case.rms)} {case.unit} "
+        f"there, {number(case.elsewhere)} otherwise ({in_words(case.share)} of its squared error "
+        f"in {in_words(case.time)} of the samples)."
+    )
+
+
+def correlate_words(found: Correlate) -> str:
+    """What the error that is left at a joint goes with, in a sentence."""
+    return f"{found.joint}: {in_words(found.share)} of what is left goes with {found.words}."
+
+
+def explained_share(before: float, after: float) -> float:
+    """Share of the squared error that goes from one nrms to another; negative if it grows.
+
+    Args:
+        before: nrms before.
+        after: nrms after.
+    """
+    return 1.0 - (after / before) ** 2 if before > 0 else 0.0
+
+
+def removable_share(errors: ErrorTable) -> float:
+    """Share of the squared error, summed over joints as in nrms, that is not sensor noise."""
+    return max(0.0, explained_share(errors.nrms, errors.floor_nrms))
+
+
+def in_words(share: float) -> str:
+    """A share as it stands in a sentence."""
+    return percent(share).replace(">", "more than").replace("<", "less than")
+
+
+def explanation_mark(explanation: Explanation) -> str:
+    """The verdict of an explanation in a word or three."""
+    if explanation.steps and not any(map(lowers_error, explanation.steps)):
+        return "added"
+    partly = explanation.verdict == "unexplained" and explanation.steps
+    return "explained in part" if partly else explanation.verdict
+
+
+def explanation_headline(explanation: Explanation) -> str:
+    """The answer of an explanation in a sentence."""
+    if explanation.verdict == "adequate":
+        return "The model is adequate: nothing worth adding is missing."
+    if not explanation.steps:
+        return "An error is left that no known effect explains."
+    joints = [joint.joint for joint in explanation.start.joints]
+    real = [step for step in explanation.steps if convincing(step)]
+    doubtful = [step for step in explanation.steps if not convincing(step)]
+    parts = [f"Missing: {_list(real, joints)}."] if real else []
+    if doubtful:
+        parts.append(f"Added without convincing evidence: {_list(doubtful, joints)}.")
+    return " ".join(parts)
+
+
+def explanation_lead(explanation: Explanation) -> tuple[str, ...]:
+    """What an explanation means, in paragraphs."""
+    start, end = explanation.start, explanation.end
+    first = _as_it_stands(start)
+    if explanation.steps:
+        gone = explained_share(start.nrms, end.nrms)
+        what = "this effect" if len(explanation.steps) == 1 else "these effects"
+        first += (
+            f" With {what} and everything refitted, it errs by {in_words(end.nrms)} on held-out "
+            f"data: {in_words(gone) if gone > 0 else 'none'} of the squared error is gone."
+        )
+    return first, _rest(explanation)
+
+
+def diagnosis_headline(diagnosis: Diagnosis) -> str:
+    """The answer of a diagnosis in a sentence."""
+    if diagnosis.candidates:
+        best = diagnosis.candidates[0]
+        joints = [joint.joint for joint in diagnosis.start.joints]
+        where = places_label(best.where, joints, most=_MOST_NAMED)
+        return f"Missing: {effect_label(best.effect)} ({where})."
+    if diagnosis.verdict == "adequate":
+        return "The model is adequate: nothing worth adding is missing."
+    return "An error is left that no known effect explains."
+
+
+def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """What a diagnosis means, in paragraphs."""
+    first = _as_it_stands(diagnosis.start)
+    if not diagnosis.candidates:
+        if diagnosis.verdict == "adequate":
+            return first, f"What is left is sensor noise.{_noise_level(diagnosis.refitted)}"
+        return first, _noise(diagnosis.refitted)
+    best, *others = diagnosis.candidates
+    gone = explained_share(best.error_before, best.error_after)
+    first += (
+        f" Adding {effect_label(best.effect)} and refitting takes the error on held-out data to "
+        f"{in_words(best.error_after)}: {in_words(gone)} of the squared error goes."
+    )
+    tied = [effect_label(effect) for effect in _tied(diagnosis)]
+    if tied:
+        return first, _indistinguishable(tied)
+    return first, f"No other candidate {'does as well' if others else 'convinces'}."
+
+
+def comparison_headline(comparison: Comparison) -> str:
+    """The answer of a comparison in a sentence."""
+    errors = comparison.errors
+    return (
+        f"The model errs by {in_words(errors.nrms)} of the efforts' standard deviation; sensor "
+        f"noise alone would make {in_words(errors.floor_nrms)}."
+    )
+
+
+def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
+    """What a comparison means, in paragraphs."""
+    worst = max(comparison.errors.joints, key=lambda joint: joint.nrms)
+    share = _at_most(removable_share(comparison.errors))
+    first = (
+        f"A better model could remove {share} of the squared error. It is largest at "
+        f"{worst.joint}: {in_words(worst.nrms)} of the standard deviation of the effort there."
+    )
+    return (first, *map(failing_words, comparison.failing[:1]))
+
+
+def convincing(step: Step) -> bool:
+    """Whether a step lowers the held-out error, and more than chance would."""
+    likely = step.false_alarm_probability > Criteria.alarm
+    return lowers_error(step) and not likely
+
+
+def removed_share(step: Step) -> str:
+    """What a step removes of the squared error: "94 %", or that it removes nothing."""
+    share = explained_share(step.error_before, step.error_after)
+    return percent(share) if share > 0 else f"none ({percent(share)})"
+
+
+def departure(share: float) -> str:
+    """How far a simulation departs from the measured motion, as a share of that."""
+    if not np.isfinite(share):
+        return "more than can be simulated"
+    return percent(share) if share < 10 else f"{number(share)} times the whole"
+
+
+def _tied(diagnosis: Diagnosis) -> list[str]:
+    """Effects that the logs cannot distinguish from the best candidate."""
+    best, *others = diagnosis.candidates
+    tied = dict.fromkeys(other.effect for other in others if other.tied)
+    return [effect for effect in tied if effect != best.effect]
+
+
+def _indistinguishable(effects: Sequence[str]) -> str:
+    return f"The logs cannot distinguish it from {listed(effects, 'or')}."
+
+
+def _amount(step: Step, name: str, units: Units) -> str:
+    """Values of one parameter with their unit."""
+    values = _by_name(step)[name]
+    unit = units.parameter(step.effect, name, next(iter(values)))
+    if len(values) > _MOST_VALUES:
+        low, high = (number(units.shown(step.effect, name, f(values.values()))) for f in (min, max))
+        text = low if low == high else f"{low} … {high}"
+    else:
+        text = ", ".join(parameter_value(step, place, name, units) for place in values)
+    return f"{text} {unit}" if unit else text
+
+
+def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
+    """Parameter name -> place -> value, places in the order of the step."""
+    values: dict[str, dict[str, float]] = {}
+    for place in ordered_places(step):
+        for name, value in step.parameters[place].items():
+            values.setdefault(name, {})[place] = value
+    return values
+
+
+def _against_noise(errors: ErrorTable) -> str:
+    """How an error compares with the noise floor."""
+    nrms, floor = errors.nrms, errors.floor_nrms
+    if floor <= 0:
+        return f"nrms {number(nrms)}, without measurable sensor noise"
+    words = f"nrms {number(nrms)}, {number(nrms / floor)} times the sensor noise of {number(floor)}"
+    beyond = [
+        f"{joint.joint} errs by {number(joint.rms / joint.floor)} times its own"
+        for joint in errors.above_noise
+        if joint.floor > 0
+    ]
+    # Where the whole is noise, those joints are why the verdict is another one.
+    return f"{words}, and {listed(beyond)}" if beyond and errors.whole_is_noise else words
+
+
+def _noise_alone(errors: ErrorTable) -> str:
+    """That an error is no larger than the noise floor, or hardly."""
+    return (
+        f"what is left, nrms {number(errors.nrms)}, is sensor noise ({number(errors.floor_nrms)})"
+    )
+
+
+def _worst(explanation: Explanation) -> str:
+    """Where the final model errs most, as a sentence after a space."""
+    failing = explanation.after.failing
+    return f" {failing_words(failing[0])}" if failing else ""
+
+
+def _at_most(share: float) -> str:
+    if share <= 0:
+        return "none"
+    return "nearly all" if share >= _NEARLY_ALL else f"up to {in_words(share)}"
+
+
+def _as_it_stands(start: ErrorTable) -> str:
+    return (
+        f"As it stands, the model errs by {in_words(start.nrms)} of the standard deviation of the "
+        f"measured efforts (nrms {number(start.nrms)})."
+    )
+
+
+def _rest(explanation: Explanation) -> str:
+    """What is left at the end of an explanation."""
+    if explanation.verdict == "adequate":
+        return f"What is left is sensor noise.{_noise_level(explanation.end)}"
+    if explanation.verdict == "explained":
+        return f"With that, only sensor noise is left.{_noise_level(explanation.end)}"
+    left = "An error above the noise is left. " if explanation.steps else ""
+    return f"{left}{_noise(explanation.end)}{_worst(explanation)}"
+
+
+def _noise_level(errors: ErrorTable) -> str:
+    """What noise alone makes, as a sentence after a space, where all that is left is noise."""
+    if errors.floor_nrms <= 0:
+        return ""
+    return f" Sensor noise alone would make {in_words(errors.floor_nrms)}."
+
+
+def _noise(errors: ErrorTable) -> str:
+    if errors.floor_nrms <= 0:
+        return "The logs show no sensor noise to compare the error with."
+    return (
+        f"Sensor noise alone would make {in_words(errors.floor_nrms)}, so a better model could "
+        f"still remove {_at_most(removable_share(errors))} of the squared error that is left."
+    )
+
+
+def _together(steps: Sequence[Step]) -> list[list[Step]]:
+    """Steps at the same places side by side, in the order of the first of each."""
+    groups: dict[tuple[str, ...], list[Step]] = {}
+    for step in steps:
+        groups.setdefault(step.where, []).append(step)
+    return list(groups.values())
+
+
+def _list(steps: Sequence[Step], joints: Sequence[str]) -> str:
+    """Effects and their places, or the effects alone where that would be long."""
+    groups = _together(steps)
+    if len(groups) > _MOST_PLACES:
+        return listed([effect_label(step.effect) for step in steps])
+    return "; ".join(
+        f"{listed([effect_label(step.effect) for step in group])} "
+        f"({places_label(group[0].where, joints, most=_MOST_NAMED)})"
+        for group in groups
+    )

@@ -1,0 +1,292 @@
+"""Base parameters: the combinations of inertial parameters that data of one kind identify.
+
+A regressor's columns are dependent for every motion, because joints restrict how bodies move:
+
+    Y(q, v, v̇) = Y_B(q, v, v̇) B,   φ_B = B φ                 [Lee2019] Eqs. (4.2.14), (4.2.15)
+
+with fewer rows in B than columns. No representation B is better than another S B; the one here has
+the identity in the columns of some independent parameters, so that Y_B is those columns of Y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from scipy.linalg import qr, solve_triangular
+
+from geodrake.boundary.arguments import instances, integer, number, real_array
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
+from geodrake.manifolds import PhysicalInertia
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.reduction import triangular_factor
+from geodrake.robot.regressor import checked_tree, inverse_dynamics_regressor
+
+Indices = NDArray[np.intp]
+
+_ROUNDING = 1e-17  # share of the greatest singular value that is none
+_KINDS = (np.array([0]), np.arange(1, 4), np.arange(4, PARAMETERS_PER_BODY))  # m, h, I
+_PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # what is kept: I, then h, then m
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """Which combinations of p parameters a regressor sees.
+
+    Attributes:
+        matrix: (n_B, p) B, with φ_B = B φ; the identity in the columns `independent`.
+        independent: (n_B,) columns whose parameters name the combinations.
+        singular_values: (p,) singular values of the scaled regressor, for judging the rank.
+        tolerance: Share of the greatest one below which they counted as zero.
+    """
+
+    matrix: Array
+    independent: Indices
+    singular_values: Array
+    tolerance: float
+
+    @property
+    def rank(self) -> int:
+        """Number n_B of base parameters."""
+        return len(self.independent)
+
+    @property
+    def unseen(self) -> tuple[int, ...]:
+        """Parameters that have no influence at all."""
+        return tuple(np.flatnonzero(~self.matrix.any(axis=0)).tolist())
+
+    @property
+    def separate(self) -> tuple[int, ...]:
+        """Parameters that are base parameters by themselves, so that data alone identify them."""
+        alone = np.count_nonzero(self.matrix, axis=1) == 1
+        return tuple(self.independent[alone].tolist())
+
+    def regressor(self, regressor: ArrayLike) -> Array:
+        """Y_B (..., n_B) of a regressor Y (..., p) of the same kind: the independent columns.
+
+        Raises:
+            ArgumentError: The regressor has another number of columns.
+        """
+        regressor = real_array(regressor, "regressor", ("...", self.matrix.shape[1]))
+        return regressor[..., self.independent]
+
+    def values(self, phi: ArrayLike) -> Array:
+        """φ_B = B φ (n_B,) of parameters φ, (p,) or (nb, 10).
+
+        Raises:
+            ArgumentError: There are not p parameters.
+        """
+        flat = real_array(phi, "phi").ravel()
+        return np.asarray(self.matrix @ real_array(flat, "phi", (self.matrix.shape[1],)))
+
+    def metric(self, prior: ArrayLike, *, extra: ArrayLike | None = None) -> Array:
+        """H₀ (n_B, n_B) at a prior; see `pushforward_metric`.
+
+        Args:
+            prior: (nb, 10) physical prior.
+            extra: (p − 10 nb,) metric of each further parameter: 1/(2 x²) for a positive one near
+                x.
+        """
+        return pushforward_metric(self.matrix, prior, extra=extra)
+
+    def labels(self, bodies: Sequence[str], *, extra: Sequence[str] = ()) -> tuple[str, ...]:
+        """Every combination in words, such as "Izz of column + Iyy of arm + 0.09 m of arm".
+
+        Coefficients are in SI units and given with three digits.
+
+        Args:
+            bodies: Names of the bodies, in the order of their columns.
+            extra: Names of the parameters after those of the bodies.
+
+        Raises:
+            ArgumentError: There are not as many names as columns.
+        """
+        bodies, extra = instances(bodies, "bodies", str), instances(extra, "extra", str)
+        names = [f"{name} of {body}" for body in bodies for name in PARAMETER_NAMES] + [*extra]
+        if len(names) != self.matrix.shape[1]:
+            raise ArgumentError(
+                f"{len(bodies)} bodies and {len(extra)} further names make {len(names)} "
+                f"parameters, but there are {self.matrix.shape[1]}."
+            )
+        return tuple(_sum(row, names) for row in self.matrix)
+
+
+def base_parameters(
+    regressor: ArrayLike, *, extra: int = 0, tolerance: float = 1e-9
+) -> BaseParameters:
+    """Base parameters of the motions that a regressor was made of.
+
+    Of motions that excite everything, these are the robot's own (`structural_base_parameters`); of
+    a measured motion, they are what it excites. Units of length and time are scaled out before
+    singular values are compared, so the result does not depend on them.
+
+    Args:
+        regressor: (..., p) regressor, or its (p, p) triangular factor without the measurements;
+            ten columns a body, then the further ones.
+        extra: Number of further columns, such as those of friction; they are scaled one by one.
+        tolerance: Share of the greatest singular value below which one counts as zero. Rounding
+            reaches some 1e-14; a greater tolerance leaves out what a motion hardly excites.
+
+    Raises:
+        ArgumentError: The shape or the tolerance is impossible, or a value is not finite.
+    """
+    rows = real_array(regressor, "regressor", ("...", "m", "p"))
+    number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
+    if not rows.size:
+        raise ArgumentError(f"Base parameters need a regressor that is not empty {rows.shape}.")
+    p = rows.shape[-1]
+    integer(extra, "extra")
+    if not 0 <= extra <= p or (p - extra) % PARAMETERS_PER_BODY:
+        raise ArgumentError(
+            f"The regressor has {p} columns, which is not ten a body and {extra} further ones.",
+            advice="Say how many columns are no inertial parameters with `extra`.",
+        )
+    bodies = (p - extra) // PARAMETERS_PER_BODY
+    factor = triangular_factor([rows.reshape(-1, p)])
+    scale = _scales(factor, bodies)
+    scaled = factor / scale
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    rank = int(np.count_nonzero(singular > tolerance * singular[0]))
+    independent = _independent(scaled, rank, bodies, tolerance)
+    Q, R = np.linalg.qr(scaled[:, independent])
+    weights = solve_triangular(R, Q.T @ scaled) if rank else np.zeros((0, p))
+    spread = np.linalg.cond(R) if rank else 1.0
+    weights[np.abs(weights) < 100.0 * spread * np.finfo(float).eps] = 0.0
+    weights[:, independent] = np.eye(rank)
+    matrix = weights * scale / scale[independent, None]
+    return BaseParameters(matrix, independent, np.asarray(singular, float), tolerance)
+
+
+def structural_base_parameters(
+    plant: MultibodyPlant | KinematicTree, *, seed: int = 0, tolerance: float = 1e-9
+) -> BaseParameters:
+    """Base parameters that efforts identify with the best of motions, from random ones.
+
+    Args:
+        plant: A finalized plant, or its tree.
+        seed: Of the random motions; another one finds the same combinations.
+        tolerance: As in `base_parameters`.
+
+    Raises:
+        ArgumentError: A value is something else, or out of its range.
+        ModelError: The plant is not finalized, or has a joint that is not supported.
+    """
+    tree = checked_tree(plant)
+    integer(seed, "seed", lower=0)
+    number(tolerance, "tolerance", lower=_ROUNDING, upper=1.0, strict=True)
+    random, nv = np.random.default_rng(seed), tree.num_velocities
+    count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
+    sizes = (tree.num_positions, nv, nv)
+    q, v, vd = (random.uniform(-np.pi, np.pi, (count, size)) for size in sizes)
+    return base_parameters(inverse_dynamics_regressor(tree, q, v, vd), tolerance=tolerance)
+
+
+def pushforward_metric(
+    matrix: ArrayLike, prior: ArrayLike, *, extra: ArrayLike | None = None
+) -> Array:
+    """Metric H₀ = (B G₀⁻¹ Bᵀ)⁻¹ on base parameters, [Lee2019] Eq. (4.3.35).
+
+    G₀ is the pullback metric g(φ⁰) of (B.1.7), body by body. The length of dφ_B is that of the
+    shortest dφ with B dφ = dφ_B, so it depends neither on frames and units nor on B.
+
+    Args:
+        matrix: (n_B, p) B.
+        prior: (nb, 10) physical prior.
+        extra: (p − 10 nb,) metric of each further parameter: 1/(2 x²) for a positive one near x.
+
+    Returns:
+        (n_B, n_B) symmetric positive definite H₀.
+
+    Raises:
+        ArgumentError: Shapes do not fit, the prior is not physical, or rows of B are dependent.
+    """
+    B = real_array(matrix, "matrix", ("n", "p"))
+    prior = real_array(prior, "prior", ("nb", PARAMETERS_PER_BODY))
+    weights = np.zeros(0) if extra is None else np.atleast_1d(real_array(extra, "extra"))
+    if not len(B) or weights.ndim > 1 or B.shape[1:] != (prior.size + len(weights),):
+        raise ArgumentError(
+            f"B has the shape {B.shape}, but a prior of shape {prior.shape} and {len(weights)} "
+            f"further parameters need {prior.size + len(weights)} columns."
+        )
+    wrong = np.flatnonzero(~PhysicalInertia().contains(prior)).tolist()
+    if wrong or not np.all(weights > 0):
+        raise ArgumentError(
+            f"The prior is not physical for bodies {wrong}, or a further metric is not positive.",
+            advice="The metric exists at parameters that a solid body can have.",
+            bodies=wrong,
+        )
+    # H₀⁻¹ = W Wᵀ with W = B G₀^(-½); g⁻¹ is twice the inverse of the Hessian. A QR of W keeps the
+    # digits that the product would lose.
+    inverse = 2.0 * PhysicalInertia().inverse_metric_times(
+        prior[:, None], np.eye(PARAMETERS_PER_BODY)
+    )
+    blocks = B[:, : prior.size].reshape(len(B), *prior.shape)
+    W = np.einsum("nbi,bij->nbj", blocks, np.linalg.cholesky(inverse)).reshape(len(B), -1)
+    R = np.linalg.qr(np.hstack([W, B[:, prior.size :] / np.sqrt(weights)]).T, mode="r")
+    pivots, sizes = np.abs(np.diagonal(R)), np.linalg.norm(R, axis=0)
+    if len(pivots) < len(B) or np.any(pivots <= 1e-12 * sizes):
+        raise ArgumentError(
+            "Rows of B are dependent, so there is no metric on B φ.",
+            advice="Take B from `base_parameters`.",
+        )
+    root = solve_triangular(R, np.eye(len(B)), trans="T")
+    return root.T @ root
+
+
+def _scales(factor: Array, bodies: int) -> Array:
+    """(p,) size of each column's kind: one for all masses, one for all h, one for all I.
+
+    With a_m, a_h, a_I the sizes of the three kinds, a_h² ~ a_m a_I in units; where one kind has
+    no influence (only rounding), the other two say how large it would be.
+    """
+    norms = np.linalg.norm(factor, axis=0)
+    split = bodies * PARAMETERS_PER_BODY
+    blocks = norms[:split].reshape(bodies, PARAMETERS_PER_BODY)
+    m, h, moment = (blocks[:, kind].max(initial=0.0) for kind in _KINDS)
+    sizes = (
+        max(m, h * h / moment if moment else 0.0),
+        max(h, np.sqrt(m * moment)),
+        max(moment, h * h / m if m else 0.0),
+    )
+    scales = np.empty_like(blocks)
+    for kind, size in zip(_KINDS, sizes, strict=True):
+        scales[:, kind] = size
+    every = np.concatenate([scales.ravel(), norms[split:]])
+    return np.where(every > 0, every, 1.0)
+
+
+def _independent(scaled: Array, rank: int, bodies: int, tolerance: float) -> Indices:
+    """(rank,) independent columns, by preference those of bodies near the base, I before m."""
+    split = bodies * PARAMETERS_PER_BODY
+    order = np.arange(split).reshape(-1, PARAMETERS_PER_BODY)[:, _PREFERENCE].ravel()
+    order = np.concatenate([order, np.arange(split, scaled.shape[1])])
+    basis = np.zeros((len(scaled), rank))
+    kept: list[int] = []
+    for column in order:
+        rest = scaled[:, column]
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            rest = rest - basis @ (basis.T @ rest)
+        size = np.linalg.norm(rest)
+        if size > np.sqrt(len(scaled)) * tolerance and len(kept) < rank:
+            basis[:, len(kept)] = rest / size
+            kept.append(int(column))
+    if len(kept) < rank:  # columns nearly dependent in this order: take what is safest instead
+        kept = qr(scaled, mode="r", pivoting=True)[1][:rank].tolist()
+    return np.array(sorted(kept), np.intp)
+
+
+def _sum(row: Array, names: Sequence[str]) -> str:
+    """A row of coefficients as a sum, the parameter with the coefficient one first."""
+    columns = np.flatnonzero(row)
+    first = int(np.argmin(np.abs(row[columns] - 1.0)))
+    text = ""
+    for column in [columns[first], *np.delete(columns, first)]:
+        size = f"{abs(row[column]):.3g}"
+        term = names[column] if size == "1" else f"{size} {names[column]}"
+        sign = " - " if row[column] < 0 else " + "
+        text += (sign if text else sign.strip(" +")) + term
+    return text

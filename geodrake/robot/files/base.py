@@ -1,0 +1,119 @@
+"""Base class of the model formats that are XML."""
+
+from __future__ import annotations
+
+import abc
+from pathlib import Path
+from typing import ClassVar
+from xml.etree.ElementTree import Element, SubElement
+
+from geodrake.inertia import Array, is_physical
+from geodrake.robot.files.checks import (
+    Numeric,
+    check_inertia,
+    check_limits,
+    check_links,
+    check_numbers,
+)
+from geodrake.robot.files.values import drop
+from geodrake.robot.files.xml_text import numbered_text
+
+_LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
+
+
+class ModelText(abc.ABC):
+    """A robot description as text that Drake accepts.
+
+    Attributes:
+        kind: Drake's name of the format.
+        notes: Sentences on what was taken out of the text and matters.
+        set_aside: Scoped link names with the (10,) inertial parameters that the file gives them
+            and no body can have; these are not in the text.
+        friction: Scoped joint names with their dry friction, N or N·m.
+        armature: Scoped joint names with their reflected inertia, kg·m² or kg.
+        effort: Scoped joint names with their largest effort, N or N·m.
+        packages: Names of packages whose files are left for Drake to include.
+    """
+
+    kind: ClassVar[str]
+    numeric: ClassVar[Numeric]
+
+    def __init__(self, root: Element, path: Path, scope: str | None) -> None:
+        self.root, self.path, self.scope = root, path, scope
+        self.notes: list[str] = []
+        self.friction: dict[str, float] = {}
+        self.armature: dict[str, float] = {}
+        self.effort: dict[str, float] = {}
+        self.packages: set[str] = set()
+        self._links: dict[str, Element] = {}
+        self._read()
+        check_numbers(self.root, self.numeric, path)
+        check_limits(self.root, path)
+        check_links(self._links, path)
+        self.set_aside: dict[str, Array] = {}
+        for name, link in self._links.items():
+            phi = self._inertia(link)
+            if phi is not None:
+                check_inertia(link, phi, path)
+            if phi is not None and not is_physical(phi):
+                self.set_aside[name] = phi
+                self.set_inertia(name, None)
+
+    @property
+    def link_count(self) -> int:
+        """Number of links."""
+        return len(self._links)
+
+    def stated_inertia(self, link: str) -> Array | None:
+        """Inertial parameters (10,) that the file states for a link, possible or not; else None."""
+        if link in self.set_aside or link not in self._links:
+            return self.set_aside.get(link)
+        return self._inertia(self._links[link])
+
+    def set_inertia(self, link: str, phi: Array | None) -> bool:
+        """Gives a link inertial parameters (10,), or none; False if the link is not in the text.
+
+        Args:
+            link: Scoped name of the link.
+            phi: (10,) inertial parameters about Bo, expressed in B; None takes the inertia away.
+        """
+        if link not in self._links:
+            return False
+        element = self._links[link]
+        for inertial in element.findall("inertial"):  # not of the bodies below it in MJCF
+            element.remove(inertial)
+        if phi is not None:
+            self._write_inertia(SubElement(element, "inertial"), phi)
+        return True
+
+    def text(self) -> tuple[str, list[str]]:
+        """The simplified description, and for each of its lines where that is in the file."""
+        return numbered_text(self.root)
+
+    def _drop_loops(self) -> None:
+        tags = {f"{prefix}{tag}" for tag in _LOOPS for prefix in ("drake:", "")}
+        for tag in sorted({e.tag for e in self.root.iter() if e.tag in tags}):
+            drop(self.root, tag)
+            self.notes.append(f"<{tag}> is ignored: the robot is read as an open tree.")
+        mimicking = [
+            element.get("name", "?")
+            for element in self.root.iter("joint")
+            if next(element.iter("mimic"), None) is not None
+        ]
+        drop(self.root, "mimic")
+        if mimicking:
+            self.notes.append(
+                f"<mimic> is ignored: {', '.join(mimicking)} count as joints of their own."
+            )
+
+    @abc.abstractmethod
+    def _read(self) -> None:
+        """Fills the attributes and takes out what Drake shall not see."""
+
+    @abc.abstractmethod
+    def _inertia(self, link: Element) -> Array | None:
+        """Inertial parameters that the file states for a link."""
+
+    @abc.abstractmethod
+    def _write_inertia(self, inertial: Element, phi: Array) -> None:
+        """Fills an empty inertial element."""

@@ -1,0 +1,213 @@
+"""A model file of any format, ready to be added to a plant."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pydrake.multibody.parsing import (
+    FlattenModelDirectives,
+    LoadModelDirectivesFromString,
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
+from pydrake.multibody.plant import MultibodyPlant
+
+from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.yaml_text import yaml_text
+from geodrake.errors import GeodrakeError, ModelError
+from geodrake.inertia import Array
+from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.packages import add_packages, named_packages
+from geodrake.robot.files.reading import read_model_text
+from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS
+
+_MOST_LINKS = 2000  # as the time grows with their square, to 3 s
+_LINE = re.compile(r"(?:<literal-string>|\S*?/(\d+))\.\w+:(\d+): ")
+
+
+@dataclass(frozen=True)
+class ModelDescription:
+    """A model file: one simplified text, or directives that put several together.
+
+    Attributes:
+        path: The file.
+        texts: The simplified texts; one for each `add_model` of the directives, in their order.
+        directives: The flattened directives, or None for a URDF, SDF or MJCF file.
+    """
+
+    path: Path
+    texts: tuple[ModelText, ...]
+    directives: ModelDirectives | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was taken out of the texts and matters."""
+        return tuple(note for text in self.texts for note in text.notes)
+
+    @property
+    def set_aside(self) -> Mapping[str, Array]:
+        """Scoped link names with inertial parameters (10,) that no body can have."""
+        return ChainMap(*(text.set_aside for text in self.texts))
+
+    def joint_values(self, name: str) -> Mapping[str, float]:
+        """`friction`, `armature` or `effort` of the file, by scoped joint name."""
+        return ChainMap(*(getattr(text, name) for text in self.texts))
+
+    def named_packages(self) -> set[str]:
+        """Packages that the files name, geometry included."""
+        files = {self.path, *(text.path for text in self.texts)}
+        return {
+            name
+            for file in files
+            for name in named_packages(file.read_text(encoding="utf-8", errors="replace"))
+        }
+
+    def set_inertia(self, link: str, phi: Array | None) -> bool:
+        """Gives a link inertial parameters (10,), or none; False if no text has the link.
+
+        Args:
+            link: Scoped name of the link.
+            phi: (10,) inertial parameters about Bo, expressed in B; None takes the inertia away.
+        """
+        return any(text.set_inertia(link, phi) for text in self.texts)
+
+    def add_to(self, plant: MultibodyPlant) -> None:
+        """Adds the models to a plant.
+
+        Raises:
+            ModelError: Drake cannot parse the description; the message has Drake's reason.
+        """
+        parser = Parser(plant)
+        names = {name for text in self.texts for name in text.packages}
+        add_packages(parser.package_map(), self.path, names)
+        texts = [text.text() for text in self.texts]
+        with drake_errors(self.path, [places for _, places in texts]):
+            if self.directives is None:
+                for own, (text, _) in zip(self.texts, texts, strict=True):
+                    parser.AddModelsFromString(text, own.kind)
+                return
+            with TemporaryDirectory() as folder:
+                models = [d.add_model for d in self.directives.directives if d.add_model]
+                for k, (model, own) in enumerate(zip(models, self.texts, strict=True)):
+                    file = Path(folder) / f"{k}.{own.kind}"
+                    file.write_text(texts[k][0], encoding="utf-8")
+                    model.file = file.as_uri()
+                ProcessModelDirectives(self.directives, parser)
+
+
+def read_description(path: Path) -> ModelDescription:
+    """Reads a model file of any supported format.
+
+    Raises:
+        ModelError: There is no such file, or it does not describe a robot.
+    """
+    regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        found = _read_directives(path)
+    else:
+        found = ModelDescription(path, (read_model_text(path),))
+    count = sum(text.link_count for text in found.texts)
+    if count > _MOST_LINKS:
+        raise ModelError(
+            f"{path} has {count} links, and geodrake reads up to {_MOST_LINKS}.",
+            advice="Leave out what does not move with the robot.",
+            path=path,
+        )
+    return found
+
+
+def _read_directives(path: Path) -> ModelDescription:
+    includes = Includes(path)
+    loaded = _load_directives(path, includes, (path.resolve(),))
+    with drake_errors(path):
+        directives = FlattenModelDirectives(loaded, includes.packages)
+    models = [d.add_model for d in directives.directives if d.add_model]
+    if not models:
+        raise ModelError(
+            f"The directives {path} add no model.", advice=SUPPORTED_FORMATS, path=path
+        )
+    texts = []
+    for model in models:
+        file = includes.checked(includes.resolve(model.file, path.parent))
+        texts.append(read_model_text(file, model.name))
+    return ModelDescription(path, tuple(texts), directives)
+
+
+def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:
+    """Directives of a file, once it is clear that they do not add themselves.
+
+    The packages that they name are known to `includes` afterwards.
+    """
+    with drake_errors(path):
+        loaded = LoadModelDirectivesFromString(yaml_text(path))
+    for added in (d.add_directives for d in loaded.directives if d.add_directives):
+        file = includes.resolve(added.file, path.parent)
+        _load_directives(file, includes, includes.enter(chain, file))
+    return loaded
+
+
+@contextmanager
+def drake_errors(
+    path: Path,
+    places: Sequence[Sequence[str]] = (),
+    *,
+    how: str = "",
+    advice: str = f"Correct the file there. {SUPPORTED_FORMATS}",
+) -> Iterator[None]:
+    """Turns what Drake raises about a model file into a `ModelError` with Drake's first words.
+
+    Drake ends a program that breaks its preconditions, which is SystemExit in Python.
+
+    Args:
+        path: The file.
+        places: For each text that Drake reads in its place, where each line of the text is from.
+        how: How Drake should read it, to be read after its name.
+        advice: What to do about it.
+    """
+    try:
+        yield
+    except (GeodrakeError, OSError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:
+        line = str(error).strip().partition("\n")[0]
+        reason = line.rpartition("error: ")[2].removeprefix("ERROR: ")[:300].rstrip(".")
+        raise ModelError(
+            f"Drake cannot read {_place(line, places) or path}{how}: {reason}.",
+            advice=advice,
+            path=path,
+        ) from error
+
+
+def _place(message: str, places: Sequence[Sequence[str]]) -> str:
+    """Where the line is from that a message of Drake is about."""
+    found = _LINE.match(message)
+    if not found:
+        return ""
+    text, line = int(found[1] or 0), int(found[2]) - 1
+    return places[text][line] if text < len(places) and line < len(places[text]) else ""
+
+
+@contextmanager
+def drake_messages() -> Iterator[list[str]]:
+    """Collects what Drake logs, which would otherwise be printed."""
+    messages: list[str] = []
+
+    def collect(record: logging.LogRecord) -> bool:
+        messages.append(record.getMessage())
+        return False
+
+    logger = logging.getLogger("drake")
+    logger.addFilter(collect)
+    try:
+        yield messages
+    finally:
+        logger.removeFilter(collect)

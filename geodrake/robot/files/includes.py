@@ -1,0 +1,169 @@
+"""Files that model files include, followed before Drake, which would never end in a circle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+from pydrake.multibody.parsing import PackageMap
+
+from geodrake.boundary.input_files import regular_file
+from geodrake.errors import ModelError
+from geodrake.robot.files.packages import add_packages, named_packages
+from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
+
+_DEEPEST = 30  # files that include each other in a row
+_MOST = 500  # inclusions altogether
+_MOST_ELEMENTS = 1_000_000
+
+
+class Includes:
+    """Follows what a model file includes.
+
+    Args:
+        path: The model file.
+
+    Attributes:
+        packages: The packages that were named on the way.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.packages, self.names = path, PackageMap(), set[str]()
+        self._count = self._elements = 0
+
+    def resolve(self, url: str, folder: Path) -> Path:
+        """Where a URL, or a path relative to a folder, leads; a file need not be there.
+
+        Args:
+            url: A `package://`, `model://` or `file://` URL, or a path.
+            folder: What a relative path starts from.
+
+        Raises:
+            ModelError: It names an unknown package or scheme.
+        """
+        scheme, _, rest = url.rpartition("://")
+        if not scheme:
+            return folder / rest
+        if scheme == "file":
+            return Path(rest)
+        name, _, inner = rest.partition("/")
+        if scheme in ("package", "model"):
+            self.names |= named_packages(url)
+            add_packages(self.packages, self.path, self.names)
+            if self.packages.Contains(name):
+                return Path(self.packages.GetPath(name)) / inner
+        raise ModelError(
+            f"{self.path} includes {url}, which leads nowhere.",
+            advice="Packages are found by their package.xml in folders above the model, and below "
+            "those of ROS_PACKAGE_PATH.",
+            path=self.path,
+        )
+
+    def checked(self, file: Path) -> Path:
+        """A file that can be read.
+
+        Raises:
+            ModelError: It cannot.
+        """
+        what = f"file that {self.path} includes,"
+        return regular_file(file, what, ModelError, largest=LARGEST_FILE)
+
+    def enter(self, chain: tuple[Path, ...], file: Path) -> tuple[Path, ...]:
+        """The files that led to a file, and the file.
+
+        Args:
+            chain: The files that led there, all resolved, the model file first.
+            file: The file that is included.
+
+        Raises:
+            ModelError: It cannot be read, or there is no end to what is included.
+        """
+        self._count += 1
+        file = self.checked(file).resolve()
+        if file in chain:
+            names = " → ".join(path.name for path in (*chain[chain.index(file) :], file))
+            raise self._endless(f"{file} includes itself ({names})")
+        if len(chain) > _DEEPEST:
+            raise self._endless(f"more than {_DEEPEST} files include each other in a row")
+        if self._count > _MOST:
+            raise self._endless(f"there are more than {_MOST} inclusions")
+        return (*chain, file)
+
+    def insert(self, root: Element, folder: Path, chain: tuple[Path, ...] = ()) -> None:
+        """Puts models that an SDF includes by relative paths in the place of the include.
+
+        Those that it includes by a URL are left to Drake, but followed too.
+
+        Args:
+            root: The SDF; changed.
+            folder: The folder of its file.
+            chain: The files that led to it, and itself.
+        """
+        chain = chain or (self.path.resolve(),)
+        self._count_elements(root)
+        for parent in list(root.iter()):
+            for include in parent.findall("include"):
+                url = include.findtext("uri", "").strip()
+                for file in _models_of(self.resolve(url, folder), "://" in url):
+                    below = self.enter(chain, file)
+                    included = parse_xml(file)
+                    self.insert(included, file.parent, below)
+                    model = included.find("model")
+                    if "://" not in url and included.tag == "sdf" and model is not None:
+                        _replace(parent, include, model)
+
+    def insert_elements(self, root: Element, chain: tuple[Path, ...] = ()) -> None:
+        """Puts what the files hold that an MJCF includes in the place of the includes.
+
+        Paths are relative to the folder of the model file, whichever file they are in.
+
+        Args:
+            root: The MJCF; changed.
+            chain: The files that led to it, and itself.
+        """
+        chain = chain or (self.path.resolve(),)
+        self._count_elements(root)
+        for parent in list(root.iter()):
+            for include in parent.findall("include"):
+                file = self.path.parent / include.get("file", "")
+                below = self.enter(chain, file)
+                included = parse_xml(file)
+                self.insert_elements(included, below)
+                at = list(parent).index(include)
+                parent[at : at + 1] = list(included)
+
+    def _count_elements(self, root: Element) -> None:
+        self._elements += sum(1 for _ in root.iter())
+        if self._elements > _MOST_ELEMENTS:
+            raise self._endless(f"it has more than {_MOST_ELEMENTS} elements with what it includes")
+
+    def _endless(self, reason: str) -> ModelError:
+        return ModelError(
+            f"{self.path} cannot be read: {reason}.", advice="Break the circle.", path=self.path
+        )
+
+
+def _models_of(place: Path, by_url: bool) -> list[Path]:
+    """The files that an include of a file or a folder may stand for."""
+    try:
+        if not place.is_dir():
+            return [place]
+    except OSError:  # of a name that is too long, which whoever opens it tells of
+        return [place]
+    config = place / "model.config"
+    if not by_url or not config.exists():
+        return [place / "model.sdf"]
+    stated = [place / str(sdf.text).strip() for sdf in parse_xml(config).iter("sdf")]
+    return [file for file in stated if file.is_file()] or stated  # one for each version of SDF
+
+
+def _replace(parent: Element, include: Element, model: Element) -> None:
+    """Puts an included model in the place of its include, which may move and rename it."""
+    model.set("name", include.findtext("name", model.get("name", "")).strip())
+    for element in (e for tag in ("pose", "static") for e in include.findall(tag)):
+        for old in model.findall(element.tag):
+            model.remove(old)
+        model.append(element)
+    if include.get("placement_frame"):
+        model.set("placement_frame", include.get("placement_frame", ""))
+    parent[list(parent).index(include)] = model

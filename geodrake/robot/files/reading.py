@@ -1,0 +1,47 @@
+"""Which format a file has, and its text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from geodrake.errors import ModelError
+from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.mjcf import MjcfText
+from geodrake.robot.files.sdf import SdfText
+from geodrake.robot.files.urdf import UrdfText
+from geodrake.robot.files.xml_text import SUPPORTED_FORMATS, parse_xml_bytes
+
+
+def read_model_text(path: Path, scope: str | None = None) -> ModelText:
+    """Reads and simplifies a URDF, SDF or MJCF file; the root element decides which it is.
+
+    Args:
+        path: The file.
+        scope: Name of the model instance; the name in the file if None.
+
+    Raises:
+        ModelError: The file is no XML, or its root is not that of a robot description.
+    """
+    return model_text_of(path.read_bytes(), path, scope)
+
+
+def model_text_of(data: bytes, path: Path, scope: str | None = None) -> ModelText:
+    """Reads and simplifies what is, or will be, in a file.
+
+    Args:
+        data: Bytes of the file.
+        path: Where they are from, or will be written to.
+        scope: Name of the model instance; None for the name in the file.
+
+    Raises:
+        ModelError: It is no XML, or its root is not that of a robot description.
+    """
+    root = parse_xml_bytes(data, path)
+    for tag, kind in (("robot", UrdfText), ("sdf", SdfText), ("mujoco", MjcfText)):
+        if root.tag == tag:
+            return kind(root, path, scope)
+    raise ModelError(
+        f"{path} is not a robot description: its root element is <{root.tag}>.",
+        advice=SUPPORTED_FORMATS,
+        path=path,
+    )

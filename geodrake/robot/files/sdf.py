@@ -1,0 +1,91 @@
+"""SDF models and worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.checks import SDF_NUMBERS
+from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.values import (
+    TENSOR,
+    drop,
+    inertial_parameters_of,
+    numbers,
+    rotation,
+    symmetric,
+    tensor_words,
+    words,
+)
+
+
+class SdfText(ModelText):
+    """An SDF model or world."""
+
+    kind = "sdf"
+    numeric = SDF_NUMBERS
+
+    def _read(self) -> None:
+        includes = Includes(self.path)
+        includes.insert(self.root, self.path.parent)
+        self.packages = includes.names
+        for link in self.root.iter("link"):
+            inertial = link.find("inertial")
+            if inertial is None or inertial.get("auto") != "true":
+                drop(link, "collision")
+        drop(self.root, "visual", "sensor", "plugin", "drake:collision_filter_group")
+        self._drop_loops()
+        for name, model in self._models(self.root, ""):
+            self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
+            for joint in model.findall("joint"):
+                self._read_joint(f"{name}::{joint.get('name')}", joint)
+
+    def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:
+        for model in [*parent.findall("model"), *parent.findall("world/model")]:
+            own = model.get("name", "")
+            name = f"{scope}::{own}" if scope else self.scope or own
+            yield name, model
+            yield from self._models(model, name)
+
+    def _read_joint(self, name: str, joint: Element) -> None:
+        friction = joint.findtext("axis/dynamics/friction", "0")
+        self.friction[name] = numbers(friction, 1)[0]
+        for dynamics in joint.iter("dynamics"):
+            stiffness = numbers(dynamics.findtext("spring_stiffness", "0"), 1)[0]
+            drop(dynamics, "spring_stiffness", "spring_reference")
+            if stiffness and np.isfinite(stiffness):
+                self.notes.append(
+                    f"{joint.get('name')}: the spring of the file ({stiffness:g} N·m/rad or N/m) "
+                    "is no part of the rigid-body model; add joint_spring for it."
+                )
+
+    def _inertia(self, link: Element) -> Array | None:
+        inertial = link.find("inertial")
+        if inertial is None or inertial.get("auto") == "true":
+            return None
+        pose = inertial.find("pose")
+        values = np.zeros(6) if pose is None else numbers(pose.text or "", 6)
+        turn = values[3:]
+        if pose is not None and pose.get("degrees") == "true":
+            turn = np.deg2rad(turn)
+        if pose is not None and pose.get("rotation_format") == "quat_xyzw":
+            values = numbers(pose.text or "", 7)
+            turn = values[[6, 3, 4, 5]]
+        inertia = symmetric(
+            inertial.findtext(f"inertia/{key}", "1" if key in ("ixx", "iyy", "izz") else "0")
+            for key in TENSOR
+        )
+        mass = numbers(inertial.findtext("mass", "1"), 1)[0]
+        return inertial_parameters_of(mass, values[:3], rotation(turn), inertia)
+
+    def _write_inertia(self, inertial: Element, phi: Array) -> None:
+        mass, com, inertia = to_mass_com_inertia(phi)
+        SubElement(inertial, "pose").text = f"{words(com)} 0 0 0"
+        SubElement(inertial, "mass").text = words(mass)
+        tensor = SubElement(inertial, "inertia")
+        for key, word in tensor_words(inertia).items():
+            SubElement(tensor, key).text = word

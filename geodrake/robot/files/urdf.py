@@ -1,0 +1,68 @@
+"""URDF."""
+
+from __future__ import annotations
+
+from xml.etree.ElementTree import Element, SubElement
+
+from geodrake.errors import ModelError
+from geodrake.inertia import Array, to_mass_com_inertia
+from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.checks import URDF_NUMBERS
+from geodrake.robot.files.values import (
+    TENSOR,
+    drop,
+    inertial_parameters_of,
+    number,
+    numbers,
+    rotation,
+    symmetric,
+    tensor_words,
+    words,
+)
+
+
+class UrdfText(ModelText):
+    """A URDF file."""
+
+    kind = "urdf"
+    numeric = URDF_NUMBERS
+
+    def _read(self) -> None:
+        if any(element.tag.startswith("xacro:") for element in self.root.iter()):
+            raise ModelError(
+                f"{self.path} is a xacro file, not yet a URDF.",
+                advice="Expand it first: xacro robot.urdf.xacro > robot.urdf.",
+                path=self.path,
+            )
+        drop(self.root, "visual", "collision", "gazebo", "drake:collision_filter_group")
+        for transmission in self.root.findall("transmission"):
+            # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
+            if not any(element.tag.startswith("drake:") for element in transmission.iter()):
+                self.root.remove(transmission)
+        self._drop_loops()
+        scope = self.scope or self.root.get("name") or self.path.stem
+        self.root.set("name", self.root.get("name") or scope)
+        self._links = {f"{scope}::{e.get('name')}": e for e in self.root.findall("link")}
+        for joint in [*self.root.findall("joint"), *self.root.findall("drake:joint")]:
+            name = f"{scope}::{joint.get('name')}"
+            self.friction[name] = number(joint, "dynamics", "friction")
+            self.effort[name] = number(joint, "limit", "effort")
+
+    def _inertia(self, link: Element) -> Array | None:
+        inertial = link.find("inertial")
+        if inertial is None:
+            return None
+        origin, tensor = inertial.find("origin"), inertial.find("inertia")
+        com, rpy = (
+            numbers("" if origin is None else origin.get(key, ""), 3) for key in ("xyz", "rpy")
+        )
+        moments = {} if tensor is None else tensor.attrib
+        inertia = symmetric(moments.get(key, "0") for key in TENSOR)
+        mass = number(inertial, "mass", "value")
+        return inertial_parameters_of(mass, com, rotation(rpy), inertia)
+
+    def _write_inertia(self, inertial: Element, phi: Array) -> None:
+        mass, com, inertia = to_mass_com_inertia(phi)
+        SubElement(inertial, "origin", xyz=words(com), rpy="0 0 0")
+        SubElement(inertial, "mass", value=words(mass))
+        SubElement(inertial, "inertia", tensor_words(inertia))

@@ -1,0 +1,95 @@
+"""Numbers in the text of model files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw, RotationMatrix
+
+from geodrake.inertia.kernels import Array, calc_from_mass_com_inertia
+
+TENSOR = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+
+
+def drop(element: Element, *tags: str) -> None:
+    """Removes all elements with these tags below an element.
+
+    Args:
+        element: Where to look; the element itself stays.
+        *tags: Tags of the elements to remove.
+    """
+    for parent in list(element.iter()):
+        for child in [child for child in parent if child.tag in tags]:
+            parent.remove(child)
+
+
+def numbers(text: str, count: int) -> Array:
+    """Numbers of a text, NaN where there are none; an empty text means zeros.
+
+    Args:
+        text: Words that should be numbers.
+        count: How many there should be.
+    """
+    parts = text.split()
+    if not parts:
+        return np.zeros(count)
+    try:
+        values = np.array(parts, float)
+    except ValueError:
+        return np.full(count, np.nan)
+    return values if len(values) == count else np.full(count, np.nan)
+
+
+def number(parent: Element, tag: str, attribute: str) -> float:
+    """A number in an attribute of a child; zero where it is left out, NaN where it is none.
+
+    Args:
+        parent: The parent of the element that has the attribute.
+        tag: Tag of that element.
+        attribute: Name of the attribute.
+    """
+    child = parent.find(tag)
+    return float(numbers("" if child is None else child.get(attribute, ""), 1)[0])
+
+
+def symmetric(texts: Iterable[str]) -> Array:
+    """Symmetric matrix (3, 3) of six numbers in the order of `TENSOR`."""
+    matrix = np.zeros((3, 3))
+    matrix[UPPER] = [numbers(text, 1)[0] for text in texts]
+    return matrix + np.triu(matrix, 1).T
+
+
+def rotation(values: Array) -> Array:
+    """Rotation matrix of roll, pitch, yaw (3,) or of a quaternion w, x, y, z (4,)."""
+    if not np.isfinite(values).all() or (len(values) == 4 and not values.any()):
+        return np.full((3, 3), np.nan)
+    if len(values) == 3:
+        return RollPitchYaw(values).ToRotationMatrix().matrix()
+    return RotationMatrix(Quaternion(values / np.linalg.norm(values))).matrix()
+
+
+def inertial_parameters_of(mass: float, com: Array, R: Array, inertia: Array) -> Array:
+    """Parameters (10,) of a central inertia that is expressed in a frame turned by R.
+
+    Args:
+        mass: The mass, kg.
+        com: (3,) centre of mass p_BoBcm_B, m.
+        R: (3, 3) rotation in B of the frame that the inertia is expressed in.
+        inertia: (3, 3) rotational inertia about the centre of mass, kg·m².
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no number stays none
+        return calc_from_mass_com_inertia(np.asarray(mass, float), com, R @ inertia @ R.T)
+
+
+def tensor_words(inertia: Array) -> dict[str, str]:
+    """The six entries of an inertia matrix by their name in `TENSOR`."""
+    return dict(zip(TENSOR, words(inertia[UPPER]).split(), strict=True))
+
+
+def words(values: Array | float) -> str:
+    """Text of numbers that reads back exactly."""
+    return " ".join(repr(float(value)) for value in np.atleast_1d(values))

@@ -1,0 +1,152 @@
+"""XML as Drake reads it: prefixes are plain text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+from xml.sax.saxutils import escape, quoteattr
+
+from geodrake.boundary.input_files import regular_file
+from geodrake.errors import ModelError
+
+SUPPORTED_FORMATS = "geodrake reads URDF, SDF, MJCF and Drake model directives (.dmd.yaml)."
+LARGEST_FILE = 100_000_000  # bytes
+_DEEPEST = 400  # elements within each other; Drake reads up to 500
+_MOST_ELEMENTS = 1_000_000
+_MOST_ATTRIBUTES = 100  # of one element; Drake's time grows with their square
+
+
+class LocatedElement(Element):
+    """An element that knows where it was read.
+
+    Attributes:
+        path: The file.
+        line: The line of the file, from one.
+    """
+
+    path: Path
+    line: int
+
+
+def place_of(element: Element) -> str:
+    """The file and line where an element was read."""
+    return f"{element.path}, line {element.line}" if isinstance(element, LocatedElement) else ""
+
+
+def parse_xml(path: Path) -> Element:
+    """The root element of a file.
+
+    Raises:
+        ModelError: The file is not XML, or no file at all.
+    """
+    regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
+    return parse_xml_bytes(path.read_bytes(), path)
+
+
+def parse_xml_bytes(data: bytes, path: Path) -> Element:
+    """The root element of what is, or will be, in a file.
+
+    Args:
+        data: Bytes of the file.
+        path: Where they are from, for messages.
+
+    Raises:
+        ModelError: It is not XML, or nested or built beyond all bounds.
+    """
+    # Without namespaces, unlike ElementTree.parse: Drake wants its prefix `drake:` kept as it is,
+    # and many files use prefixes that they do not declare.
+    try:
+        root = _Reader(path).root_of(data)
+    except (expat.ExpatError, ValueError, LookupError) as error:  # the last two of encodings
+        raise ModelError(
+            f"{path} is not a robot description: it is not valid XML ({error}).",
+            advice=SUPPORTED_FORMATS,
+            path=path,
+        ) from error
+    for prefix in _drake_prefixes(root):
+        for element in root.iter():
+            element.tag = element.tag.replace(f"{prefix}:", "drake:")
+            for key in [key for key in element.attrib if key.startswith(f"{prefix}:")]:
+                element.set(key.replace(f"{prefix}:", "drake:"), element.attrib.pop(key))
+    return root
+
+
+def _drake_prefixes(root: Element) -> list[str]:
+    """Other prefixes that a program gave to Drake's namespace when it wrote the file."""
+    return [
+        key.removeprefix("xmlns:")
+        for key, value in root.attrib.items()
+        if key.startswith("xmlns:") and key != "xmlns:drake" and "drake.mit.edu" in value
+    ]
+
+
+class _Reader:
+    """Builds the elements of one file, as long as they stay within bounds."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.depth, self.count = path, 0, 0
+        self.parser = expat.ParserCreate()
+        self.builder = TreeBuilder(element_factory=self._element)
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self.parser.CharacterDataHandler = self.builder.data
+
+    def root_of(self, data: bytes) -> Element:
+        self.parser.Parse(data, True)
+        return self.builder.close()
+
+    def _element(self, tag: str, attributes: dict[str, str]) -> Element:
+        element = LocatedElement(tag, attributes)
+        element.path, element.line = self.path, self.parser.CurrentLineNumber
+        return element
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.depth += 1
+        self.count += 1
+        for what, number, most in (
+            ("elements within each other", self.depth, _DEEPEST),
+            ("elements", self.count, _MOST_ELEMENTS),
+            (f"attributes in <{tag[:50]}>", len(attributes), _MOST_ATTRIBUTES),
+        ):
+            if number > most:
+                raise ModelError(
+                    f"{self.path}, line {self.parser.CurrentLineNumber}: there are more than "
+                    f"{most} {what}.",
+                    advice="Check how the file was written.",
+                    path=self.path,
+                )
+        self.builder.start(tag, attributes)
+
+    def _end(self, tag: str) -> None:
+        self.depth -= 1
+        self.builder.end(tag)
+
+
+def numbered_text(root: Element) -> tuple[str, list[str]]:
+    """A description as text, and for each of its lines where that was read (`place_of`)."""
+    lines: list[str] = []
+    places: list[str] = []
+    for line, element in _lines(root):
+        lines.append(line)
+        places.append(place_of(element) or (places[-1] if places else ""))
+    return "\n".join(lines) + "\n", places
+
+
+def _lines(root: Element) -> Iterator[tuple[str, Element]]:
+    """Lines of text with the element that each is of; depth first, without recursion."""
+    waiting: list[tuple[Element, bool]] = [(root, True)]
+    while waiting:
+        element, opens = waiting.pop()
+        if not opens:
+            yield f"</{element.tag}>", element
+            continue
+        attributes = "".join(f" {key}={quoteattr(word)}" for key, word in element.attrib.items())
+        words = escape(" ".join((element.text or "").split()))
+        if len(element):
+            yield f"<{element.tag}{attributes}>{words}", element
+            waiting.append((element, False))
+            waiting.extend((child, True) for child in reversed(element))
+        else:
+            yield f"<{element.tag}{attributes}>{words}</{element.tag}>", element

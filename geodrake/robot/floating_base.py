@@ -1,0 +1,204 @@
+"""What the ground feels of a moving robot: base wrenches, their regressor, zero-moment points.
+
+The external wrench on a robot is the rate of its momentum less gravity, whatever happens inside:
+joint friction, springs and elasticity do not enter. It is linear in the inertial parameters, and
+of a tree it identifies as many of their combinations as all efforts together ([Lee2019] Remark
+3.1). So a force plate, or a sensor below an arm's base, is enough to identify a robot.
+
+A wrench is (n, f): moment about the origin Po of a frame P, N·m, then force, N, both expressed
+in P; the wrench that the robot *needs* from outside, so that a robot at rest needs m g upwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+
+from geodrake.boundary.arguments import integer, number, real_array
+from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.joints import FrameMotion, constant
+from geodrake.robot.kinematics import KinematicTree, Mobilizer
+from geodrake.robot.recursion import pieces
+from geodrake.robot.regressor import checked_samples, checked_tree
+
+_LEAST_FORCE = 1e-9  # of the largest number in a wrench
+_SKEWNESS = 1e-6  # of a rotation, beyond rounding
+
+
+def base_wrench_regressor(
+    plant: MultibodyPlant | KinematicTree,
+    q: ArrayLike,
+    v: ArrayLike,
+    vd: ArrayLike,
+    *,
+    X_WP: RigidTransform | ArrayLike | None = None,
+) -> Array:
+    """Regressor of the wrench that a motion needs from outside.
+
+    Of a robot with a floating base, these are the first six rows of inverse dynamics, without the
+    work for the others. Of a robot that is fixed to the world, they are its reaction.
+
+    Args:
+        plant: A finalized plant with any base, or its tree.
+        q: (N, nq) positions in Drake's order.
+        v: (N, nv) velocities in Drake's order.
+        vd: (N, nv) accelerations v̇ in Drake's order.
+        X_WP: Pose of the frame P that the wrench is about: one for all samples, such as a force
+            plate's, or (N, 4, 4) for one that moves, such as a base's (`body_poses`); the world
+            if None.
+
+    Returns:
+        (N, 6, 10 nb) rows nx, ny, nz, fx, fy, fz.
+
+    Raises:
+        ArgumentError: A shape does not fit, a value is not finite, or X_WP is no pose.
+        ModelError: The plant has a joint that is not supported.
+    """
+    tree, (q, v, vd) = checked_samples(plant, q, v, vd)
+    resting = np.zeros((len(q), 6))
+    samples = (q, np.hstack([v, resting]), np.hstack([vd, resting]))
+    regressor = np.zeros((len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
+    for part, blocks in pieces(on_a_free_world(tree), samples):
+        for mobilizer, block in blocks:
+            first = PARAMETERS_PER_BODY * mobilizer.body
+            regressor[part, :, first : first + PARAMETERS_PER_BODY] = block.transpose(2, 1, 0)
+    return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor
+
+
+def wrench_map(X_WP: RigidTransform | ArrayLike, count: int) -> Array:
+    """(6, 6) or (count, 6, 6) matrices that turn wrenches about Wo in W into those about Po in P.
+
+    Args:
+        X_WP: Pose of P, one or (count, 4, 4).
+        count: Number of samples.
+
+    Raises:
+        ArgumentError: X_WP is no pose.
+    """
+    return _wrench_map(_poses(X_WP, integer(count, "count", lower=0), "X_WP"))
+
+
+def move_wrench(wrench: ArrayLike, X_QP: RigidTransform | ArrayLike) -> Array:
+    """Wrenches about Po in P as the same wrenches about Qo in Q.
+
+    Wrenches of several force plates or contacts can be added once they are about one point.
+
+    Args:
+        wrench: (N, 6) wrenches (n, f).
+        X_QP: Pose of P in Q, one or (N, 4, 4).
+
+    Returns:
+        (N, 6) wrenches.
+
+    Raises:
+        ArgumentError: A shape does not fit, or X_QP is no pose.
+    """
+    wrench = real_array(wrench, "wrench", ("N", 6))
+    inverse = np.asarray(np.linalg.inv(_poses(X_QP, len(wrench), "X_QP")), float)
+    return np.asarray(np.einsum("...ij,...j->...i", _wrench_map(inverse), wrench))
+
+
+def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
+    """Points (N, 2) of the plane z = height of P in which a wrench has no moment along the plane.
+
+    On the sole of a foot or a force plate, that is the centre of pressure.
+
+    Args:
+        wrench: (N, 6) wrenches (n, f) about Po, with z of P normal to the ground.
+        height: z of the plane in P, m.
+
+    Returns:
+        (N, 2) positions x, y in P, m; NaN where nothing presses on the plane (f_z ≤ 0), or where
+        the wrench is NaN.
+
+    Raises:
+        ArgumentError: The shape is another.
+    """
+    wrench = real_array(wrench, "wrench", ("N", 6), finite=False)
+    number(height, "height")
+    nx, ny, _, fx, fy, fz = wrench.T
+    largest = np.max(np.abs(wrench), initial=0.0, where=np.isfinite(wrench))
+    pressed = fz > _LEAST_FORCE * largest
+    normal = np.where(pressed, fz, np.nan)
+    return np.stack([(height * fx - ny) / normal, (height * fy + nx) / normal], -1)
+
+
+def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
+    """Poses X_WB of every lumped body.
+
+    Args:
+        plant: A finalized plant, or its tree.
+        q: (N, nq) positions in Drake's order.
+
+    Returns:
+        (N, nb, 4, 4) homogeneous matrices.
+    """
+    tree = checked_tree(plant)
+    q = real_array(q, "q", ("N", tree.num_positions))
+    poses = np.zeros((len(q), len(tree.bodies), 4, 4))
+    X_WM: list[Array] = []
+    for mobilizer in tree.mobilizers:
+        motion, at = mobilizer.motion, q[:, mobilizer.positions]
+        X_PB = np.zeros((len(q), 4, 4))
+        R_PB = (motion.rotation @ motion.features(at.T)).T.reshape(-1, 3, 3)
+        X_PB[:, :3, :3], X_PB[:, 3, 3] = R_PB, 1.0
+        X_PB[:, :3, 3] = motion.offset + at @ motion.translation.T + R_PB @ mobilizer.p_MoBo_B
+        X_WM.append(X_PB if mobilizer.parent < 0 else X_WM[mobilizer.parent] @ X_PB)
+        if mobilizer.body >= 0:
+            poses[:, mobilizer.body] = X_WM[-1]
+    return poses
+
+
+def on_a_free_world(tree: KinematicTree) -> KinematicTree:
+    """The tree on a world that could move, at rest; efforts are asked of its six velocities only.
+
+    The virtual work of the robot's efforts on a rigid motion of everything is that of the wrench
+    about the world's origin.
+    """
+    own = slice(tree.num_velocities, tree.num_velocities + 6)
+    dofs = tuple(range(own.start, own.stop))
+    still, six = np.zeros((3, 0)), np.eye(6)
+    motion = FrameMotion(constant, np.eye(3).reshape(9, 1), still, six[:3], six[3:])
+    mobilizers: list[Mobilizer] = []
+    place: list[int] = []
+    for mobilizer in tree.mobilizers:
+        parent = place[mobilizer.parent] if mobilizer.parent >= 0 else len(mobilizers)
+        if mobilizer.parent < 0:  # one free world for each root, which has its own gravity
+            free = Mobilizer(-1, -2, slice(0, 0), own, dofs, motion, np.zeros(3), mobilizer.gravity)
+            mobilizers.append(free)
+        place.append(len(mobilizers))
+        mobilizers.append(replace(mobilizer, parent=parent, dofs=dofs))
+    return replace(tree, mobilizers=tuple(mobilizers), num_velocities=own.stop)
+
+
+def _poses(X: RigidTransform | ArrayLike, count: int, name: str) -> Array:
+    """A pose, or one for each sample, as homogeneous matrices."""
+    poses = real_array(X.GetAsMatrix4() if isinstance(X, RigidTransform) else X, name)
+    if poses.shape not in ((4, 4), (count, 4, 4)):
+        raise ArgumentError(
+            f"The pose has the shape {poses.shape}, expected one pose (4, 4) or {count} of them."
+        )
+    R = poses[..., :3, :3]
+    skew = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max(initial=0.0)
+    if not (skew < _SKEWNESS and (poses[..., 3, :] == (0, 0, 0, 1)).all()):
+        raise ArgumentError(
+            f"A pose has a rotation and the last row 0, 0, 0, 1; R Rᵀ is {skew:.2g} off the "
+            "identity.",
+            advice="Pass a RigidTransform, or its GetAsMatrix4().",
+        )
+    return poses
+
+
+def _wrench_map(X: Array) -> Array:
+    """(..., 6, 6) maps of wrenches about Wo in W to the same about Po in P, of poses X_WP."""
+    R_PW, p = np.swapaxes(X[..., :3, :3], -1, -2), X[..., :3, 3]
+    full = np.zeros((*X.shape[:-2], 6, 6))
+    full[..., :3, :3] = full[..., 3:, 3:] = R_PW
+    # n_P = R_PW (n − p × f), column by column of f.
+    full[..., :3, 3:] = -R_PW @ np.swapaxes(np.cross(p[..., None, :], np.eye(3)), -1, -2)
+    return full

@@ -1,0 +1,168 @@
+"""How joints move: every supported type in one form that batched recursions can use.
+
+A joint's motion subspace is constant in its frame F on the inboard side, so no joint has a bias
+acceleration of its own; a universal joint, for which this fails, is two joints with a massless
+frame between. Positions and velocities are Drake's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import (
+    BallRpyJoint,
+    Joint,
+    PlanarJoint,
+    PrismaticJoint,
+    QuaternionFloatingJoint,
+    RevoluteJoint,
+    RpyFloatingJoint,
+    ScrewJoint,
+    UniversalJoint,
+)
+
+from geodrake.errors import ModelError
+from geodrake.inertia import Array
+
+_IDENTITY = np.eye(3)
+_ZERO = np.zeros((3, 3))
+_X_AXIS, _Y_AXIS, _Z_AXIS = _IDENTITY
+
+
+def constant(q: Array) -> Array:
+    """The one feature (1, 1) of a joint that does not rotate."""
+    return np.ones((1, 1))
+
+
+def cosine_sine(q: Array) -> Array:
+    """The features 1, cos, sin (3, n) of the angle in the last row of q, rad."""
+    return np.stack([np.ones_like(q[-1]), np.cos(q[-1]), np.sin(q[-1])])
+
+
+def rpy_rotation(q: Array) -> Array:
+    """The entries (9, n) of Rz(yaw) Ry(pitch) Rx(roll), the first three rows of q in rad."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(q[:3]), np.cos(q[:3])
+    x = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    y = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    return np.stack([*x, *y, -sp, cp * sr, cp * cr])
+
+
+def quaternion_rotation(q: Array) -> Array:
+    """The entries (9, n) of the rotation of w, x, y, z, the first four rows of q, normalized."""
+    w, x, y, z = q[:4] * np.sqrt(2.0 / (q[:4] ** 2).sum(0))
+    i = 1.0 - y * y - z * z, x * y - w * z, x * z + w * y
+    j = x * y + w * z, 1.0 - x * x - z * z, y * z - w * x
+    return np.stack([*i, *j, x * z - w * y, y * z + w * x, 1.0 - x * x - y * y])
+
+
+@dataclass(frozen=True)
+class FrameMotion:
+    """How a frame moves in another one, with a motion subspace constant in the inboard one.
+
+    For a joint, that is frame M in frame F; for a mobilizer, the frame of the outboard body B,
+    displaced to Mo, in the frame of the inboard body P.
+
+    Attributes:
+        features: Maps positions (nq_j, n) to the (f, n) functions that the rotation is linear in.
+        rotation: (9, f) matrix C with vec(R) = C features(q), row after row.
+        offset: (3,) position of Mo at q = 0, m.
+        translation: (3, nq_j) matrix T: the position of Mo is offset + T q, m.
+        angular: (3, nv_j) matrix S: the angular velocity is S v, rad/s.
+        linear: (3, nv_j) matrix S: the velocity of Mo is S v, m/s.
+    """
+
+    features: Callable[[Array], Array]
+    rotation: Array
+    translation: Array
+    angular: Array
+    linear: Array
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+
+    def between(self, X_PF: RigidTransform, R_MB: Array) -> FrameMotion:
+        """The same motion, of a frame turned by R_MB, seen from P.
+
+        Args:
+            X_PF: Pose in P of the frame F that the motion is seen from.
+            R_MB: (3, 3) rotation of the frame B, which moves with M, in M.
+        """
+        R_PF = X_PF.rotation().matrix()
+        return FrameMotion(
+            features=self.features,
+            rotation=np.kron(R_PF, R_MB.T) @ self.rotation,
+            translation=R_PF @ self.translation,
+            angular=R_PF @ self.angular,
+            linear=R_PF @ self.linear,
+            offset=X_PF.multiply(self.offset),
+        )
+
+
+def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
+    """One motion for most joints, two for a universal one; sign -1 swaps the frames F and M.
+
+    Only the joints about or along one axis can be swapped (Drake refuses the others), and for
+    them a swap is a change of the axis' sign.
+
+    Args:
+        joint: A joint of any type that is supported.
+        sign: 1, or −1 where frame M is on the inboard side.
+    """
+    match joint:
+        case RevoluteJoint():
+            motions = [_axis_motion(sign * joint.revolute_axis())]
+        case PrismaticJoint():
+            along = sign * joint.translation_axis()[:, None]
+            motions = [FrameMotion(constant, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)]
+        case ScrewJoint():
+            slide = joint.screw_pitch() / (2.0 * np.pi)
+            axis = _screw_axis(joint)
+            motions = [_axis_motion(axis, translation=slide * axis[:, None])]
+        case UniversalJoint():
+            motions = [_axis_motion(_X_AXIS), _axis_motion(_Y_AXIS)]
+        case PlanarJoint():
+            turn = np.diag(_Z_AXIS)
+            motions = [_axis_motion(_Z_AXIS, translation=_IDENTITY - turn, angular=turn)]
+        case BallRpyJoint():
+            motions = [FrameMotion(rpy_rotation, np.eye(9), _ZERO, _IDENTITY, _ZERO)]
+        case RpyFloatingJoint():
+            motions = [_floating_motion(rpy_rotation, rotation_positions=3)]
+        case QuaternionFloatingJoint():
+            motions = [_floating_motion(quaternion_rotation, rotation_positions=4)]
+        case _:
+            raise ModelError(
+                f"Joint {joint.name()!r} has the unsupported type {type(joint).__name__}.",
+                advice="Use a revolute, prismatic, screw, universal, planar, ball or floating one, "
+                "or weld it.",
+                joint=joint.name(),
+            )
+    return motions
+
+
+def _axis_motion(
+    axis: Array, *, translation: Array | None = None, angular: Array | None = None
+) -> FrameMotion:
+    """Rotation about an axis by the last position, with a translation T q at the velocity T v."""
+    angular = axis[:, None] if angular is None else angular
+    translation = np.zeros_like(angular) if translation is None else translation
+    along = np.outer(axis, axis)
+    parts = (along, _IDENTITY - along, np.cross(_IDENTITY, axis))  # of 1, cos, sin
+    rotation = np.stack([part.ravel() for part in parts], axis=-1)
+    return FrameMotion(cosine_sine, rotation, translation, angular, translation)
+
+
+def _screw_axis(joint: ScrewJoint) -> Array:
+    """The axis of a screw, which Drake keeps to itself, from its motion at 1 rad/s."""
+    context = joint.GetParentPlant().CreateDefaultContext()
+    joint.set_angular_velocity(context, 1.0)
+    frame_F = joint.frame_on_parent()
+    V_FM_F = joint.frame_on_child().CalcSpatialVelocity(context, frame_F, frame_F)
+    return V_FM_F.rotational()
+
+
+def _floating_motion(rotation: Callable[[Array], Array], *, rotation_positions: int) -> FrameMotion:
+    """Free motion: q is the rotation's positions, then p_FoMo_F; v is w_FM_F, then v_FMo_F."""
+    translation = np.hstack([np.zeros((3, rotation_positions)), _IDENTITY])
+    angular, linear = np.hstack([_IDENTITY, _ZERO]), np.hstack([_ZERO, _IDENTITY])
+    return FrameMotion(rotation, np.eye(9), translation, angular, linear)

@@ -1,0 +1,197 @@
+"""The kinematic tree of a plant, read once, as plain numbers for batched computations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame, Joint, WeldJoint
+
+from geodrake.errors import ModelError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.robot.joints import FrameMotion, joint_motions
+
+_WORLD, _MASSLESS = -1, -2
+
+
+@dataclass(frozen=True)
+class Mobilizer:
+    """One joint of the tree and the body B that it moves; P is the body on its inboard side.
+
+    Attributes:
+        parent: Index of the inboard mobilizer in the tree, -1 for the world.
+        body: Index of B among the lumped bodies, negative for a massless frame within a joint.
+        positions: Where the mobilizer's positions are in q.
+        velocities: Where its velocities are in v.
+        dofs: Indices in v of all velocities that move B, the mobilizer's own ones last.
+        motion: Motion of the frame B, displaced to Mo, in P.
+        p_MoBo_B: (3,) position of Bo from the joint's Mo, m.
+        gravity: Whether gravity acts on B.
+    """
+
+    parent: int
+    body: int
+    positions: slice
+    velocities: slice
+    dofs: tuple[int, ...]
+    motion: FrameMotion
+    p_MoBo_B: Array  # noqa: N815
+    gravity: bool
+
+
+@dataclass(frozen=True)
+class KinematicTree:
+    """A plant's mobilizers, every one after its parent, with the sizes and gravity.
+
+    Bodies are those of `lumped_bodies`, each in the frame of its representative.
+
+    Attributes:
+        mobilizers: The mobilizers, inboard before outboard.
+        bodies: Names of the (nb) lumped bodies.
+        num_positions: nq of the plant.
+        num_velocities: nv of the plant.
+        gravity: (3,) gravity in the world frame, m/s².
+    """
+
+    mobilizers: tuple[Mobilizer, ...]
+    bodies: tuple[str, ...]
+    num_positions: int
+    num_velocities: int
+    gravity: Array
+
+    @classmethod
+    def from_plant(cls, plant: MultibodyPlant) -> KinematicTree:
+        """Reads the tree of a finalized plant, with its default parameters.
+
+        Args:
+            plant: Any finalized plant; it is not kept.
+
+        Raises:
+            ArgumentError: It is no plant.
+            ModelError: The plant is not finalized, has a joint of an unsupported type or a loop,
+                or has gravity switched off for a part of a connected robot only.
+        """
+        bodies = lumped_bodies(plant)
+        gravity = [_has_gravity(plant, body) for body in bodies]
+        last = {_WORLD: -1}  # every body reached so far: its mobilizer
+        mobilizers: list[Mobilizer] = []
+        for edge in _edges(plant, bodies):
+            if edge.inboard != _WORLD and gravity[edge.inboard] != gravity[edge.outboard]:
+                raise _partial_gravity(bodies[edge.outboard].name)
+            q, v = edge.joint.position_start(), edge.joint.velocity_start()
+            motions = joint_motions(edge.joint, edge.sign)
+            for step, motion in enumerate(motions, start=1):
+                parent = last[edge.inboard] if step == 1 else len(mobilizers) - 1
+                is_last = step == len(motions)
+                nq, nv = motion.translation.shape[1], motion.angular.shape[1]
+                X_PF = edge.X_PF if step == 1 else RigidTransform()
+                X_MB = edge.X_MB if is_last else RigidTransform()
+                R_MB = X_MB.rotation().matrix()
+                mobilizers.append(
+                    Mobilizer(
+                        parent=parent,
+                        body=edge.outboard if is_last else _MASSLESS,
+                        positions=slice(q, q + nq),
+                        velocities=slice(v, v + nv),
+                        dofs=(*(mobilizers[parent].dofs if parent >= 0 else ()), *range(v, v + nv)),
+                        motion=motion.between(X_PF, R_MB),
+                        p_MoBo_B=R_MB.T @ X_MB.translation(),
+                        gravity=gravity[edge.outboard],
+                    )
+                )
+                q, v = q + nq, v + nv
+            last[edge.outboard] = len(mobilizers) - 1
+        return cls(
+            mobilizers=tuple(mobilizers),
+            bodies=tuple(body.name for body in bodies),
+            num_positions=plant.num_positions(),
+            num_velocities=plant.num_velocities(),
+            gravity=np.array(plant.gravity_field().gravity_vector()),
+        )
+
+    def branch(self, body: int) -> KinematicTree:
+        """The same tree with only the mobilizers between the world and a body."""
+        index = next(i for i, mobilizer in enumerate(self.mobilizers) if mobilizer.body == body)
+        path: list[Mobilizer] = []
+        while index >= 0:
+            path.append(self.mobilizers[index])
+            index = path[-1].parent
+        path = [replace(mobilizer, parent=i - 1) for i, mobilizer in enumerate(reversed(path))]
+        return replace(self, mobilizers=tuple(path))
+
+    def columns(self, dof: int) -> NDArray[np.intp]:
+        """Columns of the regressor that can differ from zero in the row of one velocity."""
+        moved = sorted(m.body for m in self.mobilizers if m.body >= 0 and dof in m.dofs)
+        columns = np.arange(PARAMETERS_PER_BODY * len(self.bodies))
+        return columns.reshape(-1, PARAMETERS_PER_BODY)[moved].ravel()
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A joint that moves the outboard body B with respect to the inboard P, as Drake sees it."""
+
+    joint: Joint
+    inboard: int
+    outboard: int
+    X_PF: RigidTransform
+    X_MB: RigidTransform
+    sign: float
+
+
+def _edges(plant: MultibodyPlant, bodies: tuple[LumpedBody, ...]) -> Iterator[_Edge]:
+    """The moving joints, inboard before outboard; `sign` is -1 where the child is inboard."""
+    context, world = plant.CreateDefaultContext(), plant.world_frame()
+    places = {
+        body.index(): (_WORLD, body.body_frame().CalcPose(context, world))
+        for body in plant.GetBodiesWeldedTo(plant.world_body())
+    }
+    for number, lump in enumerate(bodies):
+        places.update({member.index: (number, member.X_RB) for member in lump.members})
+
+    def place(frame: Frame) -> tuple[int, RigidTransform]:
+        body, X_RB = places[frame.body().index()]
+        return body, X_RB.multiply(frame.GetFixedPoseInBodyFrame())
+
+    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+    waiting = [
+        (joint, place(joint.frame_on_parent()), place(joint.frame_on_child()))
+        for joint in joints
+        if not isinstance(joint, WeldJoint)
+    ]
+    reached = {_WORLD}
+    while waiting:
+        joint, parent, child = next(
+            edge for edge in waiting if edge[1][0] in reached or edge[2][0] in reached
+        )
+        waiting = [edge for edge in waiting if edge[0] is not joint]
+        if parent[0] in reached and child[0] in reached:
+            raise ModelError(
+                f"Joint {joint.name()!r} closes a kinematic loop.",
+                advice="Open the loop: leave the joint out of the model.",
+            )
+        sign = 1.0 if parent[0] in reached else -1.0
+        (inboard, X_PF), (outboard, X_BM) = (parent, child) if sign > 0 else (child, parent)
+        reached.add(outboard)
+        yield _Edge(joint, inboard, outboard, X_PF, X_BM.inverse(), sign)
+
+
+def _has_gravity(plant: MultibodyPlant, body: LumpedBody) -> bool:
+    """Whether gravity acts on a body's members, which must agree."""
+    instances = {plant.get_body(member.index).model_instance() for member in body.members}
+    enabled = {plant.is_gravity_enabled(instance) for instance in instances}
+    if len(enabled) > 1:
+        raise _partial_gravity(body.name)
+    return enabled.pop()
+
+
+def _partial_gravity(name: str) -> ModelError:
+    return ModelError(
+        f"Gravity acts on one part of a connected robot and not on another, at body {name!r}.",
+        advice="Switch gravity on or off for all model instances that are joined together.",
+        body=name,
+    )

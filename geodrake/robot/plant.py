@@ -1,0 +1,281 @@
+"""Model files as plants of rigid bodies, and the parameters of such plants.
+
+A loaded plant has rigid-body dynamics only. Damping, dry friction and rotor inertia that the file
+states are read out (`LoadedPlant.file_damping` and so on) and taken out of the plant, because they
+are effects of their own in geodrake; inertias that no body can have are repaired and reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    BodyIndex,
+    Joint,
+    JointActuatorIndex,
+    JointIndex,
+    RigidBody,
+    SpatialInertia,
+)
+from pydrake.systems.framework import Context
+
+from geodrake.boundary.arguments import real_array
+from geodrake.errors import ModelError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_spatial_inertia
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.files import ModelDescription, read_description
+from geodrake.robot.files.checks import check_poses
+from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.repairs import Repair, repair_inertias
+
+
+@dataclass(frozen=True)
+class LoadedPlant:
+    """A robot read from a model file.
+
+    Attributes:
+        plant: Finalized, continuous in time, without damping, friction and rotor inertia.
+        path: The model file.
+        repairs: Bodies whose inertia no body can have, with what they got instead.
+        notes: Sentences on what else of the file was read in a way worth knowing.
+        file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m.
+        file_friction: (nv,) dry friction of the file, N·m or N.
+        file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
+    """
+
+    plant: MultibodyPlant
+    path: Path
+    repairs: tuple[Repair, ...]
+    notes: tuple[str, ...]
+    file_damping: Array
+    file_friction: Array
+    file_rotor_inertia: Array
+
+    @property
+    def stated(self) -> Mapping[str, Array]:
+        """What the file states of joints and the plant does not have, (nv,) each, by its name."""
+        return {
+            "damping": self.file_damping,
+            "dry friction": self.file_friction,
+            "reflected rotor inertia": self.file_rotor_inertia,
+        }
+
+
+def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
+    """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
+
+    Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
+    loops and mimic joints are read as an open tree.
+
+    Args:
+        path: The model file; the root element, not the suffix, decides between the XML formats.
+        floating: Leave bodies free that the file does not attach to the world; otherwise each
+            root is welded to the world where the file puts it.
+
+    Raises:
+        ModelError: The file cannot be read, is no robot description, or nothing moves in it.
+    """
+    path = Path(path)
+    with drake_messages() as messages:
+        description = read_description(path)
+        draft = _build(description, floating=floating)
+        repairs, repair_notes, changed = repair_inertias(description, draft.plant)
+        built = _build(description, floating=floating) if changed else draft
+    notes = (*description.notes, *built.notes, *repair_notes, *_relevant(messages))
+    return LoadedPlant(
+        built.plant,
+        path,
+        repairs,
+        tuple(dict.fromkeys(notes)),
+        built.damping,
+        built.friction,
+        built.rotor_inertia,
+    )
+
+
+@dataclass(frozen=True)
+class _Built:
+    plant: MultibodyPlant
+    notes: tuple[str, ...]
+    damping: Array
+    friction: Array
+    rotor_inertia: Array
+
+
+def _build(description: ModelDescription, *, floating: bool) -> _Built:
+    plant = MultibodyPlant(time_step=0.0)
+    description.add_to(plant)
+    with drake_errors(description.path):
+        notes = [*_root_notes(plant, floating=floating)]
+        _limit_efforts(plant, description)
+        damping = {
+            j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
+        }
+        rotor = _take_rotor_inertia(plant, description)
+        for joint in _joints(plant):
+            joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
+        plant.Finalize()
+        check_poses(plant, description.path)
+    if plant.num_velocities() == 0:
+        links = plant.num_bodies() - 1
+        raise ModelError(
+            f"No joint moves in {description.path}: "
+            + (f"its {links} links are welded to the world." if links else "it has no links."),
+            advice="Give a model with moving joints, or load it as a floating base.",
+            path=description.path,
+        )
+    if plant.num_constraints() or plant.num_force_elements() > 1:
+        notes.append("Constraints and springs of the file are no part of the open tree.")
+
+    def per_velocity(values: dict[int, Array]) -> Array:
+        array = np.zeros(plant.num_velocities())
+        for j, joint in enumerate(_joints(plant)):
+            if j in values:
+                start = joint.velocity_start()
+                array[start : start + joint.num_velocities()] = np.nan_to_num(values[j])
+        return array
+
+    stated = description.joint_values("friction")
+    friction = {
+        j: np.full(joint.num_velocities(), stated.get(_scoped(joint), 0.0))
+        for j, joint in enumerate(_joints(plant))
+    }
+    arrays = [per_velocity(values) for values in (damping, friction, rotor)]
+    return _Built(plant, tuple(notes), *arrays)
+
+
+def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:
+    """Welds the free roots to the world unless they shall float; says what is worth saying."""
+    roots = free_roots(plant)
+    if floating:
+        return [] if roots else ["The file attaches the robot to the world, so nothing floats."]
+    for body in roots:
+        X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+        plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+    names = ", ".join(body.name() for body in roots)
+    return [f"{names} are roots of their own; each is welded to the world."] if roots[1:] else []
+
+
+def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
+    """The root of each tree that no joint connects to the world."""
+    tree = list(range(plant.num_bodies()))
+    children = set()
+    for joint in _joints(plant):
+        parent, child = int(joint.parent_body().index()), int(joint.child_body().index())
+        children.add(child)
+        old, new = tree[child], tree[parent]
+        tree = [new if label == old else label for label in tree]
+    roots: dict[int, int] = {}
+    for body, label in enumerate(tree):
+        if label != tree[0] and body not in children:
+            roots.setdefault(label, body)
+    return [plant.get_body(BodyIndex(body)) for body in roots.values()]
+
+
+def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None:
+    """Gives the joints the effort limits that the file states without an actuator of Drake's."""
+    actuators = {int(a.joint().index()): a for a in _actuators(plant)}
+    efforts = description.joint_values("effort")
+    for joint in _joints(plant):
+        limit = efforts.get(_scoped(joint), 0.0)
+        if joint.num_velocities() == 1 and limit > 0:
+            if int(joint.index()) in actuators:
+                actuators[int(joint.index())].set_effort_limit(limit)
+            else:
+                plant.AddJointActuator(joint.name(), joint, limit)
+
+
+def _take_rotor_inertia(plant: MultibodyPlant, description: ModelDescription) -> dict[int, Array]:
+    """Reflected inertias by joint, which are set to zero in the plant."""
+    numbers = {int(joint.index()): j for j, joint in enumerate(_joints(plant))}
+    stated = description.joint_values("armature")
+    rotor = {
+        j: np.full(joint.num_velocities(), stated.get(_scoped(joint), 0.0))
+        for j, joint in enumerate(_joints(plant))
+    }
+    for actuator in _actuators(plant):
+        joint = actuator.joint()
+        if _scoped(joint) not in stated:
+            rotor[numbers[int(joint.index())]] += actuator.default_reflected_inertia()
+        actuator.set_default_rotor_inertia(0.0)
+    return rotor
+
+
+def _relevant(messages: list[str]) -> list[str]:
+    """What Drake says about masses and inertias that it replaced on its own."""
+    lines = [message.partition("\n")[0].rpartition("warning: ")[2] for message in messages]
+    return [f"Drake: {line}" for line in lines if "inertia" in line or "mass" in line]
+
+
+def _joints(plant: MultibodyPlant) -> list[Joint]:
+    return [plant.get_joint(JointIndex(i)) for i in plant.GetJointIndices()]
+
+
+def _actuators(plant: MultibodyPlant) -> list[JointActuatorIndex]:
+    return [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
+
+
+def _scoped(joint: Joint) -> str:
+    instance = joint.GetParentPlant().GetModelInstanceName(joint.model_instance())
+    return f"{instance}::{joint.name()}"
+
+
+def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayLike) -> None:
+    """Writes inertial parameters into a plant's context.
+
+    The representative of each lumped body gets all of it; the links welded to it become massless.
+
+    Args:
+        plant: A finalized plant.
+        context: The plant's context, changed in place.
+        phi: (nb, 10) parameters in the order and frames of `inertial_parameters`; they need not
+            be physical.
+
+    Raises:
+        ArgumentError: The shape does not fit, or a value is not finite.
+    """
+    lumps = lumped_bodies(plant)
+    phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
+    for body, parameters in zip(lumps, phi, strict=True):
+        for member in body.members[1:]:
+            plant.get_body(member.index).SetSpatialInertiaInBodyFrame(
+                context, SpatialInertia.Zero()
+            )
+        plant.get_body(body.body_index).SetSpatialInertiaInBodyFrame(
+            context, to_spatial_inertia(parameters)
+        )
+
+
+def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
+    """Names of the velocities (nv): the joint's, with a suffix where it has several.
+
+    A name that several model instances use is preceded by its instance, `left_elbow`.
+    """
+    names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
+    full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
+    return tuple(
+        long if names.count(short) > 1 else short for short, long in zip(names, full, strict=True)
+    )
+
+
+def effort_limits(plant: MultibodyPlant) -> Array:
+    """Largest efforts (nv,) of the plant's actuators, N·m or N; infinite where there is none."""
+    limits = np.full(plant.num_velocities(), np.inf)
+    for actuator in _actuators(plant):
+        limits[actuator.joint().velocity_start()] = actuator.effort_limit()
+    return limits
+
+
+def position_limits(plant: MultibodyPlant) -> tuple[Array, Array]:
+    """Lower and upper limits of the positions, each (nq,), rad or m."""
+    return plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+
+
+def velocity_limits(plant: MultibodyPlant) -> Array:
+    """Largest speeds (nv,) in both directions, rad/s or m/s; infinite where there is no limit."""
+    return np.minimum(-plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits())

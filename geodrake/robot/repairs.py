@@ -1,0 +1,211 @@
+"""Inertias in model files that no body can have, and the least change that makes them usable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
+
+from geodrake.errors import ModelError
+from geodrake.inertia import (
+    Array,
+    from_pseudo_inertia,
+    from_spatial_inertia,
+    is_physical,
+    pseudo_inertia,
+    to_mass_com_inertia,
+)
+from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.inertia.kernels import calc_change_frame
+from geodrake.robot.files import ModelDescription
+
+TOLERANCE = 1e-6  # of P's eigenvalues: a link of 1 m that is 1 mm thin
+LEAST_MASS = 1e-12  # kg, up to which a mass counts as none
+LEAST_SIZE = 1e-15  # m, up to which a body counts as a point
+LEAST_LENGTH = 0.01  # m, least radius of gyration given to a body
+LENGTH_PER_SIZE = 0.05  # the same, as a share of the body's size
+MASS_PER_TOTAL = 1e-3  # mass of all bodies without one, as a share of the robot's
+
+
+@dataclass(frozen=True)
+class Repair:
+    """A body of a model file whose inertia was replaced.
+
+    Attributes:
+        body: Name of the lumped body.
+        problem: What is wrong with the inertia of the file, to be read after the name.
+        before: (10,) inertial parameters of the file.
+        after: (10,) inertial parameters of the plant.
+    """
+
+    body: str
+    problem: str
+    before: Array
+    after: Array
+
+    def __str__(self) -> str:
+        mass, _, inertia = to_mass_com_inertia(self.after)
+        moments = ", ".join(f"{x:.3g}" for x in np.linalg.eigvalsh(inertia))
+        return (
+            f"{self.body} {self.problem}; it gets {mass:.3g} kg with principal moments "
+            f"{moments} kg·m² about its centre of mass."
+        )
+
+
+def repair_inertias(
+    description: ModelDescription, plant: MultibodyPlant
+) -> tuple[tuple[Repair, ...], tuple[str, ...], bool]:
+    """Puts usable inertias into a description.
+
+    Args:
+        description: The model file; its text is changed in place.
+        plant: The plant of the description as it is, without the inertias set aside.
+
+    Returns:
+        The repairs, notes on welded links that were left out, and whether the text changed.
+
+    Raises:
+        ModelError: A body needs repair, but comes from a file that is included.
+    """
+    lumps = lumped_bodies(plant)
+    stated = [_stated_parameters(description, plant, body) for body in lumps]
+    usable = [np.where(_counts(phi)[:, None], phi, 0.0).sum(0) for phi in stated]
+    spare_mass = _spare_mass(usable)
+    repairs, notes, changed = [], [], False
+    for body, members, phi in zip(lumps, stated, usable, strict=True):
+        after = phi
+        if not (is_physical(phi, tolerance=TOLERANCE) and _counts(phi) and _has_size(phi)):
+            after = nearest_physical(phi, points=_joint_points(plant, body), spare_mass=spare_mass)
+            before = members.sum(0)
+            problem = _problem(before if len(members) == 1 or not _counts(phi) else phi)
+            repairs.append(Repair(body.name, problem, before, after))
+        else:
+            names = [m.name for m, x in zip(body.members, members, strict=True) if _left_out(x)]
+            if names:
+                notes.append(f"{', '.join(names)}: no mass above zero, so it adds none.")
+        scoped = {_scoped(plant, member.index) for member in body.members}
+        if after is not phi or scoped & description.set_aside.keys():
+            changed = True
+            _write(description, plant, body, after)
+    return tuple(repairs), tuple(notes), changed
+
+
+def nearest_physical(phi: Array, *, points: Array, spare_mass: float) -> Array:
+    """The smallest body that keeps the mass and centre of mass of impossible parameters.
+
+    The central second moments are raised to m ℓ² where they are less; a body without a mass
+    becomes a small ball amid its joints.
+
+    Args:
+        phi: (10,) inertial parameters that are not physical.
+        points: (k, 3) positions of the body's joints in its frame, m.
+        spare_mass: Mass that a body without one gets, kg.
+
+    Returns:
+        (10,) physical inertial parameters.
+    """
+    mass, com = phi[0], points.mean(0)
+    second_moment = np.zeros((3, 3))
+    if _counts(phi):
+        com = phi[1:4] / mass
+        second_moment = pseudo_inertia(phi)[:3, :3] - mass * np.outer(com, com)
+    else:
+        mass = spare_mass
+    ends = np.vstack([points, com])
+    size = np.linalg.norm(ends[:, None] - ends, axis=-1).max()
+    length = max(LEAST_LENGTH, LENGTH_PER_SIZE * size)
+    values, axes = np.linalg.eigh(second_moment)
+    matrix = np.empty((4, 4))
+    matrix[:3, :3] = (axes * np.maximum(values, mass * length**2)) @ axes.T
+    matrix[:3, :3] += mass * np.outer(com, com)
+    matrix[:3, 3] = matrix[3, :3] = mass * com
+    matrix[3, 3] = mass
+    return from_pseudo_inertia(matrix)
+
+
+def _spare_mass(usable: list[Array]) -> float:
+    """Mass for each body without one, kg: together a small share of the robot's."""
+    total, massless = sum(phi[0] for phi in usable), sum(not _counts(phi) for phi in usable)
+    return float(MASS_PER_TOTAL * total / max(massless, 1)) if total > 0 else 1.0
+
+
+def _left_out(phi: Array) -> bool:
+    return bool(phi.any() and not _counts(phi))
+
+
+def _counts(phi: Array) -> NDArray[np.bool_]:
+    """Whether parameters (..., 10) are finite with a mass that is one, so that they can be used."""
+    return np.asarray(np.isfinite(phi).all(-1) & (phi[..., 0] > LEAST_MASS))
+
+
+def _has_size(phi: Array) -> bool:
+    """Whether the mass of parameters (10,) is not all in one point, the body's origin."""
+    second_moments = np.diagonal(pseudo_inertia(phi))[:3]
+    return bool(second_moments.max() > LEAST_SIZE**2 * phi[0])
+
+
+def _stated_parameters(
+    description: ModelDescription, plant: MultibodyPlant, body: LumpedBody
+) -> Array:
+    """What the file states for each member (k, 10), in the representative's frame."""
+    rows = []
+    for member in body.members:
+        spatial = plant.get_body(member.index).default_spatial_inertia()
+        phi = description.set_aside.get(_scoped(plant, member.index))
+        phi = from_spatial_inertia(spatial) if phi is None else phi
+        X_RB = member.X_RB
+        rows.append(calc_change_frame(phi, X_RB.rotation().matrix(), X_RB.translation()))
+    return np.array(rows)
+
+
+def _joint_points(plant: MultibodyPlant, body: LumpedBody) -> Array:
+    """Origins of the moving joints of a body, in its frame, m; shape (k, 3)."""
+    context = plant.CreateDefaultContext()
+    indices = {int(member.index) for member in body.members}
+    frame = plant.get_body(body.body_index).body_frame()
+    points = [np.zeros(3)]
+    for joint_index in plant.GetJointIndices():
+        joint = plant.get_joint(joint_index)
+        if joint.num_velocities() and int(joint.parent_body().index()) in indices:
+            X_RJ = plant.CalcRelativeTransform(context, frame, joint.frame_on_parent())
+            points.append(X_RJ.translation())
+    return np.array(points)
+
+
+def _problem(phi: Array) -> str:
+    if not np.isfinite(phi).all():
+        return "has a mass or inertia that is not a number"
+    if phi[0] <= LEAST_MASS:
+        return f"has a mass of {phi[0]:g} kg"
+    mass, _, inertia = to_mass_com_inertia(phi)
+    moments = np.linalg.eigvalsh(inertia)
+    if np.abs(moments).max() < TOLERANCE**2 * mass:
+        return f"has {mass:.3g} kg but no rotational inertia about its centre of mass"
+    stated = ", ".join(f"{x:.3g}" for x in moments)
+    if moments[0] < 0:
+        why = "one is negative"
+    elif moments[0] + moments[1] < (1 - TOLERANCE) * moments[2]:
+        why = "one exceeds the sum of the others"
+    else:
+        why = "it has no thickness"
+    return f"has principal moments of inertia {stated} kg·m², which no body can have ({why})"
+
+
+def _write(
+    description: ModelDescription, plant: MultibodyPlant, body: LumpedBody, phi: Array
+) -> None:
+    """Gives the representative all of a body, and the links welded to it nothing."""
+    for k, member in enumerate(body.members):
+        if not description.set_inertia(_scoped(plant, member.index), phi if k == 0 else None):
+            raise ModelError(
+                f"{body.name} has an inertia that no body can have, in a file that "
+                f"{description.path} includes.",
+                advice="Correct the included file, or load it by itself.",
+                body=body.name,
+            )
+
+
+def _scoped(plant: MultibodyPlant, index: int) -> str:
+    return plant.get_body(index).scoped_name().get_full()

@@ -1,0 +1,235 @@
+"""The command on logs that it can use: tables, sentences, files, progress."""
+
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measurements import DATA
+from rich.console import Console
+from typer.testing import CliRunner
+
+import geodrake
+from geodrake.cli import tables
+from geodrake.cli.app import app
+from geodrake.diagnosis import Step, compare, diagnose, explain
+from geodrake.effects import CoulombFriction, JointEffect, Parameter
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.saved_model import load_model
+from geodrake.report.numbers import Units
+from geodrake.report.words import finding, step_parameters
+
+MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+COULOMB = {"shoulder": 0.3, "elbow": 0.2}
+
+
+def pendulum_log(path, *, friction=True, seed=0, seconds=20.0):
+    """A log of the double pendulum with dry and viscous friction and sensor noise."""
+    rng = np.random.default_rng(seed)
+    model = load_model(MODEL)
+    time = np.arange(0.0, seconds, 0.01)
+    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
+    phases = rng.uniform(0, 2 * np.pi, rates.shape)
+    angle = rates * time[:, None, None] + phases
+    q, v, vd = (
+        np.sum(0.4 * factor, axis=-1)
+        for factor in (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    )
+    effort = model.effort(Motion(q, v, vd))
+    if friction:
+        effort += np.sign(v) * list(COULOMB.values()) + 0.1 * v
+    effort += 0.02 * rng.normal(size=effort.shape)
+    write_log(JointLog("log", model.joints, time, q, effort), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return pendulum_log(tmp_path_factory.mktemp("logs") / "log.csv")
+
+
+def geodrake_command(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_explain_tells_saves_and_writes_the_schema(log, tmp_path):
+    saved, numbers = tmp_path / "model.yaml", tmp_path / "out.json"
+    result = geodrake_command("explain", MODEL, log, "--save", saved, "--json", numbers)
+    assert result.exit_code == 0, result.output
+    for words in ("coulomb_friction", "Verdict: ", "Error of each joint", "bandwidth", str(saved)):
+        assert words in result.output
+    assert not re.search("[─━│\x1b]", result.output)
+
+    found = json.loads(numbers.read_text())
+    assert found["verdict"] in ("adequate", "explained", "unexplained")
+    assert found["command"] == "explain"
+    coulomb = next(step for step in found["steps"] if step["effect"] == "coulomb_friction")
+    assert set(coulomb["where"]) == set(COULOMB)
+    for joint, value in COULOMB.items():
+        assert coulomb["parameters"][joint]["coulomb"] == pytest.approx(value, rel=0.15)
+    assert coulomb["error_after"] < coulomb["error_before"]
+    assert isinstance(coulomb["indistinguishable_from"], list)
+    assert 0 <= coulomb["false_alarm_probability"] <= 1
+    error = found["error"]
+    for table in ("start", "end", "floor", "refit"):
+        assert set(error[table]) == set(COULOMB)
+    assert error["end_nrms"] < error["start_nrms"]
+    assert error["floor_nrms"] > 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.yaml", "out.json"]
+
+    again = geodrake_command("compare", saved, log, "--json", "-")
+    assert again.exit_code == 0, again.output
+    compared = json.loads(again.stdout)  # the tables go to stderr
+    assert compared["error"]["nrms"] == pytest.approx(error["end_nrms"], rel=0.3)
+    assert set(compared["joints"]["elbow"]) == {"rms", "std", "nrms", "floor", "removable"}
+    assert "Verdict: nrms" in again.stderr
+
+
+def test_diagnose_ranks_and_saves_the_model_as_loaded(log, tmp_path):
+    saved, numbers = tmp_path / "model.yml", tmp_path / "d.json"
+    result = geodrake_command("diagnose", MODEL, log, "--save", saved, "--json", numbers)
+    assert result.exit_code == 0, result.output
+    assert "Missing: " in result.output
+    found = json.loads(numbers.read_text())
+    assert "coulomb_friction" in found["candidates"][0]["effect"]
+    assert found["error"]["start_nrms"] > found["candidates"][0]["error_after"]
+    assert geodrake.load_model(saved).effects == ()
+
+
+def test_add_takes_a_place_and_a_saved_model(log, tmp_path):
+    saved = tmp_path / "model.yaml"
+    result = geodrake_command(
+        "add", "coulomb_friction", MODEL, log, "--where", "elbow", "--save", saved
+    )
+    assert result.exit_code == 0, result.output
+    effects = [fitted.effect for fitted in geodrake.load_model(saved).effects]
+    assert CoulombFriction("elbow") in effects
+    assert CoulombFriction("shoulder") not in effects
+    assert re.search(r"coulomb_friction on elbow, [\d.]+ ± [\d.]+ N·m, nrms", result.output)
+
+
+def test_no_step_is_told_of_a_model_that_is_right(tmp_path):
+    log = pendulum_log(tmp_path / "log.csv", friction=False)
+    result = geodrake_command("explain", MODEL, log)
+    assert result.exit_code == 0, result.output
+    assert "Adequate: " in result.output
+
+
+def test_own_effects_are_tried(log, tmp_path):
+    own = tmp_path / "own.py"
+    own.write_text(OWN_EFFECT)
+    arguments = ("add", "cosine_friction", MODEL, log, "--where", "elbow", "--effects", own)
+    result = geodrake_command(*arguments)
+    assert result.exit_code == 0, result.output
+    assert "cosine_friction on elbow" in result.output
+
+
+OWN_EFFECT = """
+from dataclasses import dataclass
+import numpy as np
+from geodrake.effects import JointEffect, Parameter
+
+@dataclass(frozen=True)
+class CosineFriction(JointEffect):
+    name = "cosine_friction"
+    parameters = (Parameter("strength", "N·m"),)
+
+    def columns(self, motion):
+        return [np.cos(motion.q) * motion.sign_v]
+"""
+
+
+def test_report_is_one_page(log, tmp_path):
+    page = tmp_path / "page.html"
+    assert geodrake_command("compare", MODEL, log, "--report", page).exit_code == 0
+    assert "<html" in page.read_text(encoding="utf-8")
+
+
+def test_module_runs_piped_in_ascii_without_progress(log):
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "80"}
+    run = subprocess.run(
+        [sys.executable, "-m", "geodrake", "compare", MODEL, log],
+        capture_output=True,
+        text=True,
+        env=environment,
+        cwd=MODEL.parents[1],
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stderr == ""
+    assert "shoulder" in run.stdout
+
+
+def test_version_and_help():
+    assert re.match(r"geodrake ", geodrake_command("--version").output)
+    text = geodrake_command("--help").output
+    for command in ("compare", "diagnose", "add", "explain", "demo"):
+        assert command in text
+        assert geodrake_command(command, "--help").exit_code == 0
+
+
+def test_a_terminal_of_80_columns_is_wide_enough(log):
+    model = load_model(MODEL)
+    screen = io.StringIO()
+    console = Console(file=screen, force_terminal=True, width=80, markup=False, highlight=False)
+    units = Units.of(model)
+    tables.show_explanation(console, explain(model, [log]), units)
+    tables.show_diagnosis(console, diagnose(model, [log]), units)
+    tables.show_comparison(console, compare(model, [log]), units)
+    lines = re.sub(r"\x1b\[[0-9;]*m", "", screen.getvalue()).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("coulomb_friction" in line and "shoulder and elbow" in line for line in lines)
+
+
+def test_delays_are_shown_in_milliseconds_with_their_deviation():
+    found = {"elbow": {"delay": 0.01161}}, {"elbow": {"delay": 0.00034}}
+    step = Step("effort_delay", ("elbow",), 0.2, 0.1, *found, (), 0.0, 1.0, {}, {})
+    units = Units.of(load_model(MODEL))
+    assert step_parameters(step, units) == ("delay 11.6 ± 0.3 ms",)
+    assert "11.6 ± 0.3 ms" in finding(step, units)
+
+
+def test_what_is_called_delay_and_is_no_time_is_shown_as_it_is():
+    class Sluggish(JointEffect):
+        name = "sluggish"
+        parameters = (Parameter("delay", "N·m"),)
+
+    model = load_model(MODEL)
+    found = {"elbow": {"delay": 2.0}}, {"elbow": {"delay": 0.1}}
+    step = Step("sluggish", ("elbow",), 0.2, 0.1, *found, (), 0.0, 1.0, {}, {})
+    assert step_parameters(step, Units.of(model, [Sluggish])) == ("delay 2.00 ± 0.10 N·m",)
+
+
+def test_a_terminal_needs_no_matplotlib(log):
+    """Words and numbers come from where pages do, and pages alone need figures."""
+    code = (
+        "import sys\n"
+        "from geodrake.cli.app import app\n"
+        "app(sys.argv[1:], standalone_mode=False)\n"
+        "print('matplotlib' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code, "compare", str(MODEL), str(log)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "False"
+
+
+def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = geodrake_command("demo")
+    assert result.exit_code == 0, result.output
+    assert "geodrake_demo.html" in result.output
+    assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
+
+
+@pytest.mark.measurements("data/double_pendulum_c1_*.csv")
+def test_real_pendulum_is_explained():
+    logs = sorted(DATA.glob("double_pendulum_c1_*.csv"))
+    result = geodrake_command("explain", MODEL, *logs)
+    assert result.exit_code == 0, result.output
+    assert "coulomb_friction" in result.output

@@ -1,0 +1,306 @@
+"""`geodrake excite`: motions within limits, files that can be read again, bad input."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from yaml import safe_load
+
+from geodrake.cli.app import app
+from geodrake.cli.identify import named_effects
+from geodrake.cli.option_values import joint_values, limits_of
+from geodrake.cli.tell_apart import separation_of
+from geodrake.effects import CoulombFriction, FittedEffect
+from geodrake.errors import ArgumentError
+from geodrake.excitation import make_target
+from geodrake.excitation.effect_sizes import sized_effects
+from geodrake.logs.files import read_log
+from geodrake.logs.motion import Motion
+from geodrake.model.saved_model import load_model
+
+MODELS = Path(__file__).parents[2] / "models"
+PENDULUM = MODELS / "double_pendulum.urdf"
+SOON = ("--seeds", 1, "--iterations", 12)
+FAST = (*SOON, "--samples", 60, "--duration", 4, "--harmonics", 2)
+OWN = """
+from dataclasses import dataclass
+from geodrake.effects.base import JointEffect, Parameter
+
+@dataclass(frozen=True)
+class CubicFriction(JointEffect):
+    \"\"\"c v³.\"\"\"
+    name = "cubic_friction"
+    parameters = (Parameter("coefficient", "N·m·s³/rad³", lower=0.0),)
+
+    def columns(self, joint):
+        return [joint.v**3]
+"""
+BALLS = """<robot name="balls"><link name="base"/>
+  <link name="a"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>
+  <joint name="j" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="{effort}" velocity="2"/></joint></robot>"""
+
+
+def excite(*arguments):
+    return CliRunner().invoke(app, ["excite", *(str(a) for a in arguments)])
+
+
+def refused(*arguments):
+    result = excite(*arguments)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+    return " ".join(result.stderr.split())
+
+
+def test_everything_is_written(tmp_path):
+    names = {"--save": "m.csv", "--json": "n.json", "--report": "r.html", "--meshcat": "m.html"}
+    files = [word for option, name in names.items() for word in (option, tmp_path / name)]
+    limits = ("--limits", "velocity=50%,elbow.acceleration=6", "--limits", "shoulder.position=-1:1")
+    result = excite(PENDULUM, *FAST, *limits, "--effects", "coulomb_friction", *files)
+    assert result.exit_code == 0, result.output
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
+    assert not re.search("[─━│\x1b]", result.output)
+    assert "Saved the motion: " in result.output and "better than the best random" in result.output
+
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    model = load_model(PENDULUM)
+    log = read_log(tmp_path / "m.csv")
+    assert log.joints == model.joints
+    assert log.time[-1] == pytest.approx(4.0)
+    full = limits_of(None, model)
+    assert (np.abs(log.velocity) <= 0.5 * full.velocity + 1e-9).all()
+    assert np.abs(log.position[:, 0]).max() <= 1.0 + 1e-9
+    assert np.abs(log.acceleration[:, 1]).max() <= 6.0 * (1 + 1e-6)
+    expected = model.effort(Motion(log.position, log.velocity, log.acceleration))
+    np.testing.assert_allclose(log.effort, expected, atol=1e-6)
+    np.testing.assert_allclose(log.velocity[[0, -1]], 0.0, atol=1e-7)
+    assert numbers["command"] == "excite" and numbers["value"] > 0
+    assert len(numbers["eigenvalues"]) > 2 and numbers["improvement_over_random"] >= 1.0
+    assert numbers["use"]["shoulder"]["position"] <= 1.0 + 1e-6
+    assert "<img" in (tmp_path / "r.html").read_text()
+    assert "animation" in (tmp_path / "m.html").read_text()
+
+
+def test_the_same_seed_is_the_same_motion(tmp_path):
+    files = [tmp_path / name for name in ("a.csv", "b.csv", "c.csv")]
+    for file, seed in zip(files, (1, 1, 2), strict=True):
+        assert excite(PENDULUM, *FAST, "--seed", seed, "--save", file).exit_code == 0
+    a, b, c = (file.read_bytes() for file in files)
+    assert a == b != c
+
+
+def test_ros_trajectory_and_spline(tmp_path):
+    file = tmp_path / "m.yaml"
+    settings = ("--trajectory", "spline", "--points", 9, "--criterion", "d_optimality")
+    common = (*SOON, "--samples", 40, "--duration", 3, "--rate", 20)
+    result = excite(PENDULUM, *common, *settings, "--start", "0.2", "--save", file)
+    assert result.exit_code == 0, result.output
+    message = safe_load(file.read_text())
+    assert message["joint_names"] == ["shoulder", "elbow"]
+    assert len(message["points"]) == 61
+    assert message["points"][0]["positions"] == pytest.approx([0.2, 0.2])
+    assert message["points"][-1]["velocities"] == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+def test_free_samples_and_standard_output():
+    result = excite(
+        PENDULUM, "--trajectory", "free", "--samples", 12, *SOON,
+        "--limits", "acceleration=10", "--json", "-",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["motion"]["family"] == "samples"
+
+
+def test_collision_geometry_counts(tmp_path):
+    ball = '<collision><geometry><sphere radius="0.05"/></geometry></collision>'
+    for name, shape in (("with", ball), ("without", "")):
+        (tmp_path / f"{name}.urdf").write_text(BALLS.format(shape=shape, effort=20))
+    fast = (*SOON, "--samples", 30, "--duration", 3, "--harmonics", 2)
+    told = excite(tmp_path / "without.urdf", *fast)
+    assert told.exit_code == 0, told.output
+    assert "without.urdf has no collision geometry" in told.output
+    left_out = excite(tmp_path / "with.urdf", *fast, "--no-collisions")
+    assert "were not looked at, as asked for" in left_out.output
+    seen = excite(tmp_path / "with.urdf", *fast)
+    assert seen.exit_code == 0, seen.output
+    assert "collision" not in seen.output
+
+
+class TestTellApart:
+    PAIR = "coulomb_friction,load_dependent_friction"
+
+    def test_everything_is_written(self, tmp_path):
+        names = {"--save": "m.yaml", "--json": "n.json", "--report": "r.html"}
+        files = [word for option, name in names.items() for word in (option, tmp_path / name)]
+        limits = ("--limits", "velocity=4,acceleration=15")
+        result = excite(PENDULUM, *FAST, *limits, "--tell-apart", f"{self.PAIR}@elbow", *files)
+        assert result.exit_code == 0, result.output
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names.values())
+        assert "Hardest to distinguish is" in result.output
+        numbers = json.loads((tmp_path / "n.json").read_text())
+        assert numbers["criterion"] == "separation"
+        assert numbers["motion"]["frequency"] == pytest.approx(2 * np.pi * 3 / 4.0)
+        assert {(p["truth"], p["rival"]) for p in numbers["pairs"]} == {
+            ("coulomb_friction", "load_dependent_friction"),
+            ("load_dependent_friction", "coulomb_friction"),
+        }
+        assert {tuple(p["where"]) for p in numbers["pairs"]} == {("elbow",)}
+        least = min(p["deviations"] for p in numbers["pairs"])
+        assert numbers["value"] == pytest.approx(least**-2)
+        assert numbers["improvement_over_random"] > 1.2
+        assert "best imitation" not in result.output  # that is the page's
+        page = (tmp_path / "r.html").read_text()
+        assert "What it distinguishes" in page and "<img" in page
+
+    def test_places_of_different_kinds(self):
+        result = excite(PENDULUM, *FAST, "--tell-apart", "joint_spring@elbow,gravity_tilt")
+        assert result.exit_code == 0, result.output
+        assert re.search(r"gravity_tilt +the whole robot +joint_spring", result.output)
+        assert re.search(r"joint_spring +elbow +gravity_tilt", result.output)
+
+    def test_effects_of_a_saved_model_keep_their_size(self, tmp_path):
+        model = load_model(PENDULUM)
+        friction = FittedEffect(CoulombFriction("elbow"), np.array([0.05]))
+        separation, notes = separation_of(
+            f"{self.PAIR}@elbow",
+            replace(model, effects=(friction,)),
+            limits_of(None, model),
+            noise=0.1,
+        )
+        assert separation.pairs[0].effects.max() == 0.05
+        assert "as large as the model has them" in notes[0]
+
+    def test_what_contains_the_other_is_said(self):
+        model = load_model(PENDULUM)
+        pair = "coulomb_friction,asymmetric_friction"
+        separation, notes = separation_of(pair, model, limits_of(None, model), noise=0.1)
+        assert {p.truth for p in separation.pairs} == {"asymmetric_friction"}
+        assert notes[0].startswith("asymmetric_friction explains all that coulomb_friction does")
+
+    def test_an_effect_of_the_users_own(self, tmp_path):
+        own = tmp_path / "own.py"
+        own.write_text(OWN)
+        pair = ("--tell-apart", "cubic_friction,viscous_friction", "--effects", own)
+        result = excite(PENDULUM, *FAST, *pair, "--json", "-")
+        assert result.exit_code == 0, result.output
+        assert json.loads(result.stdout)["pairs"][0]["deviations"] > 0
+
+    @pytest.mark.parametrize(
+        ("text", "more", "words"),
+        [
+            ("coulomb_friction", (), "takes two effects; got 'coulomb_friction'"),
+            ("a,b,c", (), "takes two effects"),
+            (",viscous_friction", (), "takes two effects"),
+            ("coulomb,viscous_friction", (), "no effect 'coulomb'. Did you mean coulomb_friction"),
+            (f"{PAIR}@knee", (), "no joint 'knee'"),
+            ("payload,viscous_friction@elbow", (), "payload cannot be everywhere"),
+            ("coulomb_friction,coulomb_friction", (), "cannot be distinguished from itself"),
+            ("effort_delay,viscous_friction", (), "no linear parameters"),
+            (PAIR, ("--criterion", "d_optimality"), "Leave --criterion out"),
+            (PAIR, ("--normalization", "none"), "Leave --normalization out"),
+            (PAIR, ("--effects", "effort_offset"), "brings a FILE.py alone; got effort_offset"),
+            (PAIR, ("--limits", "effort=0.001"), "hold still within its limits, but hardly move"),
+        ],
+    )
+    def test_bad_input_leaves_no_trace(self, tmp_path, text, more, words):
+        files = ("--json", tmp_path / "n.json", "--save", tmp_path / "m.csv")
+        assert words in refused(PENDULUM, "--tell-apart", text, *more, *files)
+        assert not list(tmp_path.iterdir())
+
+
+class TestLimits:
+    model = load_model(PENDULUM)
+
+    def test_in_all_their_forms(self):
+        plain = limits_of(None, self.model)
+        given = ["0.5", "velocity=1.5,elbow.velocity=2", "acceleration=8", "elbow.effort=50%"]
+        limits = limits_of([*given, "elbow.position=-0.5:1.5"], self.model)
+        np.testing.assert_allclose(limits.velocity, [0.75, 1.0])
+        np.testing.assert_allclose(limits.acceleration, 4.0)
+        np.testing.assert_allclose(limits.effort, plain.effort * [0.5, 0.25])
+        assert (limits.lower[1], limits.upper[1]) == (0.0, 1.0)
+        np.testing.assert_allclose(limits.upper[0] - limits.lower[0], plain.reach[0])
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("half", "'half', which is not a number"),
+            ("speed=1", "no limit 'speed'"),
+            ("knee.velocity=1", "'knee', which is no joint"),
+            ("elbow.position=1", "has the position '1'"),
+            ("elbow.position=1:0", "'elbow' has no room to move"),
+            ("velocity=0", "'shoulder' has no room to move"),
+            ("velocity=inf", "speed of joint 'shoulder' is not limited"),
+            ("-1", "share must be a finite number above 0"),
+        ],
+    )
+    def test_that_cannot_be(self, text, words):
+        with pytest.raises(ArgumentError, match=words):
+            limits_of([text], self.model)
+
+    def test_values_by_joint(self):
+        np.testing.assert_allclose(joint_values("0.5", self.model, "--x"), 0.5)
+        values = joint_values("elbow=1,shoulder=2", self.model, "--x")
+        np.testing.assert_allclose(values, [2.0, 1.0])
+
+
+def test_effects_of_unknown_size_are_felt():
+    """Friction takes at least 2 % of the limit of effort at every joint, however light its load."""
+    model = load_model(MODELS / "arm6.urdf")
+    target = make_target(model, effects=named_effects(["viscous_friction"], model))
+    motion = target.random_motion
+    for effect in sized_effects(target):
+        joint = effect.effect.where[0]
+        j = model.joints.index(joint)
+        effort = effect.parameters[0] * np.sqrt(np.mean(motion.v[:, j] ** 2))
+        assert effort >= 0.02 * limits_of(None, model).effort[j] * (1 - 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--trajectory", "circle"), "no trajectory 'circle'"),
+        (("--criterion", "f_optimality"), "no criterion 'f_optimality'"),
+        (("--normalization", "some"), "no normalization 'some'"),
+        (("--points", "9"), "--points is for --trajectory spline"),
+        (("--trajectory", "spline", "--harmonics", "3"), "--harmonics is for --trajectory fourier"),
+        (("--trajectory", "free", "--save", "m.csv"), "nothing for --save to write"),
+        (("--trajectory", "free"), "acceleration of joint 'shoulder' is not limited"),
+        (("--duration", "-1"), "needs a positive duration"),
+        (("--harmonics", "0"), "at least one mode"),
+        (("--seeds", "0"), "--seeds is a positive number"),
+        (("--samples", "0"), "--samples is a positive number"),
+        (("--clearance", "-1"), "--clearance is a distance"),
+        (("--rate", "nan"), "--rate is a positive number"),
+        (("--solver", "magic"), "No nonlinear solver 'magic'"),
+        (("--noise", "0"), "noise of shoulder, elbow is not a positive number"),
+        (("--limits", "velocity=inf"), "not limited"),
+        (("--limits", "effort=0.001"), "hold still within its limits, but hardly move"),
+        (("--start", "99"), "start is outside the limits: joint 'shoulder'"),
+        (("--effects", "friction"), "no effect 'friction'"),
+        (("--save", "motion.bag"), "does not end in .csv or .npz"),
+        (("--meshcat", "m.png"), "does not end in .html"),
+    ],
+)
+def test_bad_input_leaves_no_trace(tmp_path, arguments, words):
+    names = ("m.csv", "motion.bag", "m.png")
+    given = [tmp_path / a if a in names else a for a in arguments]
+    assert words in refused(PENDULUM, "--json", tmp_path / "n.json", *given)
+    assert not list(tmp_path.iterdir())
+
+
+def test_unusable_models(tmp_path):
+    assert "does not exist" in refused(tmp_path / "none.urdf")
+    weak = tmp_path / "weak.urdf"
+    weak.write_text(BALLS.format(shape="", effort=0.1))
+    assert "joint 'j' needs" in refused(weak, *FAST)
+    lost = tmp_path / "lost.urdf"
+    shape = '<collision><geometry><mesh filename="package://nowhere/a.obj"/></geometry></collision>'
+    lost.write_text(BALLS.format(shape=shape, effort=20))
+    assert "--no-collisions" in refused(lost, *FAST)

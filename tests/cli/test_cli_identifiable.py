@@ -1,0 +1,175 @@
+"""`geodrake identifiable`: counts that are right, words that follow from them, bad input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+from geodrake.cli.identify import named_effects
+from geodrake.errors import ArgumentError
+from geodrake.excitation import identifiable_parameters, make_target, measurement_factor
+from geodrake.excitation.identifiability import log_identifiability
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.saved_model import load_model
+from geodrake.report.excitation_words import identifiability_verdict
+from geodrake.robot.base_parameters import structural_base_parameters
+
+MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+FRICTIONS = ("viscous_friction", "coulomb_friction")
+NOISE = 0.02
+
+
+def pendulum_log(path, *, elbow=0.4, seconds=20.0, seed=0, friction=(0.3, 0.2)):
+    """A log in which the elbow moves by a share, of a pendulum with friction."""
+    rng, model = np.random.default_rng(seed), load_model(MODEL)
+    time = np.arange(0.0, seconds, 0.01)
+    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
+    angle = rates * time[:, None, None] + rng.uniform(0, 2 * np.pi, rates.shape)
+    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    size = np.array([0.4, elbow])
+    q, v, vd = (size * np.sum(part, axis=-1) for part in parts)
+    effort = model.effort(Motion(q, v, vd)) + np.sign(v) * friction + 0.1 * v
+    effort += NOISE * rng.normal(size=effort.shape)
+    write_log(JointLog("log", model.joints, time, q, effort), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    return pendulum_log(tmp_path_factory.mktemp("logs") / "log.csv")
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, ["identifiable", *(str(a) for a in arguments)])
+
+
+def found_in(logs, **settings):
+    model = load_model(MODEL)
+    effects = named_effects(FRICTIONS, model)
+    return log_identifiability(model, logs, effects=effects, **settings)
+
+
+def test_everything_is_written(log, tmp_path):
+    files = ("--json", tmp_path / "n.json", "--report", tmp_path / "r.html")
+    result = command(MODEL, log, "--effects", ",".join(FRICTIONS), *files)
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["n.json", "r.html"]
+    numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["command"] == "identifiable"
+    assert (
+        f"{numbers['told']} of {numbers['possible']} directions are identifiable" in result.output
+    )
+    assert numbers["told"] == sum(d["told"] for d in numbers["directions"])
+    assert numbers["told"] <= numbers["possible"] == len(numbers["combinations"])
+    told = sum(b["told"] for b in numbers["bodies"].values())
+    told += sum(e["told"] for e in numbers["effects"])
+    assert told == pytest.approx(numbers["told"])
+    page = (tmp_path / "r.html").read_text()
+    assert "<img" in page and "coulomb_friction" in page
+
+
+def test_possible_is_what_the_robot_has(log):
+    found = found_in([log])
+    rank = structural_base_parameters(load_model(MODEL).plant).rank
+    assert found.possible == rank + 4
+    assert sum(b.possible for b in (*found.bodies, *found.effects)) == pytest.approx(rank + 4)
+
+
+def test_noise_that_the_model_leaves_is_that_of_the_sensor(log):
+    """Of a log that the model with its friction explains, whatever the filter."""
+    found = found_in([log])
+    np.testing.assert_allclose(found.noise, found.floor, rtol=0.6)
+    assert found.count_at_floor >= found.count - 1
+
+
+def test_counts_are_those_of_the_motion(log):
+    """The same number of directions as from the exact, unfiltered motion and as much noise."""
+    found = found_in([log])
+    model = found.model
+    time = np.arange(0.0, 20.0, 0.01)
+    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
+    rng = np.random.default_rng(0)
+    angle = rates * time[:, None, None] + rng.uniform(0, 2 * np.pi, rates.shape)
+    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    motion = Motion(*(0.4 * np.sum(part, axis=-1) for part in parts))
+    share = np.sqrt(len(time) / found.samples)  # as much information from more samples
+    target = make_target(model, noise=found.noise * share, sign_width=1e-2)
+    exact = identifiable_parameters(target, measurement_factor(target, motion))
+    assert abs(exact.kept - found.count) <= 1
+    np.testing.assert_allclose(
+        np.sqrt(found.identifiable.variances[:4]), np.sqrt(exact.variances[:4]), rtol=0.3
+    )
+
+
+def test_deviations_are_those_of_estimates(tmp_path):
+    """Friction fitted to logs of other noise scatters as much as is said."""
+    model, scores = load_model(MODEL), []
+    effects = named_effects(["viscous_friction"], model)
+    for seed in range(8):
+        log = pendulum_log(tmp_path / f"{seed}.csv", seed=seed, friction=(0.0, 0.0))
+        found = log_identifiability(model, [log], effects=effects)
+        scores += [(entry.value - 0.1) / entry.deviation for entry in found.effects]
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+def test_a_joint_that_hardly_moves_is_not_told(tmp_path, log):
+    lame = found_in([pendulum_log(tmp_path / "lame.csv", elbow=0.01)], noise=NOISE)
+    lively = found_in([log], noise=NOISE)
+    assert lame.count < lively.count
+    missing = {(e.effect, e.where) for e in lame.effects if not e.is_identifiable}
+    assert ("viscous_friction", ("elbow",)) in missing
+    assert "viscous_friction of elbow" in identifiability_verdict(lame)
+    assert "All parameters of effects are identifiable" in identifiability_verdict(lively)
+
+
+def test_threshold_and_more_logs(log, tmp_path):
+    more = pendulum_log(tmp_path / "more.csv", seed=5)
+    settings = {"noise": NOISE, "bandwidth": 5.0}
+    counts = [found_in([log], threshold=t, **settings).count for t in (1e-4, 1e-2, 1.0)]
+    assert counts == sorted(counts) and counts[0] < counts[-1]
+    one, both = (found_in(logs, **settings) for logs in ([log], [log, more]))
+    assert both.count >= one.count
+    pairs = zip(both.effects, one.effects, strict=True)
+    assert all(b.deviation < o.deviation for b, o in pairs)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--threshold", "1e-12"), "keeps nothing: the most certain direction"),
+        (("--threshold", "0"), "threshold is a positive variance"),
+        (("--threshold", "nan"), "threshold is a positive variance"),
+        (("--noise", "0"), "The noise of shoulder, elbow is not a positive number"),
+        (("--noise", "elbow=0.1"), "--noise says nothing of shoulder"),
+        (("--noise", "knee=0.1,elbow=1"), "names 'knee', which is no joint"),
+        (("--noise", "much"), "'much', which is not a number"),
+        (("--effects", "friction"), "There is no effect 'friction'"),
+        (("--save", "model.yaml"), "No such option"),
+        (("--json", "numbers.txt"), "does not end in .json"),
+    ],
+)
+def test_bad_input_leaves_no_trace(log, tmp_path, arguments, words):
+    report = tmp_path / "r.html"
+    given = [tmp_path / a if a in ("model.yaml", "numbers.txt") else a for a in arguments]
+    result = command(MODEL, log, "--report", report, *given)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+    assert "Traceback" not in result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_effect_that_the_model_has():
+    model = load_model(MODEL)
+    effects = named_effects(["coulomb_friction"], model)
+    with pytest.raises(ArgumentError, match="already"):
+        log_identifiability(found_model(model, effects), [], effects=effects)
+
+
+def found_model(model, effects):
+    from geodrake.identification.models.identify import with_effects
+
+    return with_effects(model, effects)

@@ -1,0 +1,624 @@
+"""Update laws: their guarantees, in continuous time and step by step."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from geodrake.control.adaptation import (
+    AdaptationLaw,
+    ConstantMetric,
+    FunctionSet,
+    LinearSet,
+    ProjectedLaw,
+    body_limits,
+    center_of_mass_box,
+    computed_torque_covector,
+    error_weight,
+    euclidean_adaptation,
+    inside_ellipsoid,
+    intersection,
+    mass_limits,
+    natural_adaptation,
+    parameter_limits,
+    parameter_manifold,
+    prediction_covector,
+    pullback_adaptation,
+    tracking_energy,
+)
+from geodrake.control.regressor import ControlModel
+from geodrake.effects import CoulombFriction, EffortOffset, FittedEffect, ViscousFriction
+from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.inertia import (
+    change_frame,
+    change_units,
+    from_pseudo_inertia,
+    is_physical,
+    pseudo_inertia,
+)
+from geodrake.inertia.ellipsoids import Ellipsoid, realizability_row
+from geodrake.manifolds import (
+    ConstrainedInertia,
+    Free,
+    Interval,
+    PhysicalInertia,
+    Positive,
+    Product,
+)
+from geodrake.manifolds.projections import Polyhedron, bregman_projection
+from geodrake.model.robot_model import load_description
+
+MODELS = Path(__file__).parents[2] / "models"
+HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
+CONSTRAINED = ConstrainedInertia(realizability_row(HULL.quadric)[None], np.zeros(1))
+MIXED = Product(
+    (
+        PhysicalInertia(),
+        Positive(2),
+        PhysicalInertia(),
+        Interval((0.0, -1.0), (np.inf, 2.0)),
+        CONSTRAINED,
+        Free(1),
+        PhysicalInertia(),
+        Interval((0.5,), (np.inf,)),
+    ),
+    (1.0, 0.5, 1.0, 0.5, 2.0, 1.0, 3.0, 0.5),
+)
+SIZE = MIXED.dimension
+BODIES = Product((PhysicalInertia(), PhysicalInertia(), Positive(2)))
+
+seeds = st.integers(0, 2**32 - 1)
+properties = settings(max_examples=40, derandomize=True, deadline=None)
+few = settings(max_examples=6, derandomize=True, deadline=None)
+some = settings(max_examples=20, derandomize=True, deadline=None)
+
+
+def random_inertia(rng):
+    root = rng.normal(size=(4, 4))
+    return from_pseudo_inertia(root @ root.T + 0.1 * np.eye(4))
+
+
+def random_point(manifold, rng):
+    if isinstance(manifold, Product):
+        return np.concatenate([random_point(factor, rng) for factor in manifold.manifolds])
+    if isinstance(manifold, PhysicalInertia | ConstrainedInertia):
+        return random_inertia(rng)
+    lower = np.maximum(manifold.lower, -1.0)
+    return rng.uniform(lower + 0.1, np.minimum(manifold.upper, lower + 3.0) - 0.1)
+
+
+def laws(manifold, at):
+    return {
+        "natural": natural_adaptation(manifold, 2.0),
+        "pullback": pullback_adaptation(manifold, at, 2.0),
+        "euclidean": euclidean_adaptation(manifold.dimension, 2.0),
+    }
+
+
+@properties
+@given(seeds)
+def test_reach_is_the_trace_of_the_rows(seed):
+    rng = np.random.default_rng(seed)
+    x, rows = random_point(MIXED, rng), rng.normal(size=(3, SIZE))
+    pulls = MIXED.inverse_metric_times(x, rows)
+    reach = natural_adaptation(MIXED, 2.0).reach(x, rows)
+    assert reach == pytest.approx(0.5 * (rows * pulls).sum(), rel=1e-9)
+
+
+# Laws
+
+
+@properties
+@given(seeds, st.floats(-4, 8))
+def test_estimates_stay_physical_at_any_step_size(seed, size):
+    rng = np.random.default_rng(seed)
+    manifold = BODIES
+    start, dt = random_point(manifold, rng), 10.0**size
+    law = natural_adaptation(manifold, 0.5)
+    for _ in range(5):
+        estimate = law.step(start, rng.normal(size=manifold.dimension), dt)
+        assert np.isfinite(estimate).all()
+        assert is_physical(estimate[:20].reshape(2, 10)).all()
+        assert (estimate[20:] > 0).all()
+
+
+def test_euler_steps_of_the_source_leave_the_manifold_where_geodesics_do_not():
+    estimate = random_point(BODIES, np.random.default_rng(0))
+    b = np.zeros(BODIES.dimension)
+    b[0], b[20] = 1.0, 1.0  # less mass, less friction
+    euler = natural_adaptation(BODIES, integrator="euler").step(estimate, b, 10.0)
+    assert not BODIES.contains(euler)
+    assert BODIES.contains(natural_adaptation(BODIES).step(estimate, b, 10.0))
+
+
+@properties
+@given(seeds)
+def test_steps_follow_the_rate_to_first_order(seed):
+    rng = np.random.default_rng(seed)
+    estimate, b, h = random_point(MIXED, rng), rng.normal(size=SIZE), 1e-7
+    for name, law in laws(MIXED, estimate).items():
+        ahead, back = law.step(estimate, b, h), law.step(estimate, b, -h)
+        rate = law.rate(estimate, b)
+        np.testing.assert_allclose(
+            (ahead - back) / (2 * h), rate, rtol=0, atol=1e-6 * np.abs(rate).max(), err_msg=name
+        )
+    euler = natural_adaptation(MIXED, integrator="euler")
+    np.testing.assert_allclose(
+        euler.step(estimate, b, h), estimate + h * euler.rate(estimate, b), rtol=1e-15
+    )
+
+
+@properties
+@given(seeds)
+def test_the_parameter_error_changes_by_what_tracking_loses(seed):
+    """d/dt γ D(p‖p̂) = −(p̂ − p)ᵀ b, [Lee2019] Eq. (5.4.50) with (5.4.51)."""
+    rng = np.random.default_rng(seed)
+    truth, estimate = random_point(MIXED, rng), random_point(MIXED, rng)
+    b, h = rng.normal(size=SIZE), 1e-6
+    for name, law in laws(MIXED, estimate).items():
+        ahead, back = (law.parameter_error(truth, law.step(estimate, b, s)) for s in (h, -h))
+        scale = abs(ahead) + np.abs(truth - estimate) @ np.abs(b)
+        expected = -(estimate - truth) @ b
+        assert (ahead - back) / (2 * h) == pytest.approx(expected, abs=1e-6 * scale), name
+
+
+def test_gains_of_the_three_laws():
+    rng = np.random.default_rng(0)
+    start, estimate = random_point(BODIES, rng), random_point(BODIES, rng)
+    b = rng.normal(size=BODIES.dimension)
+    rates = {name: law.rate(estimate, b) for name, law in laws(BODIES, start).items()}
+    np.testing.assert_allclose(rates["euclidean"], -b / 2.0)
+    np.testing.assert_allclose(rates["pullback"], np.linalg.solve(BODIES.metric(start), -b / 2.0))
+    np.testing.assert_allclose(rates["natural"], np.linalg.solve(BODIES.metric(estimate), -b / 2.0))
+
+
+@properties
+@given(seeds)
+def test_the_natural_law_does_not_depend_on_frames_and_units(seed):
+    rng = np.random.default_rng(seed)
+    metre, kilogram = 10.0 ** rng.uniform(-3, 3, 2)
+    R = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    R *= np.sign(np.linalg.det(R))
+    p = rng.normal(size=3)
+
+    def other(phi):
+        return change_units(change_frame(phi, R, p), metre=metre, kilogram=kilogram)
+
+    def back(phi):
+        there = change_units(phi, metre=1 / metre, kilogram=1 / kilogram)
+        return change_frame(there, R.T, -R.T @ p)
+
+    manifold = Product((PhysicalInertia(),))
+    law = natural_adaptation(manifold)
+    phi, b = random_inertia(rng), rng.normal(size=10)
+    b /= np.sqrt(b @ manifold.inverse_metric_times(phi, b))  # a step as long as its time
+    b_other = back(np.eye(10)) @ b
+    for dt in (1e-3, 1.0, 3.0):
+        expected = pseudo_inertia(law.step(phi, b, dt))
+        there = pseudo_inertia(back(law.step(other(phi), b_other, dt)))
+        # Relative to the inertia itself, in all directions alike.
+        inverse = np.linalg.inv(np.linalg.cholesky(expected))
+        assert np.abs(inverse @ (there - expected) @ inverse.T).max() < 1e-9
+
+
+def test_a_weight_divides_the_speed_of_its_factor():
+    rng = np.random.default_rng(0)
+    slow = Product((PhysicalInertia(), Positive(2)), (1.0, 2.0))
+    fast = Product((PhysicalInertia(), Positive(2)), (1.0, 1.0))
+    x, b = random_point(slow, rng), rng.normal(size=12)
+    rates = natural_adaptation(slow).rate(x, b), natural_adaptation(fast).rate(x, b)
+    np.testing.assert_allclose(rates[0][:10], rates[1][:10])
+    np.testing.assert_allclose(2.0 * rates[0][10:], rates[1][10:])
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_a_covector_that_is_not_finite_moves_nothing(wrong):
+    estimate = random_point(BODIES, np.random.default_rng(0))
+    b = np.ones(BODIES.dimension)
+    b[7] = wrong
+    for law in laws(BODIES, estimate).values():
+        np.testing.assert_array_equal(law.rate(estimate, b), 0.0)
+        np.testing.assert_allclose(law.step(estimate, b, 1.0), estimate, rtol=1e-14)
+
+
+def test_composite_covector_takes_off_the_prediction_error():
+    rng = np.random.default_rng(0)
+    truth, estimate = random_point(BODIES, rng), random_point(BODIES, rng)
+    Y, W = rng.normal(size=(5, 3, BODIES.dimension)), np.array([1.0, 2.0, 3.0])
+    b = prediction_covector(Y, estimate, Y @ truth, weight=W)
+    error = estimate - truth
+    assert error @ b == pytest.approx((W * (Y @ error) ** 2).sum())
+    law = natural_adaptation(BODIES)
+    before = law.parameter_error(truth, estimate)
+    assert law.parameter_error(truth, law.step(estimate, b, 1e-6)) < before
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_laws_refuse_a_gain_that_is_none(wrong):
+    with pytest.raises(ArgumentError, match="gamma must be"):
+        natural_adaptation(BODIES, wrong)
+
+
+def test_laws_refuse_what_they_cannot_use():
+    with pytest.raises(ArgumentError, match="integrator"):
+        AdaptationLaw(BODIES, 1.0, "heun")
+    with pytest.raises(ArgumentError, match="inside of the manifold"):
+        pullback_adaptation(BODIES, -np.ones(BODIES.dimension))
+    with pytest.raises(ArgumentError, match="positive definite"):
+        ConstantMetric(np.array([[1.0, 2.0], [2.0, 1.0]]), np.eye(2))
+    with pytest.raises(ArgumentError, match="dimension must be"):
+        euclidean_adaptation(0)
+    law = natural_adaptation(BODIES)
+    with pytest.raises(ArgumentError, match="limits are on 40"):
+        ProjectedLaw(law, mass_limits(40, 1, 0.0, 1.0))
+    with pytest.raises(ArgumentError, match="margin"):
+        ProjectedLaw(law, mass_limits(BODIES.dimension, 1, 0.0, 1.0), margin=np.nan)
+
+
+# Projections
+
+
+def limits(rng, estimate):
+    """A polyhedron of all kinds of limits around a body like that of an estimate."""
+    mass = estimate[0]
+    com = estimate[11:14] / estimate[10]
+    return intersection(
+        mass_limits(22, 0, 0.5 * mass, 1.02 * mass),
+        center_of_mass_box(22, 1, com - 0.1, com + 0.1),
+        parameter_limits(22, [20, 21], 0.0, estimate[20:] * np.array([1.02, 3.0])),
+        body_limits(22, 1, np.eye(10)[4:7].sum(0), upper=1.05 * estimate[14:17].sum()),
+    )
+
+
+def near(manifold, x, length, rng):
+    """A point some way from x, in a random direction."""
+    b = rng.normal(size=manifold.dimension)
+    v = manifold.inverse_metric_times(x, b)
+    return manifold.retract(x, v * (length / np.sqrt(b @ v)))
+
+
+@few
+@given(seeds)
+def test_projected_rates_break_no_limit_and_lose_nothing(seed):
+    rng = np.random.default_rng(seed)
+    inside = random_point(BODIES, rng)
+    C = limits(rng, inside)
+    b = rng.normal(size=22)
+    law = ProjectedLaw(natural_adaptation(BODIES), C)
+    boundary = law.project(near(BODIES, inside, 2.0, rng))
+    rate, free = law.rate(boundary, b), law.law.rate(boundary, b)
+    values, normals = LinearSet(C).values(boundary), LinearSet(C).gradients(boundary)
+    lengths = np.sqrt((normals * BODIES.inverse_metric_times(boundary, normals)).sum(-1))
+    binding = values >= -1e-6 * lengths
+    speed = np.sqrt(free @ BODIES.metric(boundary) @ free)
+    assert (normals[binding] @ rate <= 1e-8 * lengths[binding] * speed).all()
+    # V̇ of a truth in C is at most that of the free law, whose is −p̃ᵀ b: Proposition 5.8.
+    metric = BODIES.metric(boundary)
+    assert (boundary - inside) @ metric @ (rate - free) <= 1e-7 * speed * 10
+
+
+def test_one_binding_limit_gives_the_formula_of_the_source():
+    rng = np.random.default_rng(3)
+    estimate = random_point(BODIES, rng)
+    b = rng.normal(size=22)
+    law = natural_adaptation(BODIES)
+    v = law.rate(estimate, b)
+    c = rng.normal(size=22)
+    c *= np.sign(c @ v)
+    w = BODIES.inverse_metric_times(estimate, c)
+    binding = ProjectedLaw(law, Polyhedron(c[None], np.array([-np.inf]), np.array([c @ estimate])))
+    np.testing.assert_allclose(binding.rate(estimate, b), v - (c @ v) / (c @ w) * w)
+    np.testing.assert_array_equal(binding.rate(estimate, -b), -v)
+    loose = Polyhedron(c[None], np.array([-np.inf]), np.array([c @ estimate + 1.0]))
+    np.testing.assert_array_equal(ProjectedLaw(law, loose).rate(estimate, b), v)
+
+
+@some
+@given(seeds, st.floats(0.1, 8))
+def test_projection_ends_in_the_set_and_nearer_to_all_of_it(seed, distance):
+    rng = np.random.default_rng(seed)
+    inside = random_point(BODIES, rng)
+    C = limits(rng, inside)
+    law = ProjectedLaw(natural_adaptation(BODIES), C)
+    outside = near(BODIES, inside, distance, rng)
+    projected = law.project(outside)
+    assert (LinearSet(C).values(projected) <= 1e-9 * np.abs(C.matrix).max()).all()
+    truths = [inside, *(law.project(near(BODIES, inside, 1.0, rng)) for _ in range(2))]
+    for truth in truths:  # [Lee2019] Eq. (5.4.60)
+        before, after = BODIES.divergence(truth, outside), BODIES.divergence(truth, projected)
+        assert after + BODIES.divergence(projected, outside) <= before + 1e-7 * (1.0 + before)
+    np.testing.assert_allclose(law.project(projected), projected, rtol=1e-9, atol=1e-12)
+
+
+@some
+@given(seeds, st.floats(0.1, 8))
+def test_projections_part_by_part_are_those_of_the_whole(seed, distance):
+    rng = np.random.default_rng(seed)
+    inside = random_point(BODIES, rng)
+    C = limits(rng, inside)
+    outside = near(BODIES, inside, distance, rng)
+    own = ProjectedLaw(natural_adaptation(BODIES), C).project(outside)
+    whole = bregman_projection(BODIES, outside, C)
+    gap = BODIES.divergence(own, outside) - BODIES.divergence(whole, outside)
+    assert abs(gap) < 1e-8 * (1.0 + BODIES.divergence(own, outside))
+    assert BODIES.divergence(own, whole) < 1e-10
+
+
+def test_limits_on_sums_of_parameters():
+    manifold = Product((PhysicalInertia(), Positive(2)))
+    x = random_point(manifold, np.random.default_rng(0))
+    both = np.zeros(12)
+    both[10:] = 1.0
+    law = ProjectedLaw(natural_adaptation(manifold), parameter_limits(12, [10, 11], 0.0, 0.01))
+    np.testing.assert_allclose(law.project(x)[10:], 0.01)
+    summed = Polyhedron(both[None], np.array([-np.inf]), np.array([0.1]))
+    projected = ProjectedLaw(natural_adaptation(manifold), summed).project(x)
+    assert projected[10:].sum() == pytest.approx(0.1)
+
+
+def test_limits_that_no_body_meets_are_reported():
+    manifold = BODIES
+    x = random_point(manifold, np.random.default_rng(0))
+    negative = ProjectedLaw(natural_adaptation(manifold), mass_limits(22, 0, -2.0, -1.0))
+    with pytest.raises(ConvergenceError):
+        negative.project(x)
+
+
+def centre_in_ball(radius):
+    """‖h‖ ≤ radius m of the first body: the centre of mass in a ball, a curved convex set."""
+
+    def value(p):
+        return np.linalg.norm(p[1:4]) - radius * p[0]
+
+    def gradient(p):
+        normal = np.zeros(len(p))
+        normal[1:4], normal[0] = p[1:4] / np.linalg.norm(p[1:4]), -radius
+        return normal
+
+    return FunctionSet(value, gradient)
+
+
+@few
+@given(seeds)
+def test_projection_onto_a_curved_set_against_a_second_solver(seed):
+    rng = np.random.default_rng(seed)
+    manifold = Product((PhysicalInertia(),))
+    x = random_inertia(rng)
+    radius = 0.7 * np.linalg.norm(x[1:4]) / x[0]
+    law = ProjectedLaw(natural_adaptation(manifold), centre_in_ball(radius))
+    y = law.project(x)
+    assert np.linalg.norm(y[1:4]) / y[0] <= radius * (1 + 1e-6)
+    L = np.linalg.cholesky(manifold.metric(x))
+
+    def position(z):
+        return x + np.linalg.solve(L.T, z)
+
+    def distance(z):
+        point = position(z)
+        return manifold.divergence(point, x) if manifold.contains(point) else 1e3
+
+    constraint = {"type": "ineq", "fun": lambda z: -law._set.values(position(z))[0]}
+    start = L.T @ (y - x) + 0.01 * rng.normal(size=10)
+    found = minimize(
+        distance, start, method="SLSQP", constraints=[constraint], options={"ftol": 1e-13}
+    )
+    assert manifold.divergence(y, x) <= found.fun + 1e-6
+    # The rate on the curved boundary stays in it, too.
+    b = manifold.metric(y) @ rng.normal(size=10)
+    edge = ProjectedLaw(law.law, law.constraints, margin=1e-3)
+    assert law._set.gradients(y)[0] @ edge.rate(y, b) <= 1e-9 * np.abs(b).sum()
+
+
+def test_steps_along_a_limit_keep_to_it():
+    rng = np.random.default_rng(0)
+    estimate = random_point(BODIES, rng)
+    law = ProjectedLaw(natural_adaptation(BODIES), mass_limits(22, 0, 0.0, 1.1 * estimate[0]))
+    b = np.zeros(22)
+    b[0], b[20] = -1.0, 0.1
+    for _ in range(100):
+        estimate = law.step(estimate, b, 0.05)
+        assert BODIES.contains(estimate)
+        assert law._set.values(estimate).max() <= 1e-9
+
+
+@some
+@given(seeds, st.floats(0, 8))
+@example(49485, 3.0)
+def test_a_step_of_any_length_ends_in_the_set(seed, size):
+    rng = np.random.default_rng(seed)
+    start = random_point(BODIES, rng)
+    law = ProjectedLaw(natural_adaptation(BODIES), limits(rng, start))
+    estimate = law.step(start, rng.normal(size=22), 10.0**size)
+    assert BODIES.contains(estimate)
+    normals = law._set.gradients(estimate)
+    lengths = np.sqrt((normals * BODIES.inverse_metric_times(estimate, normals)).sum(-1))
+    assert (law._set.values(estimate) <= 1e-7 * lengths).all()
+
+
+def test_a_point_of_which_no_two_faces_may_be_taken_for_one():
+    """Mass limits [1.2, 2.5] and a mass of 90 000: the limit is 2.5, not their middle."""
+    rng = np.random.default_rng(1437)
+    inside = random_point(BODIES, rng)
+    C = limits(rng, inside)
+    b = rng.normal(size=22)
+    outside = BODIES.retract(inside, 0.3 * BODIES.inverse_metric_times(inside, b))
+    y = bregman_projection(BODIES, outside, C)
+    part = slice(0, 10)
+    mass = Polyhedron(np.eye(10)[:1], C.lower[:1], C.upper[:1])
+    alone = bregman_projection(PhysicalInertia(), outside[part], mass)
+    np.testing.assert_allclose(y[part], alone, rtol=1e-9)
+    assert min(abs(y[0] - C.lower[0]), abs(y[0] - C.upper[0])) < 1e-9
+    before, after = BODIES.divergence(inside, outside), BODIES.divergence(inside, y)
+    assert after + BODIES.divergence(y, outside) <= before * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("kind", ["free", "limited"])
+def test_long_steps_again_and_again_do_not_overflow(kind):
+    rng = np.random.default_rng(0)
+    estimate = start = random_point(BODIES, rng)
+    law = natural_adaptation(BODIES)
+    if kind == "limited":
+        law = ProjectedLaw(law, limits(rng, start))
+    for dt in (1e8, 1e3, 1.0, 1e8) * 5:
+        estimate = law.step(estimate, rng.normal(size=22), dt)
+        assert np.isfinite(estimate).all()
+        assert BODIES.contains(estimate)
+
+
+def test_limits_say_what_they_mean():
+    rng = np.random.default_rng(0)
+    phi = random_inertia(rng)
+    x = np.concatenate([random_inertia(rng), phi, [1.0, 2.0]])
+    com = phi[1:4] / phi[0]
+    box = LinearSet(center_of_mass_box(22, 1, com - 0.1, com + 0.2)).values(x)
+    np.testing.assert_allclose(np.sort(-box), np.sort(phi[0] * np.repeat([0.1, 0.2], 3)))
+    ellipsoid = LinearSet(inside_ellipsoid(22, 1, HULL.quadric)).values(x)
+    np.testing.assert_allclose(-ellipsoid, np.trace(pseudo_inertia(phi) @ HULL.quadric))
+    mass = LinearSet(mass_limits(22, 1, 0.0, phi[0] + 0.5)).values(x)
+    np.testing.assert_allclose(mass, [-0.5, -phi[0]])
+    with pytest.raises(ArgumentError, match="in 22 of them"):
+        mass_limits(22, 2, 0.0, 1.0)
+    for index in (22, -1):
+        with pytest.raises(ArgumentError, match="from 0 to 21"):
+            parameter_limits(22, [index], 0.0, 1.0)
+    with pytest.raises(ArgumentError, match="lower must be"):
+        parameter_limits(22, [1], [0.0, 1.0], 1.0)
+    with pytest.raises(ArgumentError, match="corner"):
+        center_of_mass_box(22, 0, [1.0, 0.0, 0.0], [0.0, 1.0, 1.0])
+
+
+# Robots
+
+
+@pytest.fixture(scope="module")
+def arm():
+    model = load_description(MODELS / "double_pendulum.urdf")
+    effects = [kind(j) for j in model.joints for kind in (CoulombFriction, ViscousFriction)]
+    values = tuple(FittedEffect(effect, np.array([0.2])) for effect in effects)
+    return replace(model, effects=values)
+
+
+def test_the_manifold_of_a_robot(arm):
+    manifold = parameter_manifold(arm, effect_weight=0.5, weights={"coulomb_friction": 0.25})
+    nb = len(arm.bodies)
+    assert manifold.weights == (1.0,) * nb + (0.25, 0.5) * 2
+    assert manifold.contains(ControlModel.of(arm).prior)
+    hull = parameter_manifold(arm, bodies={arm.bodies[0]: CONSTRAINED})
+    assert hull.manifolds[0] is CONSTRAINED
+    offset = replace(arm, effects=(FittedEffect(EffortOffset(arm.joints[0]), np.zeros(1)),))
+    assert parameter_manifold(offset).dimension == 10 * nb + 1
+    with pytest.raises(ArgumentError, match="no nowhere"):
+        parameter_manifold(arm, weights={"nowhere": 1.0})
+    with pytest.raises(ArgumentError, match="instead of ten"):
+        parameter_manifold(arm, bodies={arm.bodies[0]: Positive()})
+
+
+def perturbed(control, rng, size):
+    """A wrong estimate: every pseudo inertia congruent to the truth, friction off by a factor."""
+    phi = control.phi(control.prior)
+    G = np.eye(4) + size * rng.normal(size=(len(phi), 4, 4))
+    wrong = from_pseudo_inertia(G @ pseudo_inertia(phi) @ G.transpose(0, 2, 1))
+    mu = control.prior[control.num_inertial :]
+    return np.concatenate([wrong.ravel(), mu * np.exp(size * rng.normal(size=len(mu)))])
+
+
+def desired(t):
+    q = np.array([0.8 * np.sin(1.3 * t), 0.6 * np.sin(2.1 * t + 0.4)])
+    v = np.array([1.04 * np.cos(1.3 * t), 1.26 * np.cos(2.1 * t + 0.4)])
+    return q, v, np.array([-1.352 * np.sin(1.3 * t), -2.646 * np.sin(2.1 * t + 0.4)])
+
+
+def passivity_terms(control, truth, estimate, q, qd, t, *, gain=5.0):
+    """q̈, b and V_t of the closed loop [Lee2019] (5.2.10)–(5.2.13) with Λ = K = gain."""
+    q_d, v_d, a_d = desired(t)
+    v, a = v_d - gain * (q - q_d), a_d - gain * (qd - v_d)
+    r = qd - v
+    sample = control.at(q, qd, v, a)
+    u = sample.effort(estimate) - gain * r
+    real = control.at(q, qd, qd, 0 * qd)
+    M = real.mass_matrix(truth)
+    qdd = np.linalg.solve(M, u - real.effort(truth))
+    return qdd, sample.covector(r), tracking_energy(M, r)
+
+
+@pytest.mark.parametrize("measured_friction", [False, True])
+@pytest.mark.parametrize("name", ["natural", "pullback", "euclidean"])
+def test_the_lyapunov_value_never_rises_in_continuous_time(arm, name, measured_friction):
+    control = ControlModel.of(arm, sign_width=0.1, measured_friction=measured_friction)
+    manifold = parameter_manifold(arm)
+    truth, rng = control.prior, np.random.default_rng(0)
+    estimate = perturbed(control, rng, 0.2)
+    law = laws(manifold, estimate)[name]
+    if name == "euclidean":
+        law = euclidean_adaptation(manifold.dimension, 50.0)
+
+    def flow(t, y):
+        q, qd, p = y[:2], y[2:4], y[4:]
+        qdd, b, _ = passivity_terms(control, truth, p, q, qd, t)
+        return np.concatenate([qd, qdd, law.rate(p, b)])
+
+    y, h, values = np.concatenate([[0.3, -0.2, 0.0, 0.0], estimate]), 2e-3, []
+    start = passivity_terms(control, truth, estimate, y[:2], y[2:4], 0.0)[2]
+    for step in range(500):
+        t = step * h
+        V_t = passivity_terms(control, truth, y[4:], y[:2], y[2:4], t)[2]
+        values.append(V_t + law.parameter_error(truth, y[4:]))
+        k1 = flow(t, y)
+        k2 = flow(t + h / 2, y + h / 2 * k1)
+        k3 = flow(t + h / 2, y + h / 2 * k2)
+        k4 = flow(t + h, y + h * k3)
+        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    assert np.diff(values).max() <= 1e-8 * values[0]
+    assert values[0] - values[-1] > 0.9 * start  # all that tracking had at first, and more
+    if name == "natural":
+        assert manifold.contains(y[4:])
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+def test_the_lyapunov_value_of_a_sampled_law_never_rises_beyond_the_step(arm, dt):
+    """Control and adaptation at a rate of their own, the plant integrated four times as often."""
+    control = ControlModel.of(arm, sign_width=0.1)
+    truth = control.prior
+    law = natural_adaptation(parameter_manifold(arm))
+    p = perturbed(control, np.random.default_rng(1), 0.2)
+    q, qd, h = np.array([0.3, -0.2]), np.zeros(2), dt / 4
+    values, errors = [], []
+    for step in range(round(1.2 / dt)):
+        t = step * dt
+        _, b, V_t = passivity_terms(control, truth, p, q, qd, t)
+        values.append(V_t + law.parameter_error(truth, p))
+        errors.append(np.abs(q - desired(t)[0]).max())
+        for k in range(4):
+            qdd, _, _ = passivity_terms(control, truth, p, q, qd, t + k * h)
+            qd = qd + h * qdd
+            q = q + h * qd
+        p = law.step(p, b, dt)
+    assert np.diff(values).max() <= 0.5 * dt * values[0]
+    assert max(errors[-len(errors) // 5 :]) < 0.2 * errors[0]
+    assert is_physical(control.phi(p)).all()
+
+
+def test_the_covector_of_computed_torque_is_that_of_its_lyapunov_function(arm):
+    control = ControlModel.of(arm, sign_width=0.3)
+    rng = np.random.default_rng(0)
+    truth, estimate = control.prior, perturbed(control, rng, 0.2)
+    K_p, K_v, Q = np.array([30.0, 40.0]), np.array([10.0, 12.0]), np.diag([1.0, 2.0, 3.0, 4.0])
+    P = error_weight(K_p, K_v, Q)
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.diag(K_p), -np.diag(K_v)]])
+    np.testing.assert_allclose(A.T @ P + P @ A, -Q, atol=1e-12)
+    q, qd, q_d, v_d, a_d = rng.normal(size=(5, 2))
+    e = np.concatenate([q - q_d, qd - v_d])
+    wanted = a_d - K_v * e[2:] - K_p * e[:2]
+    u = control.at(q, qd, qd, wanted).effort(estimate)
+    still = control.at(q, qd, qd, np.zeros(2))
+    qdd = np.linalg.solve(still.mass_matrix(truth), u - still.effort(truth))
+    sample = control.at(q, qd, qd, qdd)
+    b = computed_torque_covector(sample.regressor, sample.mass_matrix(estimate), P, e)
+    rate = e @ P @ np.concatenate([e[2:], qdd - a_d])  # of ½ eᵀ P e
+    assert rate == pytest.approx(-0.5 * e @ Q @ e + (estimate - truth) @ b)
+    with pytest.raises(ArgumentError, match="positive gains"):
+        error_weight(-K_p, K_v, Q)

@@ -1,0 +1,377 @@
+"""Adaptive controllers in Drake diagrams: the guarantees of the source, the life of a system."""
+
+import numpy as np
+import pytest
+from adaptive_loops import (
+    CONTROL,
+    MANIFOLD,
+    MODELS,
+    TRUTH,
+    SlowSensor,
+    closed_loop,
+    motion,
+    natural,
+    pendulum_plant,
+    perturbed,
+    run,
+    simulator,
+    tracking_error,
+)
+from pydrake.geometry import Meshcat, MeshcatVisualizer, SceneGraph
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake.control.adaptation import (
+    ProjectedLaw,
+    euclidean_adaptation,
+    mass_limits,
+    natural_adaptation,
+    parameter_manifold,
+    pullback_adaptation,
+)
+from geodrake.control.loops import add_adaptive_loop
+from geodrake.control.regressor import ControlModel
+from geodrake.control.systems import (
+    AdaptiveComputedTorqueController,
+    FixedGains,
+    PassivityBasedAdaptiveController,
+    Safeguards,
+    VaryingGains,
+)
+from geodrake.errors import ArgumentError
+from geodrake.inertia import is_physical
+from geodrake.model.robot_model import load_description
+
+START = perturbed(0.15)
+GAINS = {"varying": VaryingGains(8.0), "fixed": FixedGains([8.0, 4.0], [6.0, 7.0])}
+
+
+def passive(law="natural", **options):
+    law = natural() if law == "natural" else law
+    options = {"parameters": START, "truth": TRUTH, **options}
+    return PassivityBasedAdaptiveController(CONTROL, law, **options)
+
+
+def computed(law="natural", **options):
+    law = natural() if law == "natural" else law
+    options = {"parameters": START, "truth": TRUTH, **options}
+    return AdaptiveComputedTorqueController(CONTROL, law, **options)
+
+
+# The laws of [Lee2019] Chapter 5 in closed loop
+
+
+@pytest.mark.parametrize("gains", GAINS)
+@pytest.mark.parametrize("time_step", [0.0, 1e-3, 4e-3])
+def test_lyapunov_value_never_rises(gains, time_step):
+    """[Lee2019] Proposition 5.7 and Remark 5.1, by Drake's own dynamics with Drake's friction."""
+    # Sampled damping is stable for K h < 2 M only.
+    gentle = FixedGains([4.0, 1.5], [6.0, 7.0])
+    chosen = gentle if gains == "fixed" and time_step > 2e-3 else GAINS[gains]
+    controller = passive(gains=chosen, time_step=time_step)
+    _, logs = run(controller, 0.8 if time_step == 0 else 2.0)
+    V = logs["lyapunov"].ravel()
+    rise = 2e-6 if time_step == 0 else 0.05 * time_step
+    assert np.diff(V).max() <= rise * V[0]
+    assert V[-1] < V[0]
+    assert is_physical(logs["parameters"][:, : CONTROL.num_inertial].reshape(len(V), -1, 10)).all()
+
+
+@pytest.mark.parametrize("name", ["euclidean", "pullback"])
+def test_lyapunov_value_of_the_other_laws(name):
+    law = (
+        euclidean_adaptation(len(TRUTH), 50.0)
+        if name == "euclidean"
+        else pullback_adaptation(MANIFOLD, START)
+    )
+    _, logs = run(passive(law, time_step=0.0), 0.6)
+    V = logs["lyapunov"].ravel()
+    assert np.diff(V).max() <= 2e-6 * V[0]
+
+
+def test_lyapunov_value_of_computed_torque():
+    """½ eᵀ P e + γ D with the acceleration of the plant itself."""
+    controller = computed(natural(0.02), time_step=0.0, rate=6.0)
+    _, logs = run(controller, 0.8)
+    V = logs["lyapunov"].ravel()
+    assert np.diff(V).max() <= 2e-6 * V[0]
+    fixed = run(computed(None, time_step=0.0, rate=6.0), 0.8)[1]
+    assert tracking_error(logs).max() < 0.3 * tracking_error(fixed).max()
+
+
+def test_filtered_computed_torque_never_takes_the_estimate_away_from_the_truth():
+    controller = computed(natural(1e-2), rate=10.0, bandwidth=20.0)
+    _, logs = run(controller, 3.0)
+    V = logs["lyapunov"].ravel()
+    assert np.diff(V).max() <= 1e-5 * V[0]
+    assert V[-1] < 0.9 * V[0]
+    error = tracking_error(logs)
+    assert error[-100:].max() < 0.1 * error.max()
+
+
+def test_filtered_computed_torque_with_a_sensor_of_a_third_of_the_rate():
+    controller = computed(natural(1e-2), rate=10.0, bandwidth=20.0)
+    _, logs = run(controller, 1.5, sensor=SlowSensor(4, 3e-3))
+    V = logs["lyapunov"].ravel()
+    assert np.diff(V).max() <= 1e-3 * V[0]
+    assert V[-1] < 0.97 * V[0]
+
+
+@pytest.mark.parametrize("make", [passive, computed])
+def test_with_the_true_model_nothing_is_left_to_adapt(make):
+    controller = make(parameters=TRUTH, time_step=1e-3)
+    time, logs = run(controller, 0.5)
+    assert tracking_error(logs).max() < 1e-3
+    np.testing.assert_allclose(logs["parameters"], np.tile(TRUTH, (len(time), 1)), atol=1e-3)
+
+
+def test_adaptation_tracks_better_than_none():
+    adapted, fixed = (run(passive(law), 3.0)[1] for law in (natural(0.02), None))
+    assert tracking_error(adapted)[-150:].max() < 0.3 * tracking_error(fixed)[-150:].max()
+    np.testing.assert_array_equal(fixed["parameters"] - START, 0.0)
+
+
+def test_actuation_is_the_formula_of_the_source():
+    """u against [Lee2019] Eq. (5.2.10) and Remark 5.1 from Drake's own mass matrix and bias."""
+    rng = np.random.default_rng(0)
+    q, qd, q_d, v_d, a_d = rng.normal(size=(5, 2))
+    plant = pendulum_plant(damping=0.0)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q)
+    M = plant.CalcMassMatrix(context)
+    gravity = -plant.CalcGravityGeneralizedForces(context)
+    damping = np.array([0.3, 0.3])
+
+    def bias(velocity):
+        plant.SetVelocities(context, velocity)
+        return plant.CalcBiasTerm(context)
+
+    def coriolis(v):  # C(q, q̇) v is bilinear and symmetric for Christoffel symbols
+        return 0.25 * (bias(qd + v) - bias(qd - v))
+
+    for name, gains in GAINS.items():
+        system = passive(parameters=TRUTH, gains=gains, time_step=0.0)
+        own = system.CreateDefaultContext()
+        for port, value in (
+            ("estimated_state", np.concatenate([q, qd])),
+            ("desired_state", np.concatenate([q_d, v_d])),
+            ("desired_acceleration", a_d),
+        ):
+            system.GetInputPort(port).FixValue(own, value)
+        rate = np.asarray(gains.rate)
+        v, a = v_d - rate * (q - q_d), a_d - rate * (qd - v_d)
+        r = qd - v
+        K_r = gains.rate * (M @ r) if name == "varying" else np.array(gains.damping) * r
+        expected = M @ a + coriolis(v) + gravity + damping * v - K_r
+        np.testing.assert_allclose(
+            system.GetOutputPort("actuation").Eval(own), expected, rtol=1e-9, atol=1e-9
+        )
+
+
+def test_constraints_hold_all_the_way():
+    truth = TRUTH[10]
+    law = ProjectedLaw(natural(), mass_limits(len(TRUTH), 1, 0.9 * truth, 1.1 * truth))
+    start = TRUTH.copy()
+    start[10:20] *= 1.08
+    _, logs = run(passive(law, parameters=start), 1.0)
+    masses = logs["parameters"][:, 10]
+    assert (masses >= 0.9 * truth * (1 - 1e-9)).all()
+    assert (masses <= 1.1 * truth * (1 + 1e-9)).all()
+
+
+# The life of a Drake system
+
+
+@pytest.mark.parametrize("time_step", [0.0, 1e-3])
+def test_contexts_are_independent_and_can_be_cloned(time_step):
+    builder, loop = closed_loop(passive(time_step=time_step))
+    diagram = builder.Build()
+    first = loop.context(diagram)
+    simulator(diagram, first).AdvanceTo(0.1)
+    copy = first.Clone()
+    ends = []
+    for context in (first, copy):
+        simulator(diagram, context).AdvanceTo(0.2)
+        ends.append(loop.controller.parameters(loop.controller.GetMyContextFromRoot(context)))
+    np.testing.assert_array_equal(*ends)
+    fresh = diagram.CreateDefaultContext()
+    np.testing.assert_array_equal(
+        loop.controller.parameters(loop.controller.GetMyContextFromRoot(fresh)), START
+    )
+
+
+@pytest.mark.parametrize("make", [passive, computed])
+def test_initialize_twice_gives_the_same(make):
+    builder, loop = closed_loop(make())
+    diagram = builder.Build()
+    ends = []
+    for _ in range(2):
+        found = simulator(diagram, loop.context(diagram))
+        found.Initialize()
+        found.Initialize()
+        found.AdvanceTo(0.1)
+        ends.append(loop.parameters.Eval(loop.controller.GetMyContextFromRoot(found.get_context())))
+    np.testing.assert_array_equal(*ends)
+    found.reset_context(loop.context(diagram))
+    found.Initialize()
+    found.AdvanceTo(0.1)
+    again = loop.parameters.Eval(loop.controller.GetMyContextFromRoot(found.get_context()))
+    # (The integrator keeps its last step size.)
+    np.testing.assert_allclose(again, ends[0], rtol=1e-7, atol=1e-12)
+
+
+def test_two_loops_in_one_diagram_are_two_loops():
+    alone = run(passive(), 0.2)[1]["parameters"]
+    builder = DiagramBuilder()
+    loops = [
+        add_adaptive_loop(
+            builder,
+            builder.AddNamedSystem(f"plant_{i}", pendulum_plant()),
+            controller,
+            motion(),
+            log_period=1e-2,
+        )
+        for i, controller in enumerate((passive(), passive(parameters=TRUTH)))
+    ]
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    for loop in loops:
+        desired = loop.context(diagram)
+        state = loop.plant.GetPositionsAndVelocities(loop.plant.GetMyContextFromRoot(desired))
+        loop.plant.SetPositionsAndVelocities(loop.plant.GetMyContextFromRoot(context), state)
+    found = simulator(diagram, context)
+    found.AdvanceTo(0.2)
+    first, second = (loop.logged(found.get_context())[1]["parameters"] for loop in loops)
+    np.testing.assert_allclose(first, alone, rtol=1e-5, atol=1e-8)
+    assert np.abs(second - first).max() > 1e-3
+
+
+def test_discrete_plant_with_log_and_meshcat():
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 1e-3)
+    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        if joint.num_velocities() == 1:
+            plant.AddJointActuator(f"motor_{joint.name()}", joint)
+    plant.Finalize()
+    meshcat = Meshcat()
+    MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat)
+    loop = add_adaptive_loop(builder, plant, passive(), motion(), log_period=0.01)
+    log = LogVectorOutput(loop.parameters, builder, 0.05)
+    diagram = builder.Build()
+    time, logs = loop.simulated(diagram, 0.3)
+    assert len(time) == 31
+    assert isinstance(scene_graph, SceneGraph)
+    assert tracking_error(logs).max() < 0.2
+    assert log.num_input_ports() == 1
+
+
+def test_actuators_in_another_order():
+    plain = run(passive(), 0.1)[1]["actuation"]
+    plant = pendulum_plant(reverse=True)
+    turned = run(passive(), 0.1, plant=plant)[1]["actuation"]
+    np.testing.assert_allclose(turned, plain, rtol=1e-6, atol=1e-8)
+
+
+def test_parameters_can_be_set_in_a_context():
+    for time_step in (0.0, 1e-3):
+        system = passive(time_step=time_step)
+        context = system.CreateDefaultContext()
+        system.set_parameters(context, TRUTH)
+        np.testing.assert_array_equal(system.parameters(context), TRUTH)
+        np.testing.assert_array_equal(system.GetOutputPort("parameters").Eval(context), TRUTH)
+        with pytest.raises(ArgumentError, match="inside of the law's manifold"):
+            system.set_parameters(context, -TRUTH)
+
+
+def test_only_what_is_needed_is_read():
+    """Ports that do not matter to an output need no value, and no loop is closed through them."""
+    system = computed(time_step=0.0)
+
+    def feeds(system, source, sink):
+        i, o = system.GetInputPort(source).get_index(), system.GetOutputPort(sink).get_index()
+        return system.HasDirectFeedthrough(int(i), int(o))
+
+    assert feeds(system, "estimated_state", "actuation")
+    assert not feeds(system, "acceleration", "actuation")
+    assert not feeds(system, "estimated_state", "parameters")
+    assert not feeds(computed(), "estimated_state", "actuation")
+    assert feeds(computed(), "estimated_state", "lyapunov")
+    assert "lyapunov" not in [passive(truth=None).get_output_port(i).get_name() for i in range(2)]
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(ArgumentError, match=r"parameters must be \(22,\)"):
+        passive(parameters=np.ones(3))
+    with pytest.raises(ArgumentError, match="holds nan"):
+        passive(parameters=np.full(len(TRUTH), np.nan))
+    with pytest.raises(ArgumentError, match="inside of the law's manifold"):
+        passive(parameters=-TRUTH)
+    with pytest.raises(ArgumentError, match="time_step"):
+        passive(time_step=-1.0)
+    with pytest.raises(ArgumentError, match=r"rates? must be"):
+        passive(gains=VaryingGains(0.0))
+    with pytest.raises(ArgumentError, match="damping gains"):
+        passive(gains=FixedGains([1.0, 2.0, 3.0], 1.0))
+    with pytest.raises(ArgumentError, match="Effort limits"):
+        passive(safeguards=Safeguards(effort_limits=[1.0, -1.0]))
+    with pytest.raises(ArgumentError, match="rate must be a finite real number"):
+        passive(gains=VaryingGains([1.0, 9.0]))
+    with pytest.raises(ArgumentError, match="VaryingGains or FixedGains"):
+        passive(gains=8.0)
+    with pytest.raises(ArgumentError, match="dead zone"):
+        passive(safeguards=Safeguards(dead_zone=[1.0, 1.0, 1.0]))
+    with pytest.raises(ArgumentError, match="stale_time"):
+        Safeguards(stale_time=np.nan)
+    for rate in ([1.0, 2.0, 3.0], np.inf, -1.0):
+        with pytest.raises(ArgumentError, match=r"rates? must be"):
+            computed(rate=rate)
+    with pytest.raises(ArgumentError, match="needs a time step"):
+        computed(time_step=0.0, bandwidth=10.0)
+    with pytest.raises(ArgumentError, match="moves 5 parameters"):
+        passive(natural_adaptation(euclidean_adaptation(5).manifold))
+
+
+def test_floating_robots_are_refused():
+    floating = load_description(MODELS / "double_pendulum.urdf", floating=True)
+    with pytest.raises(ArgumentError, match="one degree of freedom"):
+        PassivityBasedAdaptiveController(ControlModel.of(floating), None)
+
+
+@pytest.mark.parametrize(
+    ("actuated", "welded", "message"),
+    [
+        (["shoulder"], True, "none at elbow"),
+        (["shoulder", "shoulder"], True, "none at elbow"),
+        (["shoulder", "elbow"], False, "WeldFrames"),
+    ],
+)
+def test_plants_that_do_not_fit_are_refused(actuated, welded, message):
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(MultibodyPlant(0.0))
+    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
+    if welded:
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    for number, joint in enumerate(actuated):
+        plant.AddJointActuator(f"motor_{number}", plant.GetJointByName(joint))
+    plant.Finalize()
+    with pytest.raises(ArgumentError, match=message):
+        add_adaptive_loop(builder, plant, passive(), motion())
+
+
+def test_the_plant_of_the_model_is_one_for_a_loop():
+    model = load_description(MODELS / "arm6.urdf")
+    law = natural_adaptation(parameter_manifold(model), gamma=0.05)
+    controller = PassivityBasedAdaptiveController(ControlModel.of(model), law)
+    builder = DiagramBuilder()
+    t = np.linspace(0.0, 2.0, 21)
+    path = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(t, np.tile(np.sin(t), (6, 1)))
+    plant = builder.AddSystem(model.plant)
+    loop = add_adaptive_loop(builder, plant, controller, path, log_period=0.01)
+    _, logs = loop.simulated(builder.Build(), 0.2)
+    assert tracking_error(logs).max() < 1e-2

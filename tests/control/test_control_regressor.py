@@ -1,0 +1,334 @@
+"""Regressors for control against Drake, Pinocchio, finite differences and the batched regressor."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from known_robots import PINOCCHIO_ORDER, plant_of
+from random_plants import JOINTS, random_plant
+
+from geodrake.control.regressor import ControlModel
+from geodrake.control.regressor.online_tree import OnlineTree
+from geodrake.control.regressor.rigid_bodies import RigidSample
+from geodrake.effects import (
+    AerodynamicDrag,
+    CoulombFriction,
+    CoupledFriction,
+    CoupledRotorInertia,
+    EffortDelay,
+    EffortOffset,
+    EffortScale,
+    FittedEffect,
+    GravityTilt,
+    JointEffect,
+    JointSpring,
+    LoadDependentFriction,
+    Parameter,
+    Payload,
+    RotorInertia,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geodrake.errors import ArgumentError
+from geodrake.inertia import inertial_parameters
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import load_description
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.regressor import inverse_dynamics_regressor
+
+MODELS = Path(__file__).parents[2] / "models"
+KINDS = sorted(set(JOINTS) - {"none"})
+MOVING = sorted(set(KINDS) - {"weld", "weld, reversed"})
+
+
+@dataclass(frozen=True)
+class RunningMean(JointEffect):
+    """An effect that sees more than its own sample, and so cannot be evaluated with others."""
+
+    name = "running_mean"
+    parameters = (Parameter("gain", "N·m"),)
+
+    def columns(self, joint):
+        return [np.cumsum(joint.q)]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Case:
+    plant: object
+    tree: KinematicTree
+    online: OnlineTree
+    phi: np.ndarray
+    q: np.ndarray
+    qd: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    r: np.ndarray
+
+    def sample(self, q=None, qd=None, v=None, a=None):
+        given = (q, qd, v, a)
+        own = (self.q, self.qd, self.v, self.a)
+        return RigidSample.at(
+            self.online, *(x if x is not None else y for x, y in zip(given, own, strict=True))
+        )
+
+    @property
+    def context(self):
+        context = self.plant.CreateDefaultContext()
+        self.plant.SetPositions(context, self.q)
+        self.plant.SetVelocities(context, self.qd)
+        return context
+
+    def rate(self, function):
+        """Rate of a function of (q, q̇) along the motion with the acceleration a, to O(h⁴)."""
+        qdot = self.plant.MapVelocityToQDot(self.context, self.qd)
+        h = 1e-3 / (1.0 + np.abs(qdot).max())
+
+        def at(step):
+            return function(self.q + step * qdot, self.qd + step * self.a)
+
+        return (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
+
+
+def case_of(plant, rng):
+    tree, nv = KinematicTree.from_plant(plant), plant.num_velocities()
+    motion = rng.normal(size=(4, nv))
+    q = rng.uniform(-2, 2, plant.num_positions())
+    return Case(plant, tree, OnlineTree.of(tree), inertial_parameters(plant), q, *motion)
+
+
+def close(actual, expected, tolerance=1e-11):
+    scale = np.abs(expected).max(initial=1e-9)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * scale)
+
+
+def on_random_trees(test):
+    """Runs a test on trees of every joint type."""
+
+    @settings(max_examples=60, derandomize=True, deadline=None)
+    @given(
+        seed=st.integers(0, 2**32 - 1),
+        kinds=st.lists(st.sampled_from(KINDS), max_size=7),
+        last=st.sampled_from(MOVING),
+    )
+    def run(seed, kinds, last):
+        rng = np.random.default_rng(seed)
+        test(case_of(random_plant(rng, [*kinds, last]), rng))
+
+    run.__name__, run.__doc__ = test.__name__, test.__doc__
+    return run
+
+
+@on_random_trees
+def test_with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case):
+    expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
+    close(case.sample(v=case.qd).regressor, expected)
+
+
+@on_random_trees
+def test_products_without_the_regressor_are_those_with_it(case):
+    sample = case.sample()
+    close(sample.effort(case.phi), sample.regressor @ case.phi.ravel())
+    close(sample.covector(case.r), (case.r @ sample.regressor).reshape(-1, 10))
+
+
+@on_random_trees
+def test_mass_and_bias_are_drakes(case):
+    sample, context = case.sample(), case.context
+    M, C = sample.mass_matrix(case.phi), sample.coriolis_matrix(case.phi)
+    gravity = case.plant.CalcGravityGeneralizedForces(context)
+    close(M, case.plant.CalcMassMatrix(context))
+    bias = case.plant.CalcBiasTerm(context)
+    np.testing.assert_allclose(C @ case.qd, bias, atol=1e-11 * max(1.0, np.abs(C).max()))
+    close(sample.effort(case.phi), M @ case.a + C @ case.v - gravity)
+
+
+@on_random_trees
+def test_the_rate_of_mass_less_twice_coriolis_is_skew(case):
+    rate = case.rate(lambda q, _: case.sample(q=q).mass_matrix(case.phi))
+    C = case.sample().coriolis_matrix(case.phi)
+    scale = np.abs(case.sample().mass_matrix(case.phi)).max() + np.abs(C).max()
+    np.testing.assert_allclose(rate, C + C.T, rtol=0, atol=1e-7 * scale)
+    x = case.r
+    assert abs(x @ (rate - 2 * C) @ x) < 1e-7 * scale * (x @ x)
+
+
+@on_random_trees
+def test_efforts_are_the_rate_of_momentum_less_its_drift(case):
+    rate = case.rate(lambda q, qd: case.sample(q=q, qd=qd).momentum_regressors[0])
+    expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
+    drift = case.sample().momentum_regressors[1]
+    close(rate - drift, expected, 1e-7)
+
+
+@pytest.mark.parametrize("name", ["arm7.urdf", "ambidex_like.urdf"])
+def test_coriolis_matrix_and_regressor_are_pinocchios(name):
+    pin = pytest.importorskip("pinocchio")
+    robot = ElementTree.parse(MODELS / name).getroot()
+    for parent in robot.iter():
+        for child in [c for c in parent if c.tag in ("visual", "collision", "dynamics")]:
+            parent.remove(child)
+    text = ElementTree.tostring(robot, encoding="unicode")
+    case = case_of(plant_of(text), np.random.default_rng(1))
+    model = pin.buildModelFromXML(text)
+    data = model.createData()
+    names = [case.plant.get_joint(i).name() for i in case.plant.GetJointIndices()]
+    moving = [n for n in names if case.plant.GetJointByName(n).num_velocities()]
+    order = [model.joints[model.getJointId(n)].idx_v for n in moving]
+    at = [case.plant.GetJointByName(n).velocity_start() for n in moving]
+    q, qd, a = (np.empty(len(at)) for _ in range(3))
+    q[order], qd[order], a[order] = case.q[at], case.qd[at], case.a[at]
+    C = pin.computeCoriolisMatrix(model, data, q, qd)[np.ix_(order, order)]
+    close(case.sample().coriolis_matrix(case.phi)[np.ix_(at, at)], C)
+    Y = pin.computeJointTorqueRegressor(model, data, q, qd, a)
+    blocks = Y.reshape(len(q), -1, 10)[:, :, PINOCCHIO_ORDER]
+    own = case.sample(v=case.qd).regressor.reshape(len(q), -1, 10)
+    bodies = [
+        case.tree.bodies.index(case.plant.GetJointByName(n).child_body().name()) for n in moving
+    ]
+    theirs = [model.getJointId(n) - 1 for n in moving]
+    close(own[np.ix_(at, bodies)], blocks[np.ix_(order, theirs)])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_coriolis_forces_are_symmetric_in_the_two_velocities(seed):
+    rng = np.random.default_rng(seed)
+    case = case_of(
+        random_plant(rng, ["revolute", "prismatic", "screw", "revolute"], chain=True), rng
+    )
+    C, swapped = case.sample(), case.sample(qd=case.v)
+    close(C.coriolis_matrix(case.phi) @ case.v, swapped.coriolis_matrix(case.phi) @ case.qd)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_description(MODELS / "arm7.urdf")
+
+
+def fitted(model, *effects, seed=0):
+    rng = np.random.default_rng(seed)
+    values = tuple(FittedEffect(e, rng.uniform(0.5, 2.0, len(e.parameters))) for e in effects)
+    return replace(model, effects=values)
+
+
+def all_effects(arm):
+    joints = arm.joints
+    each = [kind(j) for kind in (CoulombFriction, ViscousFriction, RotorInertia) for j in joints]
+    return (
+        *each,
+        *(StribeckFriction(j, 0.1 * (1 + i % 2)) for i, j in enumerate(joints)),
+        JointSpring(joints[1]),
+        JointSpring(joints[2], exponent=3),
+        EffortOffset(joints[3]),
+        EffortDelay(0.01),
+        LoadDependentFriction(joints[4]),
+        CoupledFriction((joints[4], joints[5])),
+        CoupledRotorInertia((joints[5], joints[6])),
+        Payload(arm.bodies[-1]),
+        GravityTilt(),
+        AerodynamicDrag(arm.bodies[-2], z=0.1),
+        EffortScale(joints[4]),
+        RunningMean(joints[0]),
+        RunningMean(joints[1]),
+    )
+
+
+def motion_of(arm, seed=0):
+    return np.random.default_rng(seed).normal(size=(5, len(arm.joints)))
+
+
+def test_effects_beside_inertia_are_those_of_the_model(arm):
+    model = fitted(arm, *all_effects(arm))
+    model = replace(
+        model,
+        effects=tuple(
+            replace(f, parameters=0.1 * inertial_parameters(arm.plant)[-1])
+            if f.effect.name == "payload"
+            else f
+            for f in model.effects
+        ),
+    )
+    control = ControlModel.of(model, sign_width=0.3)
+    q, qd, _, a, r = motion_of(arm)
+    sample = control.at(q, qd, qd, a)
+    motion = Motion(q[None], qd[None], a[None])
+    close(sample.effort(control.prior), model.effort(motion, sign_width=0.3)[0])
+    close(sample.covector(r), sample.regressor.T @ r)
+
+
+def test_effects_see_the_reference_velocity_or_the_measured_one(arm):
+    model = fitted(arm, *(CoulombFriction(j) for j in arm.joints))
+    q, qd, v, a, _ = motion_of(arm)
+    bare = ControlModel.of(replace(model, effects=())).at(q, qd, v, a)
+    for measured, seen in ((False, v), (True, qd)):
+        control = ControlModel.of(model, sign_width=0.5, measured_friction=measured)
+        mu = control.prior[control.num_inertial :]
+        friction = control.at(q, qd, v, a).effort(control.prior) - bare.effort(model.phi.ravel())
+        close(friction, mu * np.tanh(seen / 0.5), 1e-9)
+
+
+def test_mass_matrix_is_the_slope_of_the_effort_in_the_acceleration(arm):
+    left_out = ("load_dependent_friction", "effort_scale")
+    effects = [e for e in all_effects(arm) if e.name not in left_out]
+    control = ControlModel.of(fitted(arm, *effects))
+    q, qd, v, a, _ = motion_of(arm)
+    rest = control.at(q, qd, v, 0 * a).effort(control.prior)
+    slopes = [control.at(q, qd, v, e).effort(control.prior) - rest for e in np.eye(len(a))]
+    close(control.at(q, qd, v, a).mass_matrix(control.prior), np.transpose(slopes), 1e-10)
+
+
+def test_momentum_regressors_with_effects(arm):
+    effects = [
+        e for e in all_effects(arm) if e.name not in ("running_mean", "load_dependent_friction")
+    ]
+    control = ControlModel.of(fitted(arm, *effects), sign_width=0.3)
+    q, qd, _, a, _ = motion_of(arm)
+    h, zero = 1e-5, np.zeros_like(q)
+
+    def momenta(step):
+        moved = control.at(q + step * qd, qd + step * a, zero, zero)
+        return moved.momentum_regressors[0]
+
+    rate = (momenta(h) - momenta(-h)) / (2 * h)
+    drift = control.at(q, qd, zero, zero).momentum_regressors[1]
+    close(rate - drift, control.at(q, qd, qd, a).regressor, 1e-7)
+
+
+def test_parameters_of_effects_are_where_the_model_says(arm):
+    control = ControlModel.of(fitted(arm, *all_effects(arm)))
+    for number, fit in enumerate(fitted(arm, *all_effects(arm)).effects):
+        np.testing.assert_array_equal(
+            control.prior[control.effect_parameters(number)], fit.parameters
+        )
+    np.testing.assert_array_equal(control.phi(control.prior), arm.phi)
+
+
+def test_a_sample_changes_none_of_its_inputs_and_no_other_sample(arm):
+    control = ControlModel.of(fitted(arm, *all_effects(arm)))
+    q, qd, v, a, r = motion_of(arm)
+    given = [x.copy() for x in (q, qd, v, a)]
+    first = control.at(*given)
+    before = first.regressor.copy(), first.covector(r), first.mass_matrix(control.prior)
+    second = control.at(*motion_of(arm, seed=1)[:4])
+    assert not np.array_equal(second.regressor, first.regressor)
+    for x, y in zip(given, (q, qd, v, a), strict=True):
+        np.testing.assert_array_equal(x, y)
+    after = first.regressor, first.covector(r), first.mass_matrix(control.prior)
+    for x, y in zip(before, after, strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_what_is_not_finite_comes_out_as_such(arm):
+    control = ControlModel.of(arm)
+    q, qd, v, a, _ = motion_of(arm)
+    qd[2] = np.nan
+    assert np.isnan(control.at(q, qd, v, a).effort(control.prior)).any()
+
+
+@pytest.mark.parametrize("width", [-1.0, np.nan, np.inf, [0.1, 0.1]])
+def test_widths_of_signs_that_are_none_are_refused(arm, width):
+    with pytest.raises(ArgumentError, match=r"sign widths|sign_width must"):
+        ControlModel.of(arm, sign_width=width)

@@ -1,0 +1,414 @@
+"""Effects in Drake simulations, against closed forms, scipy and Drake's own inertias."""
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    PrismaticJoint,
+    RevoluteJoint,
+    SpatialInertia,
+    UnitInertia,
+    WeldJoint,
+    default_model_instance,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, Sine
+from scipy.integrate import solve_ivp
+
+from geodrake import effects
+from geodrake.control.systems import DelayedEffort, EffectForce
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import from_spatial_inertia, inertial_parameters, to_spatial_inertia
+from geodrake.robot.kinematics import KinematicTree
+
+LINK = SpatialInertia(
+    2.0,
+    [0.02, -0.01, 0.25],
+    UnitInertia.SolidBox(0.2, 0.1, 0.6).ShiftFromCenterOfMass([-0.02, 0.01, -0.25]),
+)
+TOOL = SpatialInertia(
+    0.7,
+    [0.01, 0.02, 0.05],
+    UnitInertia.SolidBox(0.1, 0.2, 0.3).ShiftFromCenterOfMass([-0.01, -0.02, -0.05]),
+)
+
+
+def arm(*, damping=0.0, on_link2=None, rotor=0.0, dofs=3, weld_tool=False, time_step=0.0):
+    """A chain of revolute joints about y, x, z, …; links hang from each other."""
+    plant = MultibodyPlant(time_step)
+    parent = plant.world_frame()
+    for i in range(dofs):
+        inertia = LINK
+        if on_link2 is not None and i == 1:
+            inertia = to_spatial_inertia(from_spatial_inertia(LINK) + on_link2)
+        body = plant.AddRigidBody(f"link{i + 1}", inertia)
+        frame = plant.AddFrame(
+            FixedOffsetFrame(
+                f"mount{i}", parent, RigidTransform(RollPitchYaw(0.3 * i, 0.2, 0), [0, 0.02, 0.3])
+            )
+        )
+        axis = np.roll([0.0, 1.0, 0.0], i)
+        joint = plant.AddJoint(
+            RevoluteJoint(f"joint{i + 1}", frame, body.body_frame(), axis, damping)
+        )
+        actuator = plant.AddJointActuator(f"motor{i + 1}", joint)
+        if i == 1 and rotor:
+            actuator.set_default_rotor_inertia(rotor / 100.0**2)
+            actuator.set_default_gear_ratio(100.0)
+        parent = body.body_frame()
+    if weld_tool:
+        tool = plant.AddRigidBody("tool", SpatialInertia.Zero())
+        X = RigidTransform(RollPitchYaw(0.4, -0.3, 0.2), [0.1, -0.05, 0.2])
+        plant.AddJoint(WeldJoint("flange", parent, tool.body_frame(), X))
+    plant.Finalize()
+    return plant
+
+
+def acceleration(plant, q, v, u, terms=(), **options):
+    """v̇ of a plant that carries effects, through the plant's own dynamics."""
+    builder = DiagramBuilder()
+    builder.AddSystem(plant)
+    if terms:
+        force = EffectForce.AddToBuilder(builder, plant, terms, **options)
+        builder.ExportInput(force.GetInputPort("applied_effort"), "effort")
+        builder.ConnectInput("effort", plant.get_actuation_input_port())
+    else:
+        builder.ExportInput(plant.get_actuation_input_port(), "effort")
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    diagram.get_input_port(0).FixValue(context, u)
+    plant_context = plant.GetMyContextFromRoot(context)
+    plant.SetPositionsAndVelocities(plant_context, np.concatenate([q, v]))
+    port = plant.get_generalized_acceleration_output_port(default_model_instance())
+    return port.Eval(plant_context)
+
+
+STATES = [np.random.default_rng(seed).normal(size=(3, 3)) for seed in range(4)]
+
+
+class TestExactDynamics:
+    @pytest.mark.parametrize("damping", [0.0, 0.8])
+    def test_rotor_inertia_is_drakes(self, damping):
+        terms = [(effects.RotorInertia("joint2"), [0.4])]
+        for q, v, u in STATES:
+            with_effect = acceleration(arm(damping=damping), q, v, 10 * u, terms)
+            expected = acceleration(arm(damping=damping, rotor=0.4), q, v, 10 * u)
+            np.testing.assert_allclose(with_effect, expected, rtol=1e-10)
+
+    def test_payload_is_a_heavier_link(self):
+        phi = from_spatial_inertia(TOOL)
+        for q, v, u in STATES:
+            with_effect = acceleration(arm(), q, v, u, [(effects.Payload("link2"), phi)])
+            expected = acceleration(arm(on_link2=phi), q, v, u)
+            np.testing.assert_allclose(with_effect, expected, rtol=1e-9)
+
+    def test_payload_on_a_welded_tool(self):
+        phi = from_spatial_inertia(TOOL)
+        loaded = arm(weld_tool=True)
+        tool = loaded.GetBodyByName("tool")
+        for q, v, u in STATES:
+            with_effect = acceleration(
+                arm(weld_tool=True), q, v, u, [(effects.Payload("tool"), phi)]
+            )
+            context = loaded.CreateDefaultContext()
+            loaded.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+            tool.SetSpatialInertiaInBodyFrame(context, TOOL)
+            loaded.get_actuation_input_port().FixValue(context, u)
+            expected = loaded.get_generalized_acceleration_output_port(default_model_instance())
+            np.testing.assert_allclose(with_effect, expected.Eval(context), rtol=1e-9)
+
+    def test_effort_of_all_effects_is_what_their_regressors_say(self):
+        terms = [
+            (effects.ViscousFriction("joint1"), [0.5]),
+            (effects.CoulombFriction("joint2"), [1.0]),
+            (effects.LoadDependentFriction("joint1"), [0.15]),
+            (effects.LoadDependentFriction("joint3"), [0.1]),
+            (effects.JointSpring("joint3"), [2.0, 0.3]),
+            (effects.GravityCompensator("joint2"), [1.5, -0.4]),
+            (effects.TorqueRipple("joint1", 9.5), [0.2, 0.3]),
+            (effects.CoupledFriction(("joint2", "joint3")), [0.3, 0.2]),
+            (effects.CoupledRotorInertia(("joint2", "joint3")), [0.05]),
+            (effects.RotorInertia("joint3"), [0.2]),
+            (effects.Payload("link3"), from_spatial_inertia(TOOL)),
+            (effects.GravityTilt(), [0.03, -0.02]),
+            (effects.AerodynamicDrag("link3"), [0.4, 0.1, 0.0, 0.05]),
+        ]
+        plant = arm(damping=0.3)
+        for q, v, u in STATES:
+            vd = acceleration(plant_copy := arm(damping=0.3), q, v, u, terms, sign_width=0.05)
+            context = plant.CreateDefaultContext()
+            plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+            M = plant.CalcMassMatrix(context)
+            drift = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
+            load = M @ vd + drift
+            motion = effects.RobotMotion(
+                ("joint1", "joint2", "joint3"),
+                *(x[None] for x in (q, v, vd, load)),
+                np.full(3, 0.05),
+                lambda name, q=q, v=v, vd=vd: _link3_columns(plant_copy, q, v, vd),
+                RobotBodies(KinematicTree.from_plant(plant), q[None], inertial_parameters(plant)),
+            )
+            effort = sum(effect.effort(motion, mu)[0] for effect, mu in terms)
+            np.testing.assert_allclose(load + 0.3 * v + effort, u, rtol=1e-7, atol=1e-7)
+
+    def test_tilt_is_another_gravity(self):
+        """Both angles small: the plant falls as if its gravity were turned."""
+        angles = np.array([2e-4, -3e-4])
+        for q, v, u in STATES:
+            leaning = arm()
+            down = leaning.gravity_field().gravity_vector()
+            turned = RollPitchYaw(*angles, 0.0).ToRotationMatrix().inverse() @ down
+            leaning.mutable_gravity_field().set_gravity_vector(turned)
+            with_effect = acceleration(arm(), q, v, u, [(effects.GravityTilt(), angles)])
+            np.testing.assert_allclose(with_effect, acceleration(leaning, q, v, u), atol=1e-4)
+            assert np.abs(with_effect - acceleration(arm(), q, v, u)).max() > 1e-3
+
+    def test_gain_divides_the_applied_effort(self):
+        friction = [
+            (effects.ViscousFriction("joint2"), [0.5]),
+            (effects.RotorInertia("joint2"), [0.3]),
+        ]
+        for q, v, u in STATES:
+            terms = [(effects.EffortScale("joint2"), [0.25]), *friction]
+            with_effect = acceleration(arm(), q, v, u, terms)
+            smaller = u / np.array([1.0, 1.25, 1.0])
+            np.testing.assert_allclose(with_effect, acceleration(arm(), q, v, smaller, friction))
+
+    def test_gain_alone_reads_the_applied_effort(self):
+        system = EffectForce(arm(), [(effects.EffortScale("joint2"), [0.25])])
+        assert system.HasDirectFeedthrough(1, 0)
+
+
+def _link3_columns(plant, q, v, vd):
+    """Inertial regressor of the last link by differences of Drake's inverse dynamics."""
+    context = plant.CreateDefaultContext()
+    body = plant.GetBodyByName("link3")
+    plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+    base = from_spatial_inertia(LINK)
+
+    def effort(phi):
+        body.SetSpatialInertiaInBodyFrame(context, to_spatial_inertia(phi))
+        rigid = plant.CalcMassMatrix(context) @ vd + plant.CalcBiasTerm(context)
+        return rigid - plant.CalcGravityGeneralizedForces(context)
+
+    step = 1e-3 * np.eye(10)
+    return np.stack([(effort(base + e) - effort(base)) / 1e-3 for e in step], -1)[None]
+
+
+class TestSimulation:
+    @pytest.mark.parametrize(("time_step", "tolerance"), [(0.0, 1e-4), (1e-3, 2e-2)])
+    def test_pendulum_swings_down_as_scipy_says(self, time_step, tolerance):
+        c, F, width = 0.05, 0.3, 1e-2
+        plant = arm(dofs=1, time_step=time_step)
+        builder = DiagramBuilder()
+        builder.AddSystem(plant)
+        terms = [
+            (effects.ViscousFriction("joint1"), [c]),
+            (effects.CoulombFriction("joint1"), [F]),
+        ]
+        EffectForce.AddToBuilder(builder, plant, terms, sign_width=width)
+        logger = LogVectorOutput(plant.get_state_output_port(), builder, 0.02)
+        simulator = Simulator(builder.Build())
+        context = simulator.get_mutable_context()
+        plant.SetPositions(plant.GetMyContextFromRoot(context), [2.0])
+        simulator.get_mutable_integrator().set_target_accuracy(1e-7)
+        simulator.AdvanceTo(4.0)
+        log = logger.FindLog(context)
+
+        phi = from_spatial_inertia(LINK)
+        g = plant.gravity_field().gravity_vector()[2]
+        tilt = RollPitchYaw(0.0, 0.2, 0.0).ToRotationMatrix().matrix()
+
+        def derivative(_, x):
+            c_q, s_q = np.cos(x[0]), np.sin(x[0])
+            turn = tilt @ np.array([[c_q, 0, s_q], [0, 1, 0], [-s_q, 0, c_q]])
+            gravity = np.cross(turn @ phi[1:4], [0, 0, g]) @ tilt[:, 1]
+            friction = c * x[1] + F * np.tanh(x[1] / width)
+            return [x[1], (gravity - friction) / phi[5]]
+
+        expected = solve_ivp(
+            derivative, (0, 4), [2.0, 0.0], "LSODA", log.sample_times(), rtol=1e-9, atol=1e-9
+        )
+        np.testing.assert_allclose(log.data(), expected.y, atol=tolerance)
+        swing = np.abs(np.diff(log.data()[0])).sum()
+        assert swing > 2.0
+
+    def test_dry_friction_stops_a_slider(self):
+        plant = MultibodyPlant(0.0)
+        body = plant.AddRigidBody("cart", SpatialInertia.SolidSphereWithMass(2.0, 0.1))
+        plant.AddJoint(
+            PrismaticJoint("rail", plant.world_frame(), body.body_frame(), [1.0, 0.0, 0.0])
+        )
+        plant.Finalize()
+        builder = DiagramBuilder()
+        builder.AddSystem(plant)
+        terms = [(effects.CoulombFriction("rail"), [1.0])]
+        EffectForce.AddToBuilder(builder, plant, terms, sign_width=1e-4)
+        simulator = Simulator(builder.Build())
+        context = plant.GetMyContextFromRoot(simulator.get_mutable_context())
+        plant.SetVelocities(context, [1.0])
+        simulator.AdvanceTo(1.0)
+        np.testing.assert_allclose(plant.GetVelocities(context), 0.5, rtol=1e-3)
+        simulator.AdvanceTo(3.0)  # stops at t = m v / F = 2 s after m v² / 2 F = 1 m
+        assert np.abs(plant.GetVelocities(context)) < 1e-4  # held: it creeps at most at sign_width
+        np.testing.assert_allclose(plant.GetPositions(context), 1.0, atol=1e-3)
+
+
+class TestSystem:
+    def test_ports(self):
+        plant = arm()
+        system = EffectForce(plant, [(effects.CoulombFriction("joint1"), [1.0])])
+        assert [system.get_input_port(i).get_name() for i in range(2)] == [
+            "state",
+            "applied_effort",
+        ]
+        assert [system.get_input_port(i).size() for i in range(2)] == [6, 3]
+        assert system.num_output_ports() == 1
+        assert system.GetOutputPort("generalized_force").size() == 3
+        assert system.CreateDefaultContext().num_total_states() == 0
+
+    def test_reads_effort_only_if_it_must(self):
+        plant = arm()
+        direct = EffectForce(plant, [(effects.CoulombFriction("joint1"), [1.0])])
+        coupled = EffectForce(plant, [(effects.RotorInertia("joint1"), [1.0])])
+        assert not direct.HasDirectFeedthrough(1, 0)
+        assert coupled.HasDirectFeedthrough(1, 0)
+
+    def test_no_effects(self):
+        plant = arm()
+        system = EffectForce(plant, [])
+        context = system.CreateDefaultContext()
+        system.get_input_port(0).FixValue(context, np.ones(6))
+        np.testing.assert_array_equal(system.get_output_port().Eval(context), 0.0)
+
+    def test_friction_that_fades_with_time(self):
+        plant, drift = arm(), effects.FrictionDrift("joint2", 2.0)
+        system = EffectForce(plant, [(drift, [3.0, 0.5])], sign_width=0.05)
+        context = system.CreateDefaultContext()
+        system.get_input_port(0).FixValue(context, [0.1, 0.2, 0.3, 0.4, -0.5, 0.6])
+        for time in (0.0, 1.0, 7.0):
+            context.SetTime(time)
+            force = 3.0 * np.tanh(-0.5 / 0.05) + 0.5 * -0.5
+            np.testing.assert_allclose(
+                system.get_output_port().Eval(context), [0.0, -np.exp(-time / 2.0) * force, 0.0]
+            )
+
+    @pytest.mark.parametrize("signal", ["v", "vd", "load"])
+    def test_users_effect_that_says_nothing_of_time(self, signal):
+        """It is given the time as the catalogue's effects are that declare it."""
+
+        class Fading(effects.JointEffect):
+            name = "fading"
+            parameters = (effects.Parameter("size", "N·m"),)
+
+            def columns(self, joint):
+                raise NotImplementedError
+
+            def rows(self, motion):
+                joint = motion.joint("joint2")
+                left = 0.0 if motion.time is None else np.exp(-motion.time / 2.0)
+                column = left * joint.v + 1e-12 * getattr(joint, signal)
+                return {"joint2": column[:, None]}
+
+        system = EffectForce(arm(), [(Fading("joint2"), [0.5])])
+        context = system.CreateDefaultContext()
+        system.get_input_port(0).FixValue(context, [0.1, 0.2, 0.3, 0.4, -0.5, 0.6])
+        system.get_input_port(1).FixValue(context, np.zeros(3))
+        for time in (0.0, 1.0, 7.0):
+            context.SetTime(time)
+            np.testing.assert_allclose(
+                system.get_output_port().Eval(context),
+                [0.0, 0.25 * np.exp(-time / 2.0), 0.0],
+                atol=1e-9,
+            )
+
+    def test_two_instances_in_one_diagram(self):
+        builder = DiagramBuilder()
+        plants = [builder.AddNamedSystem(name, arm()) for name in ("left", "right")]
+        mus = [[1.0], [3.0]]
+        forces = [
+            EffectForce.AddToBuilder(builder, plant, [(effects.RotorInertia("joint1"), mu)])
+            for plant, mu in zip(plants, mus, strict=True)
+        ]
+        diagram = builder.Build()
+        context = diagram.CreateDefaultContext()
+        outputs = [
+            force.get_output_port().Eval(force.GetMyContextFromRoot(context)) for force in forces
+        ]
+        alone = EffectForce(arm(), [(effects.RotorInertia("joint1"), mus[1])])
+        own = alone.CreateDefaultContext()
+        alone.get_input_port(0).FixValue(own, np.zeros(6))
+        np.testing.assert_allclose(outputs[1], alone.get_output_port().Eval(own))
+        assert not np.allclose(*outputs)
+
+    def test_users_effect_of_the_acceleration(self):
+        class Flywheel(effects.JointEffect):
+            name = "flywheel"
+            parameters = (effects.Parameter("inertia", "kg·m²"),)
+
+            def columns(self, joint):
+                return [joint.vd * np.sin(joint.q) ** 2]
+
+        q, v, u = STATES[0]
+        np.testing.assert_allclose(
+            acceleration(arm(), q, v, u, [(Flywheel("joint2"), [0.4])]),
+            acceleration(
+                arm(), q, v, u, [(effects.RotorInertia("joint2"), [0.4 * np.sin(q[1]) ** 2])]
+            ),
+        )
+
+    @pytest.mark.parametrize(
+        ("effect", "mu", "message"),
+        [
+            (effects.CoulombFriction("knee"), [1.0], "no joint 'knee'"),
+            (effects.Payload("hand"), [1.0, 0, 0, 0, 1, 1, 1, 0, 0, 0], "no moving body 'hand'"),
+            (
+                effects.CoulombFriction("joint1"),
+                [1.0, 2.0],
+                r"coulomb_friction of joint1 must be \(1,\)",
+            ),
+            (effects.CoulombFriction("joint1"), [np.nan], "holds nan"),
+            (effects.EffortDelay(0.01), [], "DelayedEffort"),
+        ],
+    )
+    def test_bad_effects(self, effect, mu, message):
+        with pytest.raises(ArgumentError, match=message):
+            EffectForce(arm(), [(effect, mu)])
+
+    def test_self_locking_gear(self):
+        q, v, u = STATES[1]
+        terms = [(effects.LoadDependentFriction("joint1"), [5.0])]
+        with pytest.raises(ModelError, match="does not settle"):
+            acceleration(arm(), q, v, u, terms)
+
+
+class TestDelayedEffort:
+    @staticmethod
+    def response(delays, times, period=1e-3):
+        builder = DiagramBuilder()
+        source = builder.AddSystem(Sine(2.0, 10.0, 0.5, len(delays)))
+        system = builder.AddSystem(DelayedEffort(delays, period=period))
+        builder.Connect(source.get_output_port(0), system.get_input_port())
+        simulator = Simulator(builder.Build())
+        context = system.GetMyContextFromRoot(simulator.get_mutable_context())
+        simulator.Initialize()
+        outputs = []
+        for t in times:
+            simulator.AdvanceTo(t)
+            outputs.append(system.get_output_port().Eval(context).copy())
+        return np.array(outputs)
+
+    def test_every_effort_has_its_delay(self):
+        delays = np.array([0.0, 0.001, 0.0123, 0.02])
+        times = np.sort(np.concatenate([np.arange(0, 0.3, 0.01), [0.1234567, 0.2000003]]))
+        expected = 2.0 * np.sin(10.0 * np.maximum(times[:, None] - delays, 0.0) + 0.5)
+        np.testing.assert_allclose(self.response(delays, times), expected, atol=3e-5)
+
+    def test_bad_delays(self):
+        for delays in ([-0.1], [0.0005], [np.inf]):
+            with pytest.raises(ArgumentError, match=r"zero or at least the period|finite"):
+                DelayedEffort(delays)

@@ -1,0 +1,284 @@
+"""Filtered regressors, least-divergence steps and slab projections, against other solvers."""
+
+import numpy as np
+import pytest
+from adaptive_loops import CONTROL, MANIFOLD, TRUTH, motion, pendulum_plant, perturbed
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+
+from geodrake.control.adaptation import LinearSet, mass_limits
+from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
+from geodrake.control.online_estimation.slab_step import slab_step
+from geodrake.errors import ArgumentError
+from geodrake.manifolds import (
+    ConstrainedInertia,
+    Free,
+    Interval,
+    PhysicalInertia,
+    Polyhedron,
+    Positive,
+    Product,
+    bregman_projection,
+)
+
+STEP = 1e-3
+MIXED = Product(
+    (
+        PhysicalInertia(),
+        Positive(2),
+        Interval((-1.0, -np.inf, 0.0), (2.0, 1.0, np.inf)),
+        Free(2),
+        PhysicalInertia(),
+    ),
+    (1.0, 0.5, 2.0, 1.0, 3.0),
+)
+
+
+def inside(rng, size=0.3):
+    """A point of MIXED."""
+    bodies = [perturbed(size, int(rng.integers(1 << 30)))[:10] for _ in range(2)]
+    others = [np.exp(rng.normal(size=2)), [rng.uniform(-0.9, 1.9), rng.uniform(-3, 0.9)]]
+    return np.concatenate(
+        [bodies[0], *others, np.exp(rng.normal(size=1)), rng.normal(size=2), bodies[1]]
+    )
+
+
+def samples(count=1500):
+    """Positions, velocities and Drake's own efforts (with damping) along a motion, (N, 2) each."""
+    plant = pendulum_plant()
+    context = plant.CreateDefaultContext()
+    path, time = motion(), STEP * np.arange(count)
+    q, v, a = (
+        np.array([path.EvalDerivative(t, k).ravel() for t in time])
+        if k
+        else path.vector_values(time).T
+        for k in range(3)
+    )
+    effort = []
+    for now in zip(q, v, a, strict=True):
+        plant.SetPositions(context, now[0])
+        plant.SetVelocities(context, now[1])
+        forces = plant.CalcMassMatrix(context) @ now[2] + plant.CalcBiasTerm(context)
+        effort.append(forces - plant.CalcGravityGeneralizedForces(context) + 0.3 * now[1])
+    return q, v, np.array(effort)
+
+
+# Filtered regressors
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_filtered_rows_are_the_filtered_efforts(order):
+    """Against scipy's filter of Drake's efforts, without any acceleration."""
+    q, v, effort = samples()
+    filtered = FilteredRegressor(CONTROL, STEP, 15.0, order)
+    memory, rows = filtered.start(), []
+    for now in zip(q, v, effort, strict=True):
+        memory = filtered.advanced(memory, *now)
+        rows.append(filtered.rows(memory))
+    Y, found = (np.array(part) for part in zip(*rows, strict=True))
+    share = -np.expm1(-15.0 * STEP)
+    expected = np.vstack([np.zeros(2), 0.5 * (effort[1:] + effort[:-1])])
+    for _ in range(order):
+        expected = lfilter([share], [1.0, share - 1.0], expected, axis=0)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    # The trapezoidal rule is of second order.
+    np.testing.assert_allclose(Y @ TRUTH, expected, atol=2e-5)
+
+
+def test_rows_of_held_efforts_are_exact_to_second_order():
+    fine, errors = samples(1201), []
+    for every in (4, 2):
+        filtered = FilteredRegressor(CONTROL, every * STEP, 15.0, held_effort=True)
+        memory, mean = filtered.start(), np.zeros(2)
+        for i in range(0, len(fine[0]), every):
+            if i:
+                held = fine[2][i - every : i + 1]
+                mean = (0.5 * (held[1:] + held[:-1])).mean(0)
+            memory = filtered.advanced(memory, fine[0][i], fine[1][i], mean)
+        Y, u = filtered.rows(memory)
+        errors.append(np.abs(Y @ TRUTH - u).max())
+    assert errors[1] < 0.3 * errors[0] < 1e-3
+
+
+def test_what_is_missing_is_left_out_of_both_sides():
+    q, v, effort = samples(900)
+    filtered = FilteredRegressor(CONTROL, STEP, 20.0)
+    memory = filtered.start()
+    for i, now in enumerate(zip(q, v, effort, strict=True)):
+        if 300 <= i < 400:
+            memory = filtered.skipped(memory)
+        elif i in (500, 600):
+            broken = [x.copy() for x in now]
+            broken[(i // 100) % 3][0] = np.nan if i == 500 else np.inf
+            memory = filtered.advanced(memory, *broken)
+        else:
+            memory = filtered.advanced(memory, *now)
+        Y, u = filtered.rows(memory)
+        assert np.isfinite(memory).all()
+        np.testing.assert_allclose(Y @ TRUTH, u, atol=5e-5)
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_intervals_go_on_while_the_state_only_repeats(held):
+    q, v, effort = samples(900)
+    filtered = FilteredRegressor(CONTROL, STEP, held_effort=held)
+    every, slow = filtered.start(), filtered.start()
+    for i in range(len(q)):
+        # An effort that was held since the last instant is, for smooth ones, that of half way.
+        u = 0.5 * (effort[i] + effort[i - 1]) if held and i else effort[i]
+        every = filtered.advanced(every, q[i], v[i], u)
+        seen = i - i % 3
+        slow = filtered.advanced(slow, q[seen], v[seen], u, repeated=seen != i)
+        if i % 3 == 0:
+            Y, known = filtered.rows(slow)
+            np.testing.assert_allclose(Y @ TRUTH, known, atol=5e-3)
+    for one, other in zip(filtered.rows(slow), filtered.rows(every), strict=True):
+        assert np.abs(one - other).max() < 0.02 * np.abs(other).max()
+
+
+def test_filters_that_are_none_are_refused():
+    for wrong in ((0.0, 20.0, 2), (1e-3, -1.0, 2), (1e-3, 20.0, 0), (np.nan, 20.0, 1), (1, 1, 1.5)):
+        with pytest.raises(ArgumentError, match=r"(period|bandwidth|order) must be"):
+            FilteredRegressor(CONTROL, *wrong)
+
+
+# Slabs
+
+
+def slabs(rng, rows=3, size=0.3):
+    """An estimate, rows and their values, tolerances, and a truth inside of the slabs."""
+    x, truth = inside(rng, size), inside(rng, size)
+    Y = rng.normal(size=(rows, MIXED.dimension))
+    tolerance = rng.uniform(0.01, 0.5, rows)
+    return x, Y, Y @ truth + rng.uniform(-1, 1, rows) * tolerance, tolerance, truth
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(st.integers(0, 2**31), st.integers(1, 6), st.sampled_from([0.3, 0.5, 1.0]))
+def test_no_step_leads_away_from_the_truth(seed, rows, relaxation):
+    """D(p‖y) ≤ D(p‖x) if p is in the slabs, whatever share is carried out."""
+    x, Y, effort, tolerance, truth = slabs(np.random.default_rng(seed), rows)
+    y = slab_step(MIXED, x, Y, effort, tolerance, relaxation=relaxation)
+    before = MIXED.divergence(truth, x)
+    assert MIXED.divergence(truth, y) <= before * (1 + 1e-9) + 1e-9
+
+
+def test_steps_end_in_the_slabs():
+    for seed in range(5):
+        x, Y, effort, tolerance, _ = slabs(np.random.default_rng(seed))
+        for _ in range(200):
+            x = slab_step(MIXED, x, Y, effort, tolerance)
+        assert (np.abs(Y @ x - effort) < 1.01 * tolerance).all()
+
+
+def test_small_steps_are_toward_the_projection():
+    """Newton's first step is the projection itself, to second order of a small error."""
+    rng = np.random.default_rng(1)
+    x, row = inside(rng), rng.normal(size=(1, MIXED.dimension))
+    for size in (1e-3, 1e-4):
+        effort, tolerance = row @ x - size, np.array([0.1 * size])
+        y = slab_step(MIXED, x, row, effort, tolerance)
+        nearest = bregman_projection(
+            MIXED, x, Polyhedron(row, effort - tolerance, effort + tolerance)
+        )
+        assert np.abs(y - nearest).max() < 0.02 * np.abs(nearest - x).max()
+
+
+def test_samples_that_contradict_each_other_do_little():
+    x, Y, _, tolerance, _ = slabs(np.random.default_rng(3), 1)
+    both, now = np.vstack([Y, Y + 1e-6]), float((Y @ x)[0])
+    efforts = now + np.array([1.0, -1.0])
+    y = slab_step(MIXED, x, both, efforts, np.tile(tolerance, 2))
+    assert MIXED.divergence(y, x) < 1e-6
+
+
+def test_estimates_inside_stay():
+    x, Y, _, tolerance, _ = slabs(np.random.default_rng(5), 2)
+    assert slab_step(MIXED, x, Y, Y @ x, tolerance) is x
+
+
+# Samples
+
+
+def update(tolerance=2e-3, **options):
+    return SampleUpdate(MANIFOLD, np.full(2, tolerance), **options)
+
+
+def test_samples_lead_to_the_truth_and_never_away():
+    q, v, effort = samples(1500)
+    filtered, made = FilteredRegressor(CONTROL, STEP), update()
+    memory, p = filtered.start(), perturbed(0.3)
+    distances, errors = [], []
+    for now in zip(q, v, effort, strict=True):
+        memory = filtered.advanced(memory, *now)
+        Y, u = filtered.rows(memory)
+        errors.append(np.abs(Y @ p - u).max())
+        p = made.updated(p, Y, u, STEP)
+        distances.append(float(MANIFOLD.divergence(TRUTH, p)))
+    assert np.diff(distances).max() < 1e-6
+    assert np.mean(errors[-300:]) < 0.4 * max(errors)
+
+
+def test_bodies_with_constraints_are_estimated_too():
+    rng = np.random.default_rng(2)
+    bounded = ConstrainedInertia(-np.eye(10)[:1], np.array([-2.0]))  # lighter than 2 kg
+    manifold, truth, p = Product((bounded,)), perturbed(0.1)[:10], perturbed(0.3)[:10]
+    made = SampleUpdate(manifold, 1e-5)
+    before = manifold.divergence(truth, p)
+    for _ in range(300):
+        Y = rng.normal(size=(2, 10))
+        p = made.updated(p, Y, Y @ truth, STEP)
+        assert manifold.contains(p)
+    assert manifold.divergence(truth, p) < 0.2 * before
+
+
+def test_efforts_that_no_body_has_move_the_estimate_a_little():
+    p = perturbed(0.2)
+    Y = np.zeros((2, len(p)))
+    Y[:, 0] = 1.0
+    moved = update().updated(p, Y, np.full(2, -3.0), STEP)
+    assert 0 < moved[0] < p[0]
+    assert MANIFOLD.contains(moved)
+    for wrong in (np.nan, np.inf):
+        assert update().updated(p, Y, np.array([0.0, wrong]), STEP) is p
+
+
+def test_constraints_hold_after_every_sample():
+    limits = mass_limits(len(TRUTH), 1, 0.9 * TRUTH[10], 1.1 * TRUTH[10])
+    rng, made = np.random.default_rng(0), update(constraints=limits)
+    p = TRUTH.copy()
+    for _ in range(50):
+        Y = rng.normal(size=(2, len(p)))
+        p = made.updated(p, Y, rng.normal(size=2), STEP)
+        assert (LinearSet(limits).values(p) <= 1e-9).all()
+
+
+def test_forgetting_goes_back_where_no_sample_holds():
+    p = perturbed(0.2)
+    made = update(forgetting=2.0, prior=TRUTH)
+    nothing = (np.zeros((2, len(p))), np.zeros(2))
+    gap = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
+    for _ in range(1000):
+        p = made.updated(p, *nothing, STEP)
+    left = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
+    np.testing.assert_allclose(left, np.exp(-2.0) * gap, rtol=1e-5, atol=1e-7 * np.abs(gap).max())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"relaxation": 0.0}, "relaxation"),
+        ({"relaxation": 1.5}, "relaxation"),
+        ({"forgetting": -1.0}, "forgetting"),
+        ({"forgetting": 1.0}, "prior"),
+        ({"forgetting": 1.0, "prior": -TRUTH}, "inside of the manifold"),
+        ({"forgetting": 1.0, "prior": TRUTH[:3]}, "prior must be"),
+        ({"constraints": mass_limits(40, 1, 0.1, 1.0)}, "limits are on 40"),
+    ],
+)
+def test_updates_that_make_no_sense_are_refused(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        update(**options)
+    with pytest.raises(ArgumentError, match="tolerance must be"):
+        SampleUpdate(MANIFOLD, np.array([0.0, 1.0]))

@@ -1,0 +1,246 @@
+"""Effects with a time or a memory in rollouts, on logs that scipy made of a pendulum's equation."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+from geodrake import load_model, save_model
+from geodrake.cli.app import app
+from geodrake.control.rollout import roll_out
+from geodrake.control.systems import EffectForce
+from geodrake.effects import (
+    Backlash,
+    Contact,
+    EffortDelay,
+    FittedEffect,
+    FrictionDrift,
+    Hysteresis,
+    JointElasticity,
+    ViscousFriction,
+)
+from geodrake.effects.robot_motion import log_number
+from geodrake.errors import ArgumentError
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
+
+MASS, LENGTH, INERTIA, GRAVITY = 1.5, 0.4, 0.28, 9.81  # kg, m, kg·m² about the hinge, m/s²
+URDF = f"""
+<robot name="pendulum">
+  <link name="base"/>
+  <link name="rod">
+    <inertial>
+      <origin xyz="0 0 {-LENGTH}"/>
+      <mass value="{MASS}"/>
+      <inertia ixx="{INERTIA - MASS * LENGTH**2}" iyy="{INERTIA - MASS * LENGTH**2}" izz="0.01"
+               ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="hinge" type="revolute">
+    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+    <limit lower="-9" upper="9" effort="99" velocity="99"/>
+  </joint>
+</robot>
+"""
+FIRST_STAMP, RATE, SECONDS = 100.0, 250.0, 20.0
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
+    path.write_text(URDF)
+    return load_model(path)
+
+
+def drive(t):
+    """Effort of the motor, N·m."""
+    return 3.0 * np.sin(2.1 * t) + 1.5 * np.sin(5.3 * t + 1.0)
+
+
+def swung(name, needed, rate=lambda t, v, z: 0.0, *, start=(0.1, 0.0, 0.0), begins=0.0):
+    """A log of I q̈ + m g l sin q + needed(t, q, v, z) = drive(t), with ż = rate(t, v, z).
+
+    The motion starts with (q, v, z); the log holds what happens from `begins` on, s, and its first
+    time stamp is FIRST_STAMP.
+    """
+
+    def slope(t, x):
+        q, v, z = x
+        effort = drive(t) - MASS * GRAVITY * LENGTH * np.sin(q) - needed(t, q, v, z)
+        return [v, effort / INERTIA, rate(t, v, z)]
+
+    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+    x = solve_ivp(slope, (0.0, SECONDS), start, "RK45", time, rtol=1e-8, max_step=5e-3).y
+    kept = time >= begins
+    return JointLog(
+        name,
+        ("hinge",),
+        FIRST_STAMP + time[kept] - begins,
+        x[0, kept, None],
+        drive(time[kept])[:, None],
+        x[1, kept, None],
+    )
+
+
+def with_effects(model, *effects):
+    fitted = tuple(FittedEffect(effect, np.array(values)) for effect, values in effects)
+    return dataclasses.replace(model, effects=fitted)
+
+
+def departure(model, *logs, most=10):
+    return roll_out(model, logs, most=most, bandwidth=8.0).relative
+
+
+LOSS = (ViscousFriction("hinge"), [0.1])
+
+
+class TestDrift:
+    drift = (FrictionDrift("hinge", 6.0), [1.0, 0.6])
+
+    @staticmethod
+    def log(begins=0.0):
+        def needed(t, q, v, z):
+            return 0.1 * v + np.exp(-t / 6.0) * (np.tanh(v / 0.02) + 0.6 * v)
+
+        return swung("warming", needed, begins=begins)
+
+    def test_is_that_of_the_logs_time(self, pendulum):
+        log = self.log()
+        right = departure(with_effects(pendulum, LOSS, self.drift), log)
+        always_cold = (dataclasses.replace(self.drift[0], time_constant=1e6), self.drift[1])
+        wrong = departure(with_effects(pendulum, LOSS, always_cold), log)
+        never = departure(with_effects(pendulum, LOSS), log)
+        assert right < 1e-3
+        assert min(wrong, never) > 100 * right
+
+    def test_time_is_that_since_the_log_began(self, pendulum):
+        """Of a log that begins when the gear is warm, the model's time is too early."""
+        model = with_effects(pendulum, LOSS, self.drift)
+        assert departure(model, self.log(begins=10.0)) > 100 * departure(model, self.log())
+
+
+class TestContact:
+    """A push of the rod's end along x, in the second of two logs alone."""
+
+    push, start, end = 12.0, 6.0, 11.0
+
+    def logs(self):
+        def pushed(t, q, v, z):
+            within = np.tanh((t - self.start) / 0.02) - np.tanh((t - self.end) / 0.02)
+            # The end is at x = −0.6 sin q, z = −0.6 cos q.
+            return 0.1 * v - 0.5 * within * self.push * 0.6 * np.cos(q)
+
+        return swung("first", lambda t, q, v, z: 0.1 * v), swung("second", pushed)
+
+    def contact(self, log, later=0.0):
+        start, end = self.start + later, self.end + later
+        at_end = Contact("rod", start, end, 0.02, log_number(log), 0.0, 0.0, -0.6)
+        return at_end, [self.push, 0.0, 0.0, 0.0, 0.0, 0.0]
+
+    def test_acts_in_its_log_and_at_its_time(self, pendulum):
+        logs = self.logs()
+
+        def departs(*effects):
+            return departure(with_effects(pendulum, LOSS, *effects), *logs, most=8)
+
+        right = departs(self.contact("second"))
+        assert right < 1e-3
+        for wrong in (self.contact("first"), self.contact("second", 3.0)):
+            assert departs(wrong) > 100 * right
+        assert departs() > 100 * right
+
+    def test_force_of_one_log(self, pendulum):
+        """No force in another log, nor where there is none."""
+        state = np.array([0.4, 0.0])
+        for log, share in (("second", 1.0), ("first", 0.0), (None, 0.0)):
+            system = EffectForce(pendulum.plant, [self.contact("second")], log=log)
+            context = system.CreateDefaultContext()
+            context.SetTime(0.5 * (self.start + self.end))
+            system.GetInputPort("state").FixValue(context, state)
+            force = system.GetOutputPort("generalized_force").Eval(context)
+            expected = share * self.push * 0.6 * np.cos(state[0])
+            np.testing.assert_allclose(force, expected, atol=1e-9)
+
+
+@dataclasses.dataclass(frozen=True)
+class Unbent(Hysteresis):
+    """Bristles that start unbent wherever a simulation does."""
+
+    def states_along(self, motion):
+        return np.zeros((len(motion.v), 1))
+
+
+class TestHysteresis:
+    angle, size = 0.4, 2.0
+
+    def test_starts_as_bent_as_the_motion_left_it(self, pendulum):
+        log = swung(
+            "bristles",
+            lambda t, q, v, z: 0.1 * v + self.size * z,
+            lambda t, v, z: (v - abs(v) * z) / self.angle,
+            start=(0.1, 1.0, 1.0),  # a joint that moves as its log begins is taken to have slipped
+        )
+        bent, unbent = (
+            departure(with_effects(pendulum, LOSS, (kind("hinge", self.angle), [self.size])), log)
+            for kind in (Hysteresis, Unbent)
+        )
+        assert bent < 1e-3
+        assert unbent > 100 * bent
+
+    def test_states_are_those_of_the_system(self, pendulum):
+        bristles = Hysteresis("hinge", self.angle)
+        system = EffectForce(pendulum.plant, [(bristles, [self.size])])
+        context = system.CreateDefaultContext()
+        system.GetInputPort("state").FixValue(context, np.zeros(2))
+        port = system.GetOutputPort("generalized_force")
+        assert port.Eval(context) == 0.0
+        system.set_hidden_states(context, {bristles: [-0.7]})
+        np.testing.assert_allclose(port.Eval(context), 0.7 * self.size)
+        other = Hysteresis("hinge", 0.1)
+        for states in ({bristles: [0.1, 0.2]}, {bristles: 0.1}, {other: [0.1]}, {LOSS[0]: []}):
+            with pytest.raises(ArgumentError, match=r"hidden state here|the state of hysteresis"):
+                system.set_hidden_states(context, states)
+
+
+def test_what_is_not_simulated_is_named(pendulum, tmp_path):
+    log = swung("soft", lambda t, q, v, z: 0.1 * v)
+    soft = with_effects(
+        pendulum,
+        LOSS,
+        (EffortDelay(0.0), []),
+        (JointElasticity("hinge"), [1e-4]),
+        (Backlash("hinge", 1e-4), [1.0]),
+    )
+    assert [e.name for e in roll_out(soft, [log], most=1).left_out] == [
+        "joint_elasticity",
+        "backlash",
+    ]
+    assert roll_out(with_effects(pendulum, LOSS), [log], most=1).left_out == ()
+
+    names = ("soft.yaml", "log.csv", "soft.json", "soft.html")
+    model_file, log_file, numbers, page = (str(tmp_path / name) for name in names)
+    save_model(soft, tmp_path / "soft.yaml")
+    write_log(log, tmp_path / "log.csv")
+    targets = ["--json", numbers, "--report", page, "--windows", "1", "--bandwidth", "8"]
+    run = CliRunner().invoke(app, ["rollout", model_file, log_file, *targets])
+    assert run.exit_code == 0, run.output
+    assert json.loads((tmp_path / "soft.json").read_text())["left_out"] == [
+        {"effect": "joint_elasticity", "where": ["hinge"]},
+        {"effect": "backlash", "where": ["hinge"]},
+    ]
+    for text in (run.output, (tmp_path / "soft.html").read_text()):
+        assert "Not simulated" in text
+        assert "joint_elasticity of hinge" in text
+        assert "backlash of hinge" in text
+        assert "the model before" not in text
+
+    plain = ["rollout", str(pendulum.path), log_file, "--before", model_file, *targets]
+    run = CliRunner().invoke(app, plain)
+    assert run.exit_code == 0, run.output
+    found = json.loads((tmp_path / "soft.json").read_text())
+    assert (found["left_out"], len(found["before"]["left_out"])) == ([], 2)
+    for text in (run.output, (tmp_path / "soft.html").read_text()):
+        assert text.count("Not simulated") == text.count("of the model before") == 1

@@ -1,0 +1,89 @@
+"""Drives that follow a motion, and the limits that a controller takes from a plant."""
+
+import numpy as np
+import pytest
+from adaptive_loops import MODELS, motion, pendulum_plant, simulator
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import PdControllerGains
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
+
+from geodrake.control.systems import Safeguards, add_tracking_drives
+from geodrake.errors import ArgumentError
+
+STEP = 1e-3
+
+
+def driven_plant(time_step=STEP, *, reverse=False, gains=True):
+    """The double pendulum, welded, with drives of its own."""
+    plant = MultibodyPlant(time_step)
+    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    names = ["shoulder", "elbow"]
+    for name in reversed(names) if reverse else names:
+        actuator = plant.AddJointActuator(name, plant.GetJointByName(name))
+        if gains:
+            actuator.set_controller_gains(PdControllerGains(p=1e3, d=30.0))
+    plant.Finalize()
+    return plant
+
+
+def test_drives_follow_a_motion_with_the_effort_of_inverse_dynamics():
+    builder = DiagramBuilder()
+    plant, known = builder.AddSystem(driven_plant()), driven_plant()
+    path = motion(0.5, 4.0)
+    effort = LogVectorOutput(
+        add_tracking_drives(builder, plant, path, controller_plant=known), builder, 0.02
+    )
+    state = LogVectorOutput(plant.get_state_output_port(), builder, 0.02)
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    start = np.concatenate([path.value(0.0), path.EvalDerivative(0.0)]).ravel()
+    plant.SetPositionsAndVelocities(plant.GetMyContextFromRoot(context), start)
+    found = simulator(diagram, context)
+    found.AdvanceTo(1.0)
+    logs = [sink.FindLog(found.get_context()) for sink in (state, effort)]
+    t, (x, u) = logs[0].sample_times(), (log.data().T for log in logs)
+    assert np.abs(x[:, :2] - path.vector_values(t).T).max() < 2e-3
+    own = known.CreateDefaultContext()
+    for i in range(5, len(t), 9):
+        q, v, a = (path.EvalDerivative(t[i] - STEP, k).ravel() for k in range(3))
+        known.SetPositionsAndVelocities(own, np.concatenate([q, v]))
+        needed = known.CalcMassMatrix(own) @ a + known.CalcBiasTerm(own)
+        needed -= known.CalcGravityGeneralizedForces(own)
+        np.testing.assert_allclose(u[i], needed, atol=0.05 * np.abs(u).max())
+
+
+@pytest.mark.parametrize(
+    ("options", "size", "message"),
+    [
+        ({"gains": False}, 2, "without gains are"),
+        ({"reverse": True}, 2, "of elbow, shoulder"),
+        ({}, 3, "3 positions"),
+    ],
+)
+def test_drives_that_do_not_fit_are_refused(options, size, message):
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(driven_plant(**options))
+    path = motion() if size == 2 else _still(size)
+    with pytest.raises(ArgumentError, match=message):
+        add_tracking_drives(builder, plant, path, controller_plant=driven_plant())
+
+
+def _still(size):
+    return type(motion())(np.zeros((size, 1)))
+
+
+def test_effort_limits_of_a_plant_are_by_joint():
+    assert Safeguards.of_plant(pendulum_plant(limits=3.0)).limits(2).tolist() == [3.0, 3.0]
+    assert np.isinf(Safeguards.of_plant(pendulum_plant()).limits(2)).all()
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(MODELS / "double_pendulum.urdf"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    for name, limit in (("elbow", 2.0), ("shoulder", 5.0)):
+        plant.AddJointActuator(name, plant.GetJointByName(name), limit)
+    plant.Finalize()
+    guards = Safeguards.of_plant(plant, stale_time=0.1)
+    assert guards.limits(2).tolist() == [5.0, 2.0]
+    assert guards.stale_time == 0.1

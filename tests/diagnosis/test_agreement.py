@@ -1,0 +1,79 @@
+"""In how many blocks an effect lowers the error is told of each step."""
+
+import io
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
+from rich.console import Console
+
+from geodrake import load_model
+from geodrake.cli.tables import show_explanation
+from geodrake.diagnosis import add, explain
+from geodrake.diagnosis.steps import _agreement
+from geodrake.effects import EffortOffset
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.report import Units
+from geodrake.report.json_output import explanation_dict
+from geodrake.report.sections import steps_section
+
+MODEL = load_model(PENDULUM)
+
+
+@pytest.mark.parametrize(("rubbing", "share"), [(4, 1.0), (3, 0.75)])
+def test_logs_without_the_effect_do_not_agree(rubbing, share):
+    """Friction fitted to logs that have it makes that one worse which has none."""
+    hidden = [friction((0.3, 0.2)) if i < rubbing else None for i in range(4)]
+    logs = [pendulum_log(i, each, seconds=20.0) for i, each in enumerate(hidden)]
+    (step,) = add("coulomb_friction", MODEL, logs, bandwidth=6.0).steps
+    assert step.agreement == share
+
+
+@pytest.mark.parametrize(("effects", "share"), [((EffortOffset("elbow"),), 1.0), ((), 0.25)])
+def test_only_the_joints_where_it_acts_count(effects, share):
+    """The elbow's error falls in all four folds, the shoulder's rises by more in three of them."""
+    case = open_case(MODEL, [pendulum_log(1)], candidates=True, bandwidth=6.0)
+    rises = np.array([[1.3, 0.9], [1.3, 0.9], [1.3, 0.9], [0.9, 0.9]])
+    samples = np.full((4, 2), 100)
+    before, after = (HeldOut(sse, samples, np.zeros((4, 1))) for sse in (np.ones((4, 2)), rises))
+    assert _agreement(case, effects, before, after) == share
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """An explanation by bodies that are wrong alone: the forearm is heavier than in the file."""
+
+    def hidden(q, v, vd, load):
+        return 0.25 * load
+
+    return explain(MODEL, [pendulum_log(1, hidden)], bandwidth=6.0)
+
+
+def test_refitted_bodies_are_judged_block_by_block(moved):
+    """From the residuals that the comparisons show, before and after."""
+    (step,) = moved.steps
+    assert step.effect == "wrong_inertia"
+    loss = {}
+    for table, shown in (("before", moved.before), ("after", moved.after)):
+        for series in shown.series:
+            key = (table, series.block, series.joint)
+            loss[key] = loss.get(key, 0.0) + float(np.square(series.residual).sum())
+    blocks = {block for _, block, _ in loss}
+    falls = [
+        sum(loss["after", b, j] for j in JOINTS) < sum(loss["before", b, j] for j in JOINTS)
+        for b in blocks
+    ]
+    assert step.agreement == np.mean(falls)
+
+
+def test_terminal_report_and_numbers_tell_it(moved):
+    console = Console(file=io.StringIO(), markup=False, highlight=False, width=160)
+    show_explanation(console, moved, Units.of(moved.model))
+    lines = console.file.getvalue().splitlines()
+    assert any(line.rstrip().endswith("blocks better") for line in lines)
+    assert any("wrong_inertia" in line and line.rstrip().endswith("100 %") for line in lines)
+    table = steps_section(moved, Units()).tables[0]
+    column = [cell.text if hasattr(cell, "text") else cell for cell in table.head]
+    assert table.rows[0][column.index("blocks better")].text == "100 %"
+    assert explanation_dict(moved)["steps"][0]["agreement"] == 1.0

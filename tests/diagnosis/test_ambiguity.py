@@ -1,0 +1,183 @@
+"""What is ambiguous leads to a command, and the command can be run."""
+
+import io
+from types import SimpleNamespace
+
+import pytest
+from excitation_robots import MODELS
+from rich.console import Console
+
+from geodrake.cli.tables import show_diagnosis
+from geodrake.cli.tell_apart import placed_rivals, separation_of
+from geodrake.diagnosis.ambiguity import distinguishing_commands
+from geodrake.diagnosis.results import Candidate, Diagnosis
+from geodrake.effects import catalogue
+from geodrake.excitation import motion_limits
+from geodrake.identification.logs.model_errors import ErrorTable, JointError
+from geodrake.model.saved_model import load_model
+from geodrake.report import Units
+
+PREFIX = "geodrake excite MODEL --tell-apart "
+JOINTS = ("shoulder", "elbow")
+START = ErrorTable(tuple(JointError(joint, 0.5, 1.0, 0.1) for joint in JOINTS))
+
+
+def diagnosis(*found):
+    """Candidates as (effect, where, tied), the best first."""
+    candidates = tuple(Candidate(e, w, 1.0, 0.1, 9.0, 1e-6, tied) for e, w, tied in found)
+    return Diagnosis("explained", candidates, START, START, None, ())
+
+
+def explanation(*steps, model=None):
+    """Steps as (effect, where, rivals)."""
+    rows = [
+        SimpleNamespace(effect=e, where=w, indistinguishable_from=rivals, rivals=())
+        for e, w, rivals in steps
+    ]
+    return SimpleNamespace(steps=tuple(rows), model=model)
+
+
+@pytest.mark.parametrize(
+    ("best", "tied", "words"),
+    [
+        (
+            ("coulomb_friction", ("elbow",)),
+            ("load_dependent_friction", ("elbow",)),
+            "coulomb_friction,load_dependent_friction@elbow",
+        ),
+        (
+            ("coulomb_friction", JOINTS),
+            ("load_dependent_friction", JOINTS),
+            "coulomb_friction,load_dependent_friction",
+        ),
+        (("joint_spring", ("elbow",)), ("gravity_tilt", ()), "joint_spring@elbow,gravity_tilt"),
+        (
+            ("coulomb_friction + viscous_friction", ("elbow",)),
+            ("asymmetric_friction", ("elbow",)),
+            "coulomb_friction,asymmetric_friction@elbow",
+        ),
+        (
+            ("coupled_friction", JOINTS),
+            ("coulomb_friction", ("shoulder",)),
+            "coupled_friction@shoulder+elbow,coulomb_friction@shoulder",
+        ),
+        (("payload", ("forearm",)), ("gravity_tilt", ()), "payload@forearm,gravity_tilt"),
+    ],
+)
+def test_commands_that_can_be_run(best, tied, words):
+    (command,) = distinguishing_commands(diagnosis((*best, True), (*tied, True)))
+    assert command == PREFIX + words
+    model = load_model(MODELS / "double_pendulum.urdf")
+    if "@forearm" in words:
+        words = words.replace("forearm", model.bodies[-1])
+    separation, _ = separation_of(words, model, motion_limits(model), noise=0.1)
+    assert separation.pairs
+
+
+@pytest.mark.parametrize(
+    "rival", ["wrong_inertia", "effort_delay", "an_effect_of_ones_own", "coulomb_friction"]
+)
+def test_what_no_motion_settles_has_no_command(rival):
+    best = ("coulomb_friction", ("elbow",), True)
+    assert not distinguishing_commands(diagnosis(best, (rival, ("elbow",), True)))
+
+
+def test_only_ties_count_and_each_once():
+    best = ("viscous_friction", ("elbow",), True)
+    others = [("effort_offset", ("elbow",), tied) for tied in (False, True, True)]
+    assert distinguishing_commands(diagnosis(best, others[0])) == ()
+    assert len(distinguishing_commands(diagnosis(best, *others))) == 1
+    assert distinguishing_commands(diagnosis()) == ()
+
+
+def test_steps_of_an_explanation():
+    found = explanation(
+        ("viscous_friction", ("elbow",), ("nonlinear_viscous_friction", "wrong_inertia")),
+        ("gravity_tilt", (), ()),
+    )
+    assert distinguishing_commands(found) == (
+        PREFIX + "viscous_friction,nonlinear_viscous_friction@elbow",
+    )
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_model(MODELS / "arm6.urdf")
+
+
+PLACES = {
+    "joint": [("base_yaw",), ("elbow_pitch",), ("wrist_spin",), ("elbow_pitch", "wrist_spin")],
+    "joint_pair": [("base_yaw", "shoulder_pitch"), ("wrist_pitch", "wrist_spin")],
+    "body": [("column",), ("flange",), ("upper_arm", "flange")],
+    "robot": [()],
+}
+STEPS = [(cls.name, where) for cls in catalogue() for where in PLACES.get(cls.places, [])]
+
+
+@pytest.mark.parametrize(("effect", "where"), STEPS)
+def test_every_command_is_understood(arm, effect, where):
+    limits, told = motion_limits(arm), set()
+    for cls in catalogue():
+        found = explanation((effect, where, (cls.name,)), model=arm)
+        for command in distinguishing_commands(found):
+            rivals = placed_rivals(command.removeprefix(PREFIX), arm, limits)
+            assert [rival.name for rival in rivals] == [effect, cls.name]
+            told.add(cls.name)
+    settled = {cls.name for cls in catalogue()} - {
+        "effort_delay",
+        "wrong_inertia",
+        "contact",
+        effect,
+    }
+    assert told == (settled if effect != "contact" else set())
+
+
+@pytest.mark.parametrize(
+    ("step", "rival", "words"),
+    [
+        (("payload", ("flange",)), "gravity_compensator", "payload@flange,{}@wrist_spin"),
+        (("gravity_compensator", ("elbow_pitch",)), "payload", "{1}@elbow_pitch,{0}@forearm"),
+        (("coulomb_friction", ("wrist_roll", "elbow_pitch")), "payload", "{1},{0}@wrist_barrel"),
+        (("coulomb_friction", ("wrist_spin",)), "coupled_friction",
+         "{1}@wrist_spin,{0}@wrist_pitch+wrist_spin"),
+        (("coupled_friction", ("base_yaw", "shoulder_pitch")), "payload",
+         "{1}@base_yaw+shoulder_pitch,{0}@upper_arm"),
+        (("payload", ("upper_arm",)), "aerodynamic_drag", "{1},{0}@upper_arm"),
+        (("gravity_tilt", ()), "payload", "{1},{0}@flange"),
+        (("gravity_tilt", ()), "joint_spring", "{1},{0}"),
+        (("joint_spring", ("elbow_pitch",)), "gravity_tilt", "{1}@elbow_pitch,{0}"),
+    ],
+)  # fmt: skip
+def test_a_rival_has_the_place_that_goes_with_the_steps(arm, step, rival, words):
+    (command,) = distinguishing_commands(explanation((*step, (rival,)), model=arm))
+    assert command == PREFIX + words.format(rival, step[0])
+
+
+def test_a_body_that_no_joint_of_one_degree_carries_has_no_rival_at_a_joint():
+    model = load_model(MODELS / "double_pendulum.urdf", floating=True)
+    found = explanation(("payload", ("base_link",), ("joint_spring",)), model=model)
+    assert not distinguishing_commands(found)
+
+
+def test_effects_found_together_are_each_at_their_own_kind_of_place():
+    found = diagnosis(
+        ("payload + coulomb_friction", ("elbow", "forearm"), True), ("gravity_tilt", (), True)
+    )
+    assert distinguishing_commands(found) == (PREFIX + "payload@forearm,gravity_tilt",)
+
+
+def test_not_too_many():
+    rivals = ("effort_offset", "joint_spring", "rotor_inertia", "torque_ripple", "effort_scale")
+    found = explanation(("coulomb_friction", ("elbow",), rivals))
+    assert len(distinguishing_commands(found)) == 4
+
+
+def test_the_terminal_tells_the_command():
+    model = load_model(MODELS / "double_pendulum.urdf")
+    found = diagnosis(
+        ("coulomb_friction", ("elbow",), True), ("load_dependent_friction", ("elbow",), True)
+    )
+    console = Console(file=io.StringIO(), markup=False, highlight=False, width=160)
+    show_diagnosis(console, found, Units.of(model))
+    expected = f"- {PREFIX}coulomb_friction,load_dependent_friction@elbow"
+    assert expected in console.file.getvalue().splitlines()

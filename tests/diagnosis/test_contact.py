@@ -1,0 +1,264 @@
+"""Contacts: pushes that last for a while, found with their window, body, point and force.
+
+Logs are Pinocchio's inverse dynamics and Jacobians; the model file's bodies are 20 % off.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+from effect_motions import hand_robot, random_motion
+from effort_logs import MODELS, effort_log
+from pydrake.multibody.tree import JacobianWrtVariable
+from scipy.special import expit
+
+from geodrake import load_model
+from geodrake.control.systems import EffectForce
+from geodrake.diagnosis import add, compare, diagnose, explain
+from geodrake.diagnosis.contact_window import ResidualWindow, WrenchColumns, columns
+from geodrake.effects import Contact
+from geodrake.effects.body_motion import RobotBodies
+from geodrake.effects.robot_motion import log_number
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.logs.filtering import design_filter
+from geodrake.logs.folds import dealt_out, set_apart, validation_blocks
+from geodrake.model.saved_model import save_model
+
+ARM = load_model(MODELS / "arm6.urdf")
+FRICTION = np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])
+
+
+def pushed(joint, point, force, window, *, ramp=0.03, friction=0.0):
+    """Effort against a force (3,), in the world frame, at a point of a joint's body."""
+
+    def hidden(seen):
+        start, end = window
+        on = expit(2.0 * (seen.time - start) / ramp) - expit(2.0 * (seen.time - end) / ramp)
+        size = friction * FRICTION[: seen.model.nv]
+        effort = size * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)
+        for i in np.flatnonzero(on > 1e-9):
+            pin.forwardKinematics(seen.model, seen.data, seen.q[i])
+            J = pin.computeJointJacobian(seen.model, seen.data, seen.q[i], joint)
+            velocity = J[:3] - pin.skew(np.array(point)) @ J[3:]
+            R = seen.data.oMi[joint].rotation
+            effort[i] -= on[i] * velocity.T @ R.T @ force
+        return effort
+
+    return hidden
+
+
+class TestColumns:
+    def test_forces_do_work_at_their_point(self):
+        """Columns times velocities are the power of each force and moment."""
+        motion, (plant, *_) = random_motion(), hand_robot()
+        contact = Contact("hand", -1.0, 1.0, 1e-3, 0, 0.1, -0.2, 0.3)
+        columns = contact.regressor(motion)
+        context, body = plant.CreateDefaultContext(), plant.GetBodyByName("hand")
+        for i in range(5):
+            plant.SetPositions(context, motion.bodies.q[i])
+            plant.SetVelocities(context, motion.v[i])
+            V = plant.EvalBodySpatialVelocityInWorld(context, body)
+            X_WB = plant.EvalBodyPoseInWorld(context, body)
+            at_point = V.Shift(X_WB.rotation() @ np.array([0.1, -0.2, 0.3]))
+            expected = np.concatenate([at_point.translational(), at_point.rotational()])
+            np.testing.assert_allclose(columns[i].T @ motion.v[i], expected, atol=1e-12)
+
+    def test_window(self):
+        motion = dataclasses.replace(random_motion(), time=np.linspace(0.0, 9.5, 20))
+        whole = Contact("hand", -9.0, 19.0).regressor(motion)
+        part = Contact("hand", 2.0, 4.25, 0.05).regressor(motion)
+        inside = (motion.time > 2.2) & (motion.time < 4.1)
+        np.testing.assert_allclose(part[inside], whole[inside], atol=1e-3)
+        edge = motion.time == 2.0
+        np.testing.assert_allclose(part[edge], 0.5 * whole[edge], atol=1e-9)
+        outside = (motion.time < 1.8) | (motion.time > 4.4)
+        np.testing.assert_allclose(part[outside], 0.0, atol=1e-3)
+        assert inside.sum() > 3
+
+    def test_of_one_log(self):
+        motion, number = random_motion(), log_number("one")
+        contact = Contact("hand", -1.0, 1.0, log=number)
+        assert not contact.regressor(motion).any()
+        assert not contact.regressor(dataclasses.replace(motion, log=log_number("two"))).any()
+        assert contact.regressor(dataclasses.replace(motion, log=number)).any()
+        assert (
+            not Contact("hand", -1.0, 1.0).regressor(dataclasses.replace(motion, time=None)).any()
+        )
+
+    def test_bad_windows(self):
+        for arguments in [(2.0, 1.0), (0.0, np.inf), (0.0, 1.0, 0.0)]:
+            with pytest.raises(ArgumentError):
+                Contact("hand", *arguments)
+
+    def test_in_a_simulation(self):
+        plant = ARM.plant
+        contact = Contact("flange", 1.0, 2.0, 0.05, 0, 0.0, 0.0, 0.1)
+        wrench = np.array([10.0, -5.0, 3.0, 0.2, 0.1, -0.3])
+        system = EffectForce(plant, [(contact, wrench)])
+        context, state = system.CreateDefaultContext(), plant.CreateDefaultContext()
+        q = np.array([0.3, 0.5, -0.7, 0.2, 0.6, -0.1])
+        system.get_input_port(0).FixValue(context, np.concatenate([q, np.zeros(6)]))
+        plant.SetPositions(state, q)
+        J = plant.CalcJacobianSpatialVelocity(
+            state,
+            JacobianWrtVariable.kV,
+            plant.GetFrameByName("flange"),
+            [0.0, 0.0, 0.1],
+            plant.world_frame(),
+            plant.world_frame(),
+        )
+        for time, share in [(0.0, 0.0), (1.0, 0.5), (1.5, 1.0), (3.0, 0.0)]:
+            context.SetTime(time)
+            force = system.get_output_port().Eval(context)
+            expected = -share * J.T @ np.concatenate([wrench[3:], wrench[:3]])
+            np.testing.assert_allclose(force, expected, atol=1e-6)
+
+
+def owner(folds):
+    """Filtered sample -> number of the fold that it is in."""
+    return {
+        sample: k
+        for k, fold in enumerate(folds)
+        for block in fold.blocks
+        for sample in range(block.start, block.stop)
+    }
+
+
+def test_windows_become_a_fold_of_their_own():
+    trajectories, _ = prepare_for_model(ARM, [effort_log("arm6", 1).log])
+    folds = validation_blocks(trajectories)
+    low_pass = trajectories[0].filter
+    offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
+    # Within a block; all of some; in two that overlap.
+    for windows in [[(8.0, 9.5)], [(2.0, 12.0)], [(5.9, 8.3), (4.7, 6.3)]]:
+        apart = set_apart(folds, trajectories, [(0, *window) for window in windows])
+        window = (min(start for start, _ in windows), max(end for _, end in windows))
+        before, after = owner(folds), owner(apart)
+        assert before.keys() == after.keys()
+        inside = {sample for sample, fold in after.items() if fold == len(apart) - 1}
+        time = {sample: offset + low_pass.output_period * sample for sample in before}
+        slack = low_pass.output_period
+        assert all(window[0] - slack < time[sample] < window[1] + slack for sample in inside)
+        outside = before.keys() - inside
+        assert not any(window[0] + slack < time[s] < window[1] - slack for s in outside)
+        names = [fold.name for fold in folds]
+        assert all(apart[after[s]].name == names[before[s]] for s in outside)
+        assert all(len(fold) for fold in apart)
+
+
+def test_windows_are_dealt_out_to_two_folds():
+    trajectories, _ = prepare_for_model(ARM, [effort_log("arm6", 1).log])
+    folds = validation_blocks(trajectories)
+    dealt = dealt_out(folds, trajectories, [(0, 8.0, 9.5)], pieces=4)
+    low_pass = trajectories[0].filter
+    offset = float(trajectories[0].segments[0][:1].time[0]) + low_pass.halfwidth * low_pass.period
+    before, after = owner(folds), owner(dealt)
+    assert before.keys() == after.keys()
+    time = {sample: offset + low_pass.output_period * sample for sample in before}
+    changed = {sample for sample in before if before[sample] != after[sample]}
+    assert all(8.0 - 0.06 < time[sample] < 9.5 + 0.06 for sample in changed)
+    within = [sample for sample in before if 8.0 <= time[sample] < 9.5]
+    assert 0.3 < len(changed) / len(within) < 0.7
+    assert all(list(fold.blocks) == sorted(fold.blocks, key=lambda b: b.start) for fold in dealt)
+
+
+def test_columns_of_a_search():
+    """Weighted in time and moved to the point after the filter's sums are prepared, not before."""
+    rng, low_pass = np.random.default_rng(3), design_filter(0.01, 6.0)
+    time = np.arange(0.0, 4.0, 0.01)
+    outputs = time[low_pass.output_indices(len(time))]
+    residual = rng.normal(size=(len(outputs), 6))
+    residual[rng.random(residual.shape) < 0.1] = np.nan
+    bodies = RobotBodies(ARM.tree, np.cumsum(0.02 * rng.normal(size=(len(time), 6)), 0), ARM.phi)
+    size = rng.uniform(0.5, 2.0, 6)
+    window = ResidualWindow(0, 1.5, 2.4, time, bodies, outputs, residual, size, low_pass)
+    for body in ARM.bodies:
+        contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3)
+        dofs = list(bodies.motion(body).dofs)
+        expected = columns(window, contact)[:, dofs][np.isfinite(residual[:, dofs])]
+        found = WrenchColumns.of(window, body).columns(contact)
+        np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
+
+
+class TestDiagnosis:
+    @pytest.mark.parametrize(
+        ("joint", "body", "point", "force", "window", "friction", "seed"),
+        [
+            (6, "flange", (0.0, 0.0, 0.1), (0.0, 0.0, -40.0), (8.0, 9.5), 0.0, 1),
+            pytest.param(
+                *(3, "forearm", (0.2, 0.0, 0.0), (30.0, -20.0, 0.0), (14.2, 15.0), 0.0, 2),
+                marks=pytest.mark.thorough,
+            ),
+            (6, "flange", (0.05, 0.0, 0.1), (15.0, 10.0, -15.0), (12.0, 14.0), 1.0, 1),
+        ],
+    )
+    def test_found(self, joint, body, point, force, window, friction, seed):
+        hidden = pushed(joint, point, np.array(force), window, friction=friction)
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        found = explain(ARM, [recording.log])
+        steps = {step.effect: step for step in found.steps}
+        beside = {"coulomb_friction", "viscous_friction"} if friction else set()
+        assert steps.keys() == {"contact"} | beside
+        assert steps["contact"].where == (body,)
+        ((place, values),) = steps["contact"].parameters.items()
+        assert place.startswith(f"{body}, ")
+        assert (values["start"], values["end"]) == pytest.approx(window, abs=0.02)
+        pushing = [-values[f"force_{axis}"] for axis in "xyz"]
+        np.testing.assert_allclose(pushing, force, atol=0.05 * np.linalg.norm(force))
+        trajectories, _ = prepare_for_model(ARM, [recording.log])
+        noise = recording.noise * trajectories[0].filter.noise_gain
+        floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
+        assert found.end.nrms < 1.15 * floor
+        assert found.verdict == "explained"
+
+    def test_in_slow_motion(self):
+        """The bodies' fit follows a push that lasts for a tenth of a slow log."""
+        hidden = pushed(6, [0.0, 0.0, 0.05], np.array([10.0, -25.0, 20.0]), (14.0, 17.0))
+        recording = effort_log("arm6", 2, hidden, off=0.2, share=0.02, pace=0.08)
+        (step,) = explain(ARM, [recording.log]).steps
+        assert (step.effect, step.where) == ("contact", ("flange",))
+        assert step.error_after < 0.2 * step.error_before
+
+    def test_that_free_bodies_follow(self):
+        """Two bodies that may move fit a long push half, at the cost of all the rest of the log."""
+        hidden = pushed(2, [0.0, 0.0, 0.2], np.array([1.0, 0.0, 0.6]), (7.7, 11.6), ramp=0.3)
+        pendulum = load_model(MODELS / "double_pendulum.urdf")
+        found = explain(pendulum, [effort_log("double_pendulum", 1, hidden, share=0.01).log])
+        (step,) = found.steps
+        assert (step.effect, step.where, found.verdict) == (
+            "contact",
+            ("lower_link",),
+            "explained",
+        )
+        ((_, values),) = step.parameters.items()
+        assert (values["start"], values["end"]) == pytest.approx((7.7, 11.6), abs=0.05)
+        ((_, deviations),) = step.deviations.items()
+        assert np.isinf(deviations["force_y"])  # across the plane of motion
+
+    def test_named_by_one_diagnosis(self):
+        hidden = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 0.0, -40.0]), (8.0, 9.5))
+        log = effort_log("arm6", 2, hidden, off=0.2).log
+        found = diagnose(ARM, [log])
+        assert (found.candidates[0].effect, found.candidates[0].where) == ("contact", ("flange",))
+        assert found.candidates[0].error_after < 0.1 * found.candidates[0].error_before
+        (step,) = add("contact", ARM, [log]).steps
+        assert (step.effect, step.where) == ("contact", ("flange",))
+        assert step.error_after < 0.1 * step.error_before
+
+    def test_two_pushes_and_another_log(self, tmp_path):
+        first = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 30.0, 0.0]), (5.0, 6.0))
+        second = pushed(6, (0.0, 0.0, 0.1), np.array([-25.0, 0.0, 10.0]), (17.0, 18.5))
+        recording = effort_log("arm6", 4, lambda seen: first(seen) + second(seen))
+        found = explain(ARM, [recording.log])
+        (step,) = found.steps
+        assert (step.effect, step.where, len(step.parameters)) == ("contact", ("flange",), 2)
+        save_model(found.model, tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml")
+        assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
+        as_it_stands = compare(again, [effort_log("arm6", 5).log]).errors
+        assert as_it_stands.nrms < 0.03  # and nothing of the pushes

@@ -1,0 +1,268 @@
+"""Effects that no catalogue has: a formula is found, written out, and runs as it is."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake import load_model
+from geodrake.control.systems import EffectForce
+from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
+from geodrake.diagnosis.drafting.formula import Factor, Formula, Term
+from geodrake.diagnosis.drafting.results import DraftedEffect
+from geodrake.diagnosis.drafting.screening import Screen
+from geodrake.diagnosis.drafting.term_columns import TermColumns
+from geodrake.diagnosis.drafting.vocabulary import vocabulary
+from geodrake.diagnosis.explain import explain
+from geodrake.effects import load_effect_file
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.cross_validation import ExtraColumns
+from geodrake.identification.logs.hypothesis import first_hypothesis
+from geodrake.identification.logs.model_errors import ErrorTable, JointError
+from geodrake.identification.logs.model_fit import effects_of, model_unknowns
+from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.logs.motion import Motion
+
+pytest.importorskip("pinocchio")
+
+from pinocchio_logs import (
+    MODELS,
+    HiddenEffects,
+    perturbed,
+    random_motion,
+    record,
+    robot,
+    simulate,
+    without_effects,
+)
+
+JOINTS = load_model(MODELS / "arm6.urdf").joints
+YAW, SHOULDER, ELBOW, ROLL, PITCH, SPIN = JOINTS
+
+
+def smooth_sign(v):
+    return v / np.hypot(v, 5e-3)
+
+
+def at(joint, value):
+    """A torque at one joint."""
+    torque = np.zeros(6)
+    torque[joint] = value
+    return torque
+
+
+INVENTED = {
+    "brake that another joint's position tightens": (
+        lambda q, v: at(2, 3.0 * (1.2 + np.sin(q[3])) * smooth_sign(v[2])),
+        ELBOW,
+        {(ELBOW, "sign_v"), (ROLL, "q")},
+    ),
+    "spring that acts past an angle": (
+        lambda q, v: at(1, 0.6 * np.log1p(np.exp((q[1] - 0.2) / 0.02))),
+        SHOULDER,
+        {(SHOULDER, "q")},
+    ),
+    "friction that grows with a neighbour's speed": (
+        lambda q, v: at(3, 0.9 * abs(v[2]) * smooth_sign(v[3])),
+        ROLL,
+        {(ROLL, "sign_v"), (ELBOW, "v")},
+    ),
+    "hose that hangs from the sum of two angles": (
+        lambda q, v: at(4, 0.5 * np.cos(q[4] + q[3])),
+        PITCH,
+        {(PITCH, "q"), (ROLL, "q")},
+    ),
+    "damper that another joint's position opens": (
+        lambda q, v: at(0, 4.0 * q[1] * v[0]),
+        YAW,
+        {(YAW, "v"), (SHOULDER, "q")},
+    ),
+    "gyroscope that the file knows nothing of": (
+        lambda q, v: at(3, 0.3 * v[4] * v[5]),
+        ROLL,
+        {(PITCH, "v"), (SPIN, "v")},
+    ),
+}
+"""Law, joint, and the signals that it is a function of."""
+
+
+def recording(law, seed, *, seconds=24.0):
+    """A log of an arm whose bodies are 20 % off, and that has a law of its own."""
+    rng, file = np.random.default_rng(seed), robot("arm6")
+    rows = simulate(
+        perturbed(file, rng, 0.2),
+        file,
+        random_motion(file, rng),
+        HiddenEffects(law=law),
+        seconds,
+    )
+    return record("invented", rows, rng, joints=file.names[1:]).log
+
+
+@cache
+def drafted(name):
+    """The log of an invented effect, and what is drafted from it."""
+    log = recording(INVENTED[name][0], 3)
+    return log, *draft_effects(load_model(MODELS / "arm6.urdf"), [log])
+
+
+THOROUGH = (
+    "friction that grows with a neighbour's speed",
+    "damper that another joint's position opens",
+    "brake that another joint's position tightens",
+    "hose that hangs from the sum of two angles",
+)
+"""Those of kinds that the benchmark has, too."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.thorough) if name in THOROUGH else name
+        for name in INVENTED
+    ],
+)
+def test_invented_effects(name, tmp_path):
+    _, joint, signals = INVENTED[name]
+    _, explanation, draft = drafted(name)
+    assert explanation.verdict == "unexplained"
+    (effect,) = draft.effects
+    assert effect.formula.joint == joint
+    assert frozenset().union(*(term.signals for term in effect.formula.terms)) == signals
+    assert draft.after.nrms < 1.15 * draft.after.floor_nrms
+    assert effect.rms_after < 0.3 * effect.rms_before
+    assert any(c.joint == joint and c.share > 0.5 for c in draft.correlates)
+
+    file = tmp_path / "my_effect.py"
+    file.write_text(source_of(draft))
+    (written,) = load_effect_file(file)
+    assert written().where == (joint,)
+    assert written.candidates("another joint", 1.0) == []
+
+
+def test_a_written_effect_explains(tmp_path):
+    """The file as `--effects` takes it: the verdict is then that all is explained."""
+    name = "gyroscope that the file knows nothing of"
+    log, _, draft = drafted(name)
+    file = tmp_path / "my_effect.py"
+    file.write_text(source_of(draft))
+    (written,) = load_effect_file(file)
+    found = explain(load_model(MODELS / "arm6.urdf"), [log], extra=[written])
+    joint = INVENTED[name][1]
+    assert [(step.effect, step.where) for step in found.steps] == [(written.name, (joint,))]
+    assert found.verdict == "explained"
+
+
+def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
+    formula = Formula(
+        ELBOW,
+        (
+            Term(()),
+            Term((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "above", 0.25))),
+            Term((Factor(ELBOW, "v"), Factor(SPIN, "v", "drag"))),
+            Term((Factor(YAW, "vd"), Factor(YAW, "q", "cosine_twice"))),
+            Term((Factor(SHOULDER, "q", "below", -0.5),)),
+            Term((Factor(SHOULDER, "load", "size"), Factor(YAW, "q", "square"))),
+        ),
+    )
+    model, six = load_model(MODELS / "arm6.urdf"), np.arange(6.0)
+    drafted = DraftedEffect(formula, six, six, 2.0, 1.0, 0.9, 0.0, (), six, six, six)
+    errors = ErrorTable((JointError(ELBOW, 1.0, 3.0, 0.9),))
+    draft = Draft((drafted,), (), (), errors, errors, ("a log",))
+    file = tmp_path / "written.py"
+    file.write_text(source_of(draft))
+    assert max(map(len, file.read_text().splitlines())) <= 100
+    (written,) = load_effect_file(file)
+    rng = np.random.default_rng(0)
+    seen = model.motion(Motion(*rng.normal(size=(3, 20, 6))), sign_width=0.01)
+    expected = TermColumns(formula).rows(seen)[ELBOW]
+    np.testing.assert_allclose(written().rows(seen)[ELBOW], expected, rtol=1e-5, atol=1e-12)
+    # By hand: the second column.
+    q, v = seen.q, seen.v
+    by_hand = np.tanh(v[:, 2] / 0.01) * np.maximum(q[:, 3] - 0.25, 0.0)
+    np.testing.assert_allclose(expected[:, 1], by_hand, rtol=1e-12)
+
+    direct = Formula(ELBOW, formula.terms[:3])
+    plant = load_model(MODELS / "arm6.urdf").plant
+    force = EffectForce(plant, [(TermColumns(direct), [0.5, 2.0, 3.0])], sign_width=0.01)
+    builder = DiagramBuilder()
+    builder.AddSystem(force)
+    builder.ExportInput(force.GetInputPort("state"))
+    builder.ExportOutput(force.GetOutputPort("generalized_force"))
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    diagram.get_input_port(0).FixValue(context, np.concatenate([q[0], v[0]]))
+    output = diagram.get_output_port(0).Eval(context)
+    wanted = np.zeros(6)
+    wanted[2] = -expected[0, :3] @ [0.5, 2.0, 3.0]
+    np.testing.assert_allclose(output, wanted, rtol=1e-12)
+
+
+def test_screen_agrees_with_cross_validation():
+    """Held-out errors by the formulas of the screen, and by refitting with each candidate."""
+    log = recording(INVENTED["damper that another joint's position opens"][0], 2, seconds=12.0)
+    model = load_model(MODELS / "arm6.urdf")
+    case = open_case(model, [log], candidates=False)
+    reach = dict.fromkeys(JOINTS, (-1.0, 1.0))
+    terms = tuple(vocabulary(YAW, JOINTS, reach)[::37])
+    columns = TermColumns(Formula(YAW, terms))
+    dataset = reduce_logs(
+        model, case.trajectories, case.folds, effects=[*effects_of(model), columns]
+    )
+    hypothesis = first_hypothesis(dataset, model_unknowns(dataset, model))
+    screen = Screen.of(hypothesis, dataset, columns)
+    before, after = screen.next_terms(())
+    j = JOINTS.index(YAW)
+    np.testing.assert_allclose(before, hypothesis.held_out.sse[:, j], rtol=1e-5)
+    numbers = dataset.effect_columns(columns)
+    free = np.array([np.inf])
+    for k in np.flatnonzero(np.isfinite(after).all(0)):
+        extra = ExtraColumns(numbers[[k]], np.zeros((1, 1)), -free, free)
+        (exact,) = hypothesis.cv.with_candidates([extra])
+        np.testing.assert_allclose(after[:, k], exact.sse[:, j], rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("law", "words"),
+    [
+        (lambda t: 0.6 * np.sin(2 * np.pi * 1.37 * t), "swings at 1.37 Hz"),
+        (lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly"),
+    ],
+)
+def test_what_follows_the_clock(law, words):
+    log = without_effects("arm6", 6, duration=24.0).log
+    effort = log.effort + np.outer(law(log.time), np.eye(6)[4])
+    draft = draft_effects(load_model(MODELS / "arm6.urdf"), [replace(log, effort=effort)])[1]
+    first = next(c for c in draft.correlates if c.joint == PITCH)
+    assert words in first.words
+    assert first.share > 0.9
+
+
+def test_nothing_to_draft():
+    draft = draft_effects(load_model(MODELS / "arm6.urdf"), [without_effects("arm6", 4).log])[1]
+    assert draft.effects == ()
+    assert draft.correlates == ()
+    assert draft.before.nrms == draft.after.nrms
+
+
+def test_coloured_noise_is_no_formula():
+    log = without_effects("arm6", 101, colour=0.8).log
+    assert draft_effects(load_model(MODELS / "arm6.urdf"), [log])[1].effects == ()
+
+
+def test_vocabulary_has_nothing_twice():
+    terms = vocabulary(YAW, JOINTS, dict.fromkeys(JOINTS, (-1.0, 2.0)))
+    assert len({frozenset(term.factors) for term in terms}) == len(terms) > 500
+    assert Term(()) in terms
+
+
+def test_words_and_units():
+    term = Term((Factor(ELBOW, "sign_v"), Factor(ROLL, "q", "sine")))
+    assert term.words(ELBOW) == "its direction of motion times sine of the position of wrist_roll"
+    assert term.unit == "N·m"
+    assert Term((Factor(ELBOW, "v"), Factor(ROLL, "v", "size"))).unit == "N·m/(rad/s·rad/s)"
+    assert Term((Factor(ELBOW, "q", "above", 0.25),)).words(ELBOW) == (
+        "its position beyond 0.25 upwards"
+    )

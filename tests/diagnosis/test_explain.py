@@ -1,0 +1,521 @@
+"""Compare, diagnose, add and explain from Python, on logs of a pendulum with known efforts."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, friction, pendulum_log
+
+from geodrake import load_model
+from geodrake.diagnosis import Criteria, add, compare, diagnose, explain
+from geodrake.effects import CoulombFriction, EffortDelay, FittedEffect, ViscousFriction
+from geodrake.errors import ArgumentError, LogError
+from geodrake.inertia import from_mass_com_inertia, is_physical
+from geodrake.logs.files import write_log
+from geodrake.logs.filtering import design_filter
+from geodrake.logs.motion import JointLog
+from geodrake.report.words import failing_words
+from geodrake.robot.regressor import inverse_dynamics_regressor
+
+BANDWIDTH = 6.0
+HIDDEN = friction((0.2, 0.1), (0.1, 0.04))
+WHERE = {"coulomb_friction": JOINTS, "viscous_friction": JOINTS}
+FLOOR = NOISE * design_filter(1 / 200.0, BANDWIDTH).noise_gain
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return [pendulum_log(seed, HIDDEN) for seed in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def explained(model, logs):
+    told = []
+    found = explain(model, logs, bandwidth=BANDWIDTH, progress=lambda *step: told.append(step))
+    return found, told
+
+
+@pytest.fixture(scope="module")
+def fitted(explained):
+    return explained[0].model
+
+
+def places(explanation):
+    return {step.effect: step.where for step in explanation.steps}
+
+
+def parameters(model):
+    """(effect, parameters) of a model, by name and place."""
+    return {(f.effect.name, f.effect.where): f.parameters for f in model.effects}
+
+
+def rms(errors):
+    return np.array([joint.rms for joint in errors.joints])
+
+
+def with_friction(model):
+    """The right model."""
+    values = zip((CoulombFriction, ViscousFriction), ((0.2, 0.1), (0.1, 0.04)), strict=True)
+    effects = [
+        FittedEffect(effect(joint), np.array([value]))
+        for effect, both in values
+        for joint, value in zip(JOINTS, both, strict=True)
+    ]
+    return replace(model, effects=tuple(effects))
+
+
+def payload_effort(q, v, vd, load):
+    """What a heavier lower link needs beyond the model's, by hand: a point mass of 0.3 kg.
+
+    It hangs 0.25 m below the elbow, the upper link is 0.2 m long, both joints turn about y.
+    """
+    del load
+    m, a, r, g = 0.3, 0.2, 0.25, 9.81
+    s, c = np.sin(q[:, 1]), np.cos(q[:, 1])
+    bend = 2 * v[:, 0] * v[:, 1] + v[:, 1] ** 2
+    both = m * g * r * np.sin(q.sum(1))
+    inner = m * r**2 + m * a * r * c
+    first = (m * a**2 + 2 * m * a * r * c + m * r**2) * vd[:, 0] + inner * vd[:, 1]
+    return np.stack(
+        [
+            first - m * a * r * s * bend + m * g * a * np.sin(q[:, 0]) + both,
+            inner * vd[:, 0] + m * r**2 * vd[:, 1] + m * a * r * s * v[:, 0] ** 2 + both,
+        ],
+        1,
+    )
+
+
+def test_compare_measures_the_hidden_effort(model, logs):
+    """The error of the model as it stands is the hidden effort and the noise, filtered."""
+    found = compare(model, logs, bandwidth=BANDWIDTH)
+    assert [joint.joint for joint in found.errors.joints] == list(JOINTS)
+    kernel = design_filter(1 / 200.0, BANDWIDTH).kernel
+    hidden = []
+    for seed in (1, 2):
+        extra = pendulum_log(seed, HIDDEN).effort - pendulum_log(seed).effort
+        hidden.append(np.stack([np.convolve(u, kernel, mode="valid") for u in extra.T], 1))
+    expected = np.sqrt(np.mean(np.concatenate(hidden) ** 2, axis=0) + FLOOR**2)
+    np.testing.assert_allclose(rms(found.errors), expected, rtol=0.03)
+    residuals = np.concatenate([s.residual for s in found.series if s.joint == "shoulder"])
+    assert np.sqrt(np.mean(residuals**2)) == pytest.approx(found.errors.joints[0].rms)
+    measured = np.concatenate([s.measured for s in found.series if s.joint == "shoulder"])
+    assert measured.std() == pytest.approx(found.errors.joints[0].std)
+    ratios = [joint.rms / joint.std for joint in found.errors.joints]
+    assert found.errors.nrms == pytest.approx(np.sqrt(np.mean(np.square(ratios))))
+
+
+def test_compare_of_the_right_model_is_noise(model, logs):
+    errors = compare(with_friction(model), logs, bandwidth=BANDWIDTH).errors
+    np.testing.assert_allclose(rms(errors), FLOOR, rtol=0.15)
+
+
+def test_compare_names_where_it_fails(model):
+    """Extra effort while the elbow moves forwards only."""
+
+    def hidden(q, v, vd, load):
+        return np.stack([np.zeros(len(q)), 0.3 * (v[:, 1] > 0)], 1)
+
+    found = compare(model, [pendulum_log(3, hidden)], bandwidth=BANDWIDTH)
+    worst = found.failing[0]
+    assert worst.joint == "elbow"
+    assert worst.circumstance == "while it moves forwards"
+    assert worst.share > 0.9
+    assert "elbow errs most while it moves forwards" in failing_words(worst)
+
+
+def test_explain_finds_the_planted_friction(explained):
+    found, told = explained
+    assert places(found) == WHERE
+    assert found.verdict == "explained"
+    for joint, coulomb, viscous in zip(JOINTS, (0.2, 0.1), (0.1, 0.04), strict=True):
+        values = parameters(found.model)
+        assert values["coulomb_friction", (joint,)] == pytest.approx(coulomb, abs=0.01)
+        assert values["viscous_friction", (joint,)] == pytest.approx(viscous, abs=0.01)
+    assert told
+    assert told[-1][1] <= told[0][1]
+
+
+def test_explain_reaches_the_floor(explained):
+    found, _ = explained
+    np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.15)
+    assert (rms(found.end) < 0.5 * rms(found.start)).all()
+
+
+def test_steps_tell_values_with_their_deviations(explained):
+    found, _ = explained
+    for step in found.steps:
+        name = {"coulomb_friction": "coulomb", "viscous_friction": "viscous"}[step.effect]
+        for joint in JOINTS:
+            deviation = step.deviations[joint][name]
+            value = step.parameters[joint][name]
+            truth = {"coulomb": (0.2, 0.1), "viscous": (0.1, 0.04)}[name][JOINTS.index(joint)]
+            assert 0.0 < deviation < 0.02
+            assert abs(value - truth) < 5.0 * deviation
+        assert step.false_alarm_probability < 0.01
+        assert step.error_after < step.error_before
+        assert set(step.rms_after) == set(JOINTS)
+    assert all(one.error_after == next_.error_before for one, next_ in pairwise(found.steps))
+    assert found.steps[0].error_before == pytest.approx(found.refitted.nrms)
+    assert found.steps[-1].error_after == pytest.approx(found.end.nrms)
+
+
+def test_fitted_model_predicts_new_motions(model, fitted):
+    """On a log that nobody has seen, without any fit to it."""
+    new = [pendulum_log(50, HIDDEN)]
+    np.testing.assert_allclose(
+        rms(compare(fitted, new, bandwidth=BANDWIDTH).errors), FLOOR, rtol=0.2
+    )
+    assert is_physical(fitted.total_phi).all()
+
+
+def test_fitted_model_needs_nothing_more(fitted):
+    found = explain(fitted, [pendulum_log(51, HIDDEN)], bandwidth=BANDWIDTH)
+    assert found.steps == ()
+    assert found.verdict == "adequate"
+    assert found.end == found.start
+
+
+def test_nothing_is_found_where_nothing_is_missing(model):
+    for seed in (60, 61):
+        found = explain(model, [pendulum_log(seed)], bandwidth=BANDWIDTH)
+        assert (found.verdict, found.steps) == ("adequate", ())
+        assert found.model.effects == ()
+
+
+def test_payload_is_found_on_a_fitted_model(fitted):
+    def hidden(q, v, vd, load):
+        return HIDDEN(q, v, vd, load) + payload_effort(q, v, vd, load)
+
+    logs = [pendulum_log(70, hidden), pendulum_log(71, hidden)]
+    found = explain(fitted, logs, bandwidth=BANDWIDTH)
+    assert places(found) == {"payload": ("lower_link",)}
+    assert found.verdict == "explained"
+    (step,) = found.steps
+    values, deviations = step.parameters["lower_link"], step.deviations["lower_link"]
+    assert abs(values["mass"] - 0.3) < max(4.0 * deviations["mass"], 0.03)
+    np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
+
+
+def test_point_mass_by_hand_is_that_of_drake(model):
+    """The oracle itself."""
+    rng = np.random.default_rng(0)
+    q, v, vd = rng.normal(size=(3, 20, 2))
+    loaded = model.phi.copy()
+    loaded[-1] += from_mass_com_inertia(0.3, [0.0, 0.0, -0.25], np.zeros((3, 3)))
+    regressor = inverse_dynamics_regressor(model.plant, q, v, vd)
+    np.testing.assert_allclose(
+        body_effort(q, v, vd) + payload_effort(q, v, vd, None),
+        regressor @ loaded.ravel(),
+        atol=1e-12,
+    )
+
+
+def test_delay_is_found_between_the_samples(model, logs):
+    late = [
+        replace(
+            log,
+            effort=np.stack([np.interp(log.time - 0.0123, log.time, u) for u in log.effort.T], 1),
+        )
+        for log in logs
+    ]
+    found = explain(model, late, bandwidth=BANDWIDTH)
+    assert places(found) == {**WHERE, "effort_delay": ()}
+    np.testing.assert_allclose(found.model.delays, 0.0123, atol=0.001)
+    step = next(step for step in found.steps if step.effect == "effort_delay")
+    assert step.parameters["all joints"]["delay"] == found.model.delays[0]
+    again = explain(found.model, late, bandwidth=BANDWIDTH)
+    assert again.steps == ()
+
+
+def test_something_that_no_effect_explains_is_said_to_be_left(model):
+    """Loud coloured disturbances belong to no motion: the verdict must not be that it is noise."""
+    log = pendulum_log(80)
+    rng = np.random.default_rng(80)
+    steps = 0.3 * rng.normal(size=(int(log.time[-1]) * 2 + 2, 2))
+    wind = np.stack([np.interp(log.time * 2, np.arange(len(s)), s) for s in steps.T], 1)
+    log = replace(log, effort=log.effort + wind)
+    found = explain(model, [log], bandwidth=BANDWIDTH)
+    assert found.verdict == "unexplained"
+    assert found.end.nrms > 2.0 * found.end.floor_nrms
+    diagnosis = diagnose(model, [log], bandwidth=BANDWIDTH)
+    assert diagnosis.verdict == "unexplained"
+    assert diagnosis.candidates == ()
+    assert all(0.5 < joint.removable < 1.0 for joint in found.end.joints)
+
+
+@pytest.mark.parametrize("seconds", [5.0, 1000.0])
+def test_time_shift_changes_nothing(model, logs, fitted, seconds):
+    shifted = [replace(log, time=log.time + seconds) for log in logs]
+    found = explain(model, shifted, bandwidth=BANDWIDTH)
+    assert_same(found.model, fitted, rtol=1e-4)
+
+
+def test_order_of_joints_changes_nothing(model, logs, fitted):
+    swapped = [log.select(JOINTS[::-1]) for log in logs]
+    found = explain(model, swapped, bandwidth=BANDWIDTH)
+    assert_same(found.model, fitted, rtol=1e-9)
+
+
+def test_order_of_logs_changes_nothing(model, logs, fitted):
+    assert_same(explain(model, logs[::-1], bandwidth=BANDWIDTH).model, fitted, rtol=1e-3)
+
+
+def test_files_are_as_good_as_logs_in_memory(model, logs, fitted, tmp_path):
+    paths = [tmp_path / "a.csv", tmp_path / "b.npz"]
+    for log, path in zip(logs, paths, strict=True):
+        write_log(log, path)
+    assert_same(explain(model, paths, bandwidth=BANDWIDTH).model, fitted, rtol=1e-9)
+
+
+def test_log_cut_in_two_files_gives_nearly_the_same(model, logs, fitted):
+    """Some samples at the cut are lost to the filter, and folds are others: that is all."""
+
+    def part(log, name, rows):
+        return JointLog(name, log.joints, log.time[rows], log.position[rows], log.effort[rows])
+
+    half = len(logs[0]) // 2
+    pieces = [
+        part(log, f"{log.name}{end}", rows)
+        for log in logs
+        for end, rows in (("a", slice(0, half)), ("b", slice(half, None)))
+    ]
+    found = explain(model, pieces, bandwidth=BANDWIDTH)
+    assert places(found) == WHERE
+    assert_same(found.model, fitted, rtol=0.05)
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_units_of_effort_change_nothing_but_the_values(model, logs, factor):
+    """Another unit of force, in model and log alike: the same steps, the same relative errors."""
+    light = replace(model, phi=factor * model.phi)
+    scaled = [replace(log, effort=factor * log.effort) for log in logs]
+    found = explain(light, scaled, bandwidth=BANDWIDTH)
+    assert places(found) == WHERE
+    values = parameters(found.model)
+    assert values["coulomb_friction", ("elbow",)] == pytest.approx(0.1 * factor, rel=0.1)
+
+
+def assert_same(one, other, *, rtol):
+    """The same effects with the same parameters, and the same bodies as far as they are known."""
+    values, expected = parameters(one), parameters(other)
+    assert values.keys() == expected.keys()
+    for key, value in expected.items():
+        np.testing.assert_allclose(values[key], value, rtol=rtol)
+    np.testing.assert_allclose(one.phi, other.phi, rtol=rtol, atol=rtol * np.abs(other.phi).max())
+
+
+def test_diagnose_says_what_is_missing(model, logs):
+    found = diagnose(model, logs, bandwidth=BANDWIDTH)
+    assert found.verdict == "explained"
+    first = found.candidates[0]
+    assert set(first.effect.split(" + ")) <= {"coulomb_friction", "viscous_friction"}
+    assert first.where == JOINTS
+    assert first.tied
+    assert first.error_before == pytest.approx(found.refitted.nrms, rel=0.02)
+    for candidate in found.candidates:
+        assert candidate.error_after < candidate.error_before
+        assert candidate.false_alarm_probability <= 0.01
+
+
+def test_diagnose_says_that_nothing_is_missing(model):
+    found = diagnose(model, [pendulum_log(62)], bandwidth=BANDWIDTH)
+    assert (found.verdict, found.candidates) == ("adequate", ())
+
+
+@pytest.mark.parametrize("seed", [2, 4, 8])
+def test_diagnose_names_the_simplest_that_does(model, seed):
+    """Friction that differs by direction fits as well as dry and viscous friction, and is more."""
+    log = pendulum_log(seed, friction((0.3, 0.15), (0.3, 0.12)))
+    first, *others = diagnose(model, [log], bandwidth=BANDWIDTH).candidates
+    assert set(first.effect.split(" + ")) == {"coulomb_friction", "viscous_friction"}
+    assert first.where == JOINTS
+    (asymmetric,) = [other for other in others if other.effect == "asymmetric_friction"]
+    assert asymmetric.tied
+    assert first.error_after < 1.02 * asymmetric.error_after
+    assert len({candidate.effect for candidate in (first, *others)}) == 1 + len(others)
+    step = explain(model, [log], bandwidth=BANDWIDTH).steps[-1]
+    assert first.error_after == pytest.approx(step.error_after, rel=0.02)
+
+
+def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
+    """A model whose lower link is 40 % too heavy: its frictions are not to blame."""
+    wrong = model.phi.copy()
+    wrong[-1] *= 1.4
+    wrong, log = replace(model, phi=wrong), pendulum_log(64)
+    found = diagnose(wrong, [log], bandwidth=BANDWIDTH)
+    (candidate,) = found.candidates
+    assert (found.verdict, candidate.effect) == ("explained", "wrong_inertia")
+    assert "lower_link" in candidate.where
+    assert candidate.error_before == found.start.nrms
+    assert candidate.error_after < 0.2 * found.start.nrms
+    assert candidate.false_alarm_probability < 0.01
+    # Whether something is missing shows in what is left once the bodies are refitted.
+    strict = diagnose(wrong, [log], bandwidth=BANDWIDTH, criteria=Criteria(reduction=1.0))
+    assert (strict.verdict, strict.candidates) == ("adequate", ())
+    assert strict.start.nrms > 2.0 * strict.start.floor_nrms
+
+
+def test_criteria_can_be_made_impossible(model, logs):
+    found = explain(model, logs, bandwidth=BANDWIDTH, criteria=Criteria(reduction=1.0))
+    assert found.steps == ()
+    assert found.verdict == "unexplained"
+
+
+def test_add_puts_an_effect_where_it_is_told(model, logs):
+    found = add("coulomb_friction", model, logs, where=["elbow"], bandwidth=BANDWIDTH)
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("coulomb_friction", ("elbow",))
+    assert set(parameters(found.model)) >= {("coulomb_friction", ("elbow",))}
+    assert ("coulomb_friction", ("shoulder",)) not in parameters(found.model)
+    assert step.rms_after["elbow"] < 0.7 * step.rms_before["elbow"]
+
+
+def test_add_to_all_joints_by_default(model, logs):
+    found = add("coulomb_friction", model, logs, bandwidth=BANDWIDTH)
+    assert found.steps[0].where == JOINTS
+    more = add("viscous_friction", found.model, logs, bandwidth=BANDWIDTH)
+    np.testing.assert_allclose(rms(more.end), FLOOR, rtol=0.15)
+
+
+def test_add_whatever_the_evidence(model):
+    found = add("effort_offset", model, [pendulum_log(63)], bandwidth=BANDWIDTH)
+    (step,) = found.steps
+    assert step.false_alarm_probability > 0.01
+    for joint in JOINTS:
+        assert abs(step.parameters[joint]["offset"]) < 5.0 * step.deviations[joint]["offset"]
+
+
+def test_add_a_pair_and_a_body(model, logs):
+    pair = add("coupled_friction", model, logs, where=JOINTS, bandwidth=BANDWIDTH)
+    assert pair.steps[0].where == JOINTS
+    swapped = add("coupled_friction", model, logs, where=JOINTS[::-1], bandwidth=BANDWIDTH)
+    assert swapped.end == pair.end
+    body = add("payload", model, logs, where=["lower_link"], bandwidth=BANDWIDTH)
+    assert body.steps[0].where == ("lower_link",)
+    anywhere = add("payload", model, logs, bandwidth=BANDWIDTH)
+    assert len(anywhere.steps[0].where) == 1
+
+
+@pytest.mark.parametrize(
+    ("effect", "where", "words"),
+    [
+        ("coulomb_fricton", None, "Did you mean coulomb_friction"),
+        ("nonsense", None, "There is no effect 'nonsense'.*Effects are"),
+        ("coulomb_friction", ["elbo"], "no joint or body 'elbo'.*shoulder, elbow"),
+        ("coulomb_friction", ["lower_link"], "cannot be added at lower_link"),
+        ("payload", ["elbow"], "cannot be added at elbow"),
+        ("coupled_friction", ["elbow"], "cannot be added at elbow"),
+        ("effort_delay", ["lower_link"], "no joint 'lower_link'.*shoulder, elbow"),
+        ("wrong_inertia", ["elbow"], "one of the whole robot and takes no place"),
+        ("effort_scale", None, "inertias or payloads are known"),
+        ("contact", ["lower_link"], "where the residual shows it and takes no place"),
+        ("contact", None, "No contact stands out"),
+    ],
+)
+def test_add_refuses_what_cannot_be(model, logs, effect, where, words):
+    with pytest.raises(ArgumentError, match=words):
+        add(effect, model, logs[:1], where=where, bandwidth=BANDWIDTH)
+
+
+def test_add_refuses_what_is_there(model, logs):
+    present = with_friction(model)
+    with pytest.raises(ArgumentError, match=r"it is there already.* can be added nowhere else"):
+        add("coulomb_friction", present, logs[:1], where=["elbow"], bandwidth=BANDWIDTH)
+    with pytest.raises(ArgumentError, match="can be added nowhere"):
+        add("coulomb_friction", present, logs[:1], bandwidth=BANDWIDTH)
+
+
+def test_add_finds_a_shape_between_those_of_the_grid(model):
+    """The Stribeck velocity."""
+
+    def hidden(q, v, vd, load):
+        excess = 0.5 * np.exp(-np.abs(v[:, 1]) / 0.2) * np.sign(v[:, 1])
+        return HIDDEN(q, v, vd, load) + np.stack([np.zeros(len(q)), excess], 1)
+
+    log = pendulum_log(66, hidden)
+    found = add(
+        "stribeck_friction", with_friction(model), [log], where=["elbow"], bandwidth=BANDWIDTH
+    )
+    (step,) = found.steps
+    assert step.parameters["elbow"]["stribeck_velocity"] == pytest.approx(0.2, rel=0.1)
+    assert step.parameters["elbow"]["excess"] == pytest.approx(0.5, rel=0.1)
+
+
+def test_add_wrong_inertia_moves_the_bodies(model):
+    """A model whose lower link is 40 % too heavy."""
+    wrong = model.phi.copy()
+    wrong[-1] *= 1.4
+    found = add("wrong_inertia", replace(model, phi=wrong), [pendulum_log(64)], bandwidth=BANDWIDTH)
+    (step,) = found.steps
+    assert "lower_link" in step.where
+    np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
+
+
+def test_add_a_delay(model, logs):
+    found = add("effort_delay", model, logs, bandwidth=BANDWIDTH)
+    assert [step.effect for step in found.steps] in ([], ["effort_delay"])
+
+
+def test_add_delays_of_joints(model, logs):
+    """Each joint that is named gets its own, even where another one is later."""
+    shifts = {"shoulder": 0.0, "elbow": 0.015}
+
+    def late(log):
+        lags = zip(shifts.values(), log.effort.T, strict=True)
+        moved = [np.interp(log.time - lag, log.time, effort) for lag, effort in lags]
+        return replace(log, effort=np.stack(moved, 1))
+
+    logs, known = [late(log) for log in logs], with_friction(model)
+    found = add("effort_delay", known, logs, where=["elbow"], bandwidth=BANDWIDTH)
+    (step,) = found.steps
+    assert step.where == ("elbow",)
+    assert step.parameters["elbow"]["delay"] == pytest.approx(0.015, abs=1e-3)
+    assert step.deviations["elbow"]["delay"] < 1e-3
+    np.testing.assert_allclose(found.model.delays, [0.0, step.parameters["elbow"]["delay"]])
+    np.testing.assert_allclose(rms(found.end), FLOOR, rtol=0.2)
+    again = explain(found.model, logs, bandwidth=BANDWIDTH)
+    assert "effort_delay" not in {step.effect for step in again.steps}
+
+
+def test_no_logs_are_refused(model):
+    for job in (compare, diagnose, explain):
+        with pytest.raises((ArgumentError, LogError)):
+            job(model, [])
+
+
+def test_log_of_other_joints_is_refused(model, logs):
+    with pytest.raises(LogError, match="knee"):
+        explain(model, [replace(logs[0], joints=("shoulder", "knee"))])
+    with pytest.raises(LogError, match="elbow"):
+        explain(model, [logs[0].select(["shoulder"])])
+
+
+def test_log_that_is_too_short_is_refused(model, logs):
+    log = logs[0]
+    short = JointLog("short", JOINTS, log.time[:150], log.position[:150], log.effort[:150])
+    with pytest.raises(LogError, match="short"):
+        explain(model, [short], bandwidth=BANDWIDTH)
+
+
+def test_results_are_reproducible(model, logs, explained):
+    again = explain(model, logs, bandwidth=BANDWIDTH)
+    assert again.end == explained[0].end
+    assert_same(again.model, explained[0].model, rtol=0.0)
+
+
+def test_delay_effect_of_the_model_is_used(model, logs):
+    late = [
+        JointLog(log.name, JOINTS, log.time[4:], log.position[4:], log.effort[:-4]) for log in logs
+    ]
+    informed = with_friction(model)
+    informed = replace(
+        informed, effects=(*informed.effects, FittedEffect(EffortDelay(0.02), np.empty(0)))
+    )
+    errors = compare(informed, late, bandwidth=BANDWIDTH).errors
+    np.testing.assert_allclose(rms(errors), FLOOR, rtol=0.15)

@@ -1,0 +1,361 @@
+"""Effects that a simulated robot has and its model lacks are found, named and placed.
+
+The diagnosis gets a log and a model file. Logs come from a Drake diagram, from Pinocchio with other
+formulas of the effects and bodies that are 20 % off, and from robots without hidden effects.
+"""
+
+import importlib.util
+import sys
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake import load_model
+from geodrake.diagnosis.explain import explain
+from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.logs.files import read_log
+
+pytest.importorskip("pinocchio")
+
+from pendulum_logs import NOISE, pendulum_log
+from pinocchio_logs import (
+    MODELS,
+    HiddenEffects,
+    Recording,
+    perturbed,
+    random_motion,
+    record,
+    robot,
+    simulate,
+    without_effects,
+)
+
+MARGIN = 1.15
+"""Largest held-out error, as a multiple of the error that the noise alone makes."""
+
+ARM6 = load_model(MODELS / "arm6.urdf").joints
+
+
+def seeds(*numbers, first=1):
+    """Seeds, of which those after the first few are for a thorough run (`pytest -m thorough`)."""
+    return [
+        seed if i < first else pytest.param(seed, marks=pytest.mark.thorough)
+        for i, seed in enumerate(numbers)
+    ]
+
+
+def diagram_script():
+    """The script `diagrams/hidden_effect_log.py` as a module."""
+    path = MODELS.parent / "diagrams" / "hidden_effect_log.py"
+    spec = importlib.util.spec_from_file_location("hidden_effect_log", path)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+drake = diagram_script()
+
+
+@cache
+def model_file(name):
+    return load_model(MODELS / f"{name}.urdf")
+
+
+def floor_nrms(model, recording, errors):
+    """nrms of the noise that was added, once it has passed the filter."""
+    trajectories, _ = prepare_for_model(model, [recording.log])
+    floor = recording.noise * trajectories[0].filter.noise_gain
+    return np.sqrt(np.mean([(f / j.std) ** 2 for f, j in zip(floor, errors.joints, strict=True)]))
+
+
+def assert_found(name, recording, expected):
+    """The expected effects, at their places and no others, and only the noise is left."""
+    model = model_file(name)
+    found = explain(model, [recording.log])
+    assert {step.effect: set(step.where) for step in found.steps} == {
+        effect: set(where) for effect, where in expected.items()
+    }
+    floor = floor_nrms(model, recording, found.end)
+    assert floor / MARGIN < found.end.nrms < MARGIN * floor
+    assert found.verdict == "explained"
+    return {step.effect: step.parameters for step in found.steps}
+
+
+class TestDrake:
+    """Logs of `diagrams/hidden_effect_log.py`, whose inertias are those of the model file."""
+
+    @pytest.mark.parametrize(
+        ("name", "effect", "where", "size"),
+        [
+            ("arm7", "coulomb_friction", ("joint_4",), (3.0,)),
+            pytest.param(
+                *("arm6", "viscous_friction", ("elbow_pitch",), (5.0,)),
+                marks=pytest.mark.thorough,
+            ),
+            pytest.param(
+                *("arm6", "joint_spring", ("base_yaw",), (8.0, -2.0)),
+                marks=pytest.mark.thorough,
+            ),
+            pytest.param(
+                *("arm6", "effort_offset", ("wrist_pitch",), (0.8,)),
+                marks=pytest.mark.thorough,
+            ),
+            ("arm6", "rotor_inertia", ("wrist_roll",), (0.06,)),
+            ("arm7", "payload", ("link_7",), (2.0, 0.02, 0.0, 0.1)),
+            ("arm6", "coupled_friction", ("shoulder_pitch", "elbow_pitch"), (4.0, 3.0)),
+        ],
+    )
+    def test_one_effect(self, name, effect, where, size):
+        hidden = drake.HiddenEffect(effect, where, size)
+        scenario = drake.Scenario(robot=name, hidden=(hidden,))
+        log = drake.simulate(scenario=scenario)
+        recording = Recording(log, scenario.effort_noise * log.effort.std(0))
+        steps = assert_found(name, recording, {effect: where})
+        (values,) = steps[effect].values()
+        found = [
+            value for key, value in values.items() if key not in ("exponent", "center", "sign")
+        ]
+        assert found[0] == pytest.approx(size[0], rel=0.05)
+
+    def test_late_efforts(self):
+        hidden = drake.HiddenEffect("effort_delay", (), (0.012,))
+        scenario = drake.Scenario(hidden=(hidden,))
+        log = drake.simulate(scenario=scenario)
+        recording = Recording(log, scenario.effort_noise * log.effort.std(0))
+        steps = assert_found("arm6", recording, {"effort_delay": ()})
+        # The block samples the efforts at the simulation's steps.
+        assert steps["effort_delay"]["all joints"]["delay"] == pytest.approx(0.012, abs=1.5e-3)
+
+    def test_demo(self):
+        log = read_log(Path(str(files("geodrake.demo") / "demo.csv")))
+        recording = Recording(log, drake.DEMO.effort_noise * log.effort.std(0))
+        joints = ("shoulder_pitch", "elbow_pitch")
+        steps = assert_found(
+            "arm6",
+            recording,
+            {"payload": ("flange",), "coulomb_friction": joints, "viscous_friction": joints},
+        )
+        assert steps["payload"]["flange"]["mass"] == pytest.approx(2.5, abs=0.1)
+        for joint, coulomb, viscous in zip(joints, (8.0, 4.0), (10.0, 5.0), strict=True):
+            assert steps["coulomb_friction"][joint]["coulomb"] == pytest.approx(coulomb, rel=0.03)
+            assert steps["viscous_friction"][joint]["viscous"] == pytest.approx(viscous, rel=0.03)
+
+
+PINOCCHIO = {
+    "viscous": (
+        "arm6",
+        HiddenEffects(viscous={1: 8.0, 3: 1.5}),
+        {"viscous_friction": ("shoulder_pitch", "wrist_roll")},
+    ),
+    "coulomb": (
+        "arm7",
+        HiddenEffects(coulomb={3: 3.0}),
+        {"coulomb_friction": ("joint_4",)},
+    ),
+    "coulomb and viscous": (
+        "arm6",
+        HiddenEffects(coulomb={0: 5.0}, viscous={0: 5.0}),
+        {"coulomb_friction": ("base_yaw",), "viscous_friction": ("base_yaw",)},
+    ),
+    "coulomb at both": (
+        "double_pendulum",
+        HiddenEffects(coulomb={0: 0.16, 1: 0.12}),
+        {"coulomb_friction": ("shoulder", "elbow")},
+    ),
+    "coulomb and viscous at all": (
+        "arm6",
+        HiddenEffects(
+            coulomb=dict(enumerate((4.0, 5.0, 3.0, 0.15, 0.15, 0.08))),
+            viscous=dict(enumerate((4.0, 4.0, 3.0, 0.15, 0.15, 0.06))),
+        ),
+        {"coulomb_friction": ARM6, "viscous_friction": ARM6},
+    ),
+    "asymmetric": (
+        "arm6",
+        HiddenEffects(asymmetric={1: (7.0, 3.0)}),
+        {"asymmetric_friction": ("shoulder_pitch",)},
+    ),
+    "offset": ("arm6", HiddenEffects(offset={4: 0.8}), {"effort_offset": ("wrist_pitch",)}),
+    "spring": ("arm6", HiddenEffects(spring={0: (6.0, 0.3)}), {"joint_spring": ("base_yaw",)}),
+    "pendulum's spring": (
+        "double_pendulum",
+        HiddenEffects(spring={1: (1.0, 0.2)}),
+        {"joint_spring": ("elbow",)},
+    ),
+    "rotor": (
+        "arm6",
+        HiddenEffects(rotor={3: (100.0, 6e-6)}),
+        {"rotor_inertia": ("wrist_roll",)},
+    ),
+    "load": (
+        "arm6",
+        HiddenEffects(load_factor={2: 0.12}),
+        {"load_dependent_friction": ("elbow_pitch",)},
+    ),
+    "belt": (
+        "arm6",
+        HiddenEffects(belt={(4, 5): (0.6, 0.25)}),
+        {"coupled_friction": ("wrist_pitch", "wrist_spin")},
+    ),
+    "payload": (
+        "arm6",
+        HiddenEffects(payload=(2.5, (0.02, -0.01, 0.12), 0.05)),
+        {"payload": ("flange",)},
+    ),
+    "payload of seven joints": (
+        "arm7",
+        HiddenEffects(payload=(2.5, (0.02, -0.01, 0.12), 0.05)),
+        {"payload": ("link_7",)},
+    ),
+    "late efforts": ("arm6", HiddenEffects(late=0.015), {"effort_delay": ()}),
+    "late elbow": (
+        "arm6",
+        HiddenEffects(late=(0.0, 0.0, 0.012, 0.0, 0.0, 0.0), viscous={2: 4.0}),
+        {"effort_delay": ("elbow_pitch",), "viscous_friction": ("elbow_pitch",)},
+    ),
+    "two late joints": (
+        "arm6",
+        HiddenEffects(late=(0.0, 0.0, 0.015, 0.0, 0.02, 0.0)),
+        {"effort_delay": ("elbow_pitch", "wrist_pitch")},
+    ),
+}
+
+
+SIMPLER = (
+    "viscous",
+    "coulomb",
+    "coulomb and viscous",
+    "coulomb at both",
+    "spring",
+    "rotor",
+)
+"""Cases that others of the default run contain."""
+
+
+@pytest.mark.parametrize("seed", seeds(1, 2))
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=pytest.mark.thorough) if c in SIMPLER else c for c in PINOCCHIO],
+)
+def test_pinocchio_with_bodies_off(case, seed):
+    name, hidden, expected = PINOCCHIO[case]
+    rng, file = np.random.default_rng(seed), robot(name)
+    plant = perturbed(file, rng, 0.2)
+    rows = simulate(plant, file, random_motion(file, rng), hidden, 24.0)
+    recording = record(case, rows, rng, joints=file.names[1:], late=hidden.late)
+    steps = assert_found(name, recording, expected)
+    for joint, delay in zip(file.names[1:], np.broadcast_to(hidden.late, file.nv), strict=True):
+        if joint in expected.get("effort_delay", ()):
+            assert steps["effort_delay"][joint]["delay"] == pytest.approx(delay, abs=1e-3)
+
+
+def test_one_joint_later_than_all_others():
+    """All are late, and one of them twice as much: every joint's delay is told."""
+    rng, file = np.random.default_rng(6), robot("arm6")
+    late = np.where(np.arange(6) == 1, 0.02, 0.01)
+    rows = simulate(file, file, random_motion(file, rng), HiddenEffects(), 24.0)
+    recording = record("later", rows, rng, joints=ARM6, late=late)
+    steps = assert_found("arm6", recording, {"effort_delay": ARM6})
+    told = [steps["effort_delay"][joint]["delay"] for joint in ARM6]
+    np.testing.assert_allclose(told, late, atol=1e-3)
+
+
+class TestNothingHidden:
+    ROBOTS = ("arm6", "arm7", "double_pendulum")
+
+    @pytest.mark.parametrize("seed", seeds(*range(24), first=9))
+    def test_white_noise(self, seed):
+        name = self.ROBOTS[seed % 3]
+        recording = without_effects(name, seed)
+        model = model_file(name)
+        found = explain(model, [recording.log])
+        assert found.steps == ()
+        assert found.verdict == "adequate"
+        floor = floor_nrms(model, recording, found.end)
+        assert floor / MARGIN < found.end.nrms < MARGIN * floor
+
+    @pytest.mark.parametrize("seed", seeds(*range(100, 124), first=9))
+    def test_coloured_noise(self, seed):
+        name = self.ROBOTS[seed % 3]
+        recording = without_effects(name, seed, colour=(0.4, 0.8)[seed % 2])
+        assert explain(model_file(name), [recording.log]).steps == ()
+
+    @pytest.mark.parametrize("seed", seeds(*range(200, 212), first=6))
+    def test_bodies_off(self, seed):
+        name = self.ROBOTS[seed % 3]
+        recording = without_effects(name, seed, off=0.2)
+        found = explain(model_file(name), [recording.log])
+        (step,) = found.steps
+        assert step.effect == "wrong_inertia"
+        # A payload is a change of the body that carries it.
+        model = model_file(name)
+        at_the_end = set(step.where).intersection(model.last_bodies)
+        heavier = [
+            found.model.phi[model.bodies.index(body), 0] > model.phi[model.bodies.index(body), 0]
+            for body in model.last_bodies
+        ]
+        may_carry = "payload" in step.indistinguishable_from
+        assert may_carry if at_the_end else may_carry <= any(heavier)
+        assert found.verdict == "explained"
+        assert found.end.nrms < MARGIN * floor_nrms(model_file(name), recording, found.end)
+
+
+SHOULDER = np.array([1.0, 0.0])
+REFINED = {
+    "stribeck": (
+        lambda v, vd: (
+            SHOULDER * (np.tanh(v / 3e-3) * (0.3 + 0.35 * np.exp(-np.abs(v) / 0.25)) + 0.2 * v)
+        ),
+        {"coulomb_friction", "viscous_friction", "stribeck_friction"},
+    ),
+    "quadratic": (
+        lambda v, vd: SHOULDER * 0.15 * v * np.abs(v),
+        {"nonlinear_viscous_friction"},
+    ),
+    "quadratic, dry and viscous": (
+        lambda v, vd: SHOULDER * (0.15 * v * np.abs(v) + 0.3 * np.tanh(v / 3e-3) + 0.2 * v),
+        {"nonlinear_viscous_friction", "coulomb_friction", "viscous_friction"},
+    ),
+    "coupled rotor": (lambda v, vd: 0.05 * vd[:, ::-1], {"coupled_rotor_inertia"}),
+}
+
+
+@pytest.mark.parametrize("seed", seeds(1, 2, 3, first=2))
+@pytest.mark.parametrize("name", REFINED)
+def test_laws_with_a_shape(name, seed):
+    """Laws written out here, on Drake's inverse dynamics of the double pendulum."""
+    law, expected = REFINED[name]
+    log = pendulum_log(seed, lambda q, v, vd, load: law(v, vd), seconds=60.0)
+    found = explain(model_file("double_pendulum"), [log])
+    assert {step.effect for step in found.steps} == expected
+    assert found.verdict == "explained"
+    floor = floor_nrms(model_file("double_pendulum"), Recording(log, NOISE), found.end)
+    assert found.end.nrms < MARGIN * floor
+    for step in found.steps:
+        if step.effect == "nonlinear_viscous_friction":
+            assert step.parameters["shoulder"]["exponent"] == 2.0
+            assert step.parameters["shoulder"]["viscous"] == pytest.approx(0.15, rel=0.03)
+        if step.effect == "stribeck_friction":
+            values = step.parameters["shoulder"]
+            assert values["stribeck_velocity"] == pytest.approx(0.25, rel=0.05)
+            assert values["excess"] == pytest.approx(0.35, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", seeds(1, 2))
+@pytest.mark.parametrize("exponent", [1.7, 2.4])
+def test_exponents_between_those_of_the_grid(exponent, seed):
+    """No further effect is drawn by what a wrong exponent would leave."""
+
+    def law(q, v, vd, load):
+        return SHOULDER * 0.3 * np.sign(v) * np.abs(v) ** exponent
+
+    log = pendulum_log(seed, law, seconds=60.0)
+    found = explain(model_file("double_pendulum"), [log])
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("nonlinear_viscous_friction", ("shoulder",))
+    assert step.parameters["shoulder"]["exponent"] == pytest.approx(exponent, rel=0.01)
+    floor = floor_nrms(model_file("double_pendulum"), Recording(log, NOISE), found.end)
+    assert found.end.nrms < MARGIN * floor

@@ -1,0 +1,377 @@
+"""Forces that a robot has and its model lacks are found, named and placed.
+
+Logs are inverse dynamics by Pinocchio of bodies that are 20 % off, with the force in a formula of
+its own on top. Friction and other effects of older date are in test_hidden_effects.py.
+"""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+from effort_logs import MODELS, effort_log
+
+from geodrake import load_model
+from geodrake.diagnosis import add, diagnose, explain
+from geodrake.effects import JointEffect, Parameter, Proposer
+from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.logs.motion import Motion
+from geodrake.model.saved_model import save_model
+
+MARGIN = 1.15
+"""Largest held-out error, as a multiple of the error that the noise alone makes."""
+
+SEEDS = (1, pytest.param(2, marks=pytest.mark.thorough))
+
+
+@cache
+def model_file(name):
+    return load_model(MODELS / f"{name}.urdf")
+
+
+def assert_found(model, recording, expected, *, margin=MARGIN):
+    """The expected effects, at their places and no others, and only the noise is left."""
+    found = explain(model, [recording.log])
+    assert {step.effect: set(step.where) for step in found.steps} == {
+        effect: set(where) for effect, where in expected.items()
+    }
+    trajectories, _ = prepare_for_model(model, [recording.log])
+    noise = recording.noise * trajectories[0].filter.noise_gain
+    stds = [joint.std for joint in found.end.joints]
+    floor = np.sqrt(np.mean((noise / stds) ** 2))
+    assert found.end.nrms < margin * floor
+    assert found.verdict == "explained"
+    return {step.effect: step.parameters for step in found.steps}, found
+
+
+def size_of(values):
+    """Amplitude of the waves of two parameters."""
+    return np.hypot(values["sine"], values["cosine"])
+
+
+def wave(joint, amplitude, order, phase=0.4):
+    return lambda seen: {joint: amplitude * np.sin(order * seen.q[:, joint] - phase)}
+
+
+class TestGravityCompensator:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(("joint", "name"), [(0, "base_yaw"), (1, "shoulder_pitch")])
+    def test_found(self, joint, name, seed):
+        recording = effort_log("arm6", seed, wave(joint, (6.0, 20.0)[joint], 1.0), off=0.2)
+        steps, _ = assert_found(model_file("arm6"), recording, {"gravity_compensator": (name,)})
+        values = steps["gravity_compensator"][name]
+        assert size_of(values) == pytest.approx((6.0, 20.0)[joint], rel=0.05)
+
+
+class TestTorqueRipple:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("order", "size"),
+        [(7.0, 3.0), pytest.param(23.4, 1.0, marks=pytest.mark.thorough), (101.0, 1.0)],
+    )
+    def test_found(self, order, size, seed):
+        recording = effort_log("arm6", seed, wave(1, size, order), off=0.2)
+        steps, _ = assert_found(
+            model_file("arm6"), recording, {"torque_ripple": ("shoulder_pitch",)}
+        )
+        values = steps["torque_ripple"]["shoulder_pitch"]
+        assert values["order"] == pytest.approx(order, abs=0.06)
+        assert size_of(values) == pytest.approx(size, rel=0.06)
+
+    def test_under_friction(self, tmp_path):
+        """Ripple of an eighteenth of the friction; the model is saved and holds."""
+
+        def hidden(seen):
+            return {0: 0.3 * np.cos(23.4 * seen.q[:, 0]) + 4.0 * np.tanh(seen.v[:, 0] / 0.01)}
+
+        recording = effort_log("arm6", 1, hidden, off=0.2)
+        _, found = assert_found(
+            model_file("arm6"),
+            recording,
+            {"coulomb_friction": ("base_yaw",), "torque_ripple": ("base_yaw",)},
+        )
+        save_model(found.model, tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml")
+        assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
+        other = explain(again, [effort_log("arm6", 1, hidden, off=0.2, share=0.031).log])
+        assert other.steps == ()
+
+    def test_named_by_one_diagnosis(self):
+        recording = effort_log("double_pendulum", 3, wave(1, 0.05, 40.0), duration=40.0)
+        found = diagnose(model_file("double_pendulum"), [recording.log])
+        assert found.candidates[0].effect == "torque_ripple"
+        assert found.candidates[0].where == ("elbow",)
+
+    def test_added_by_name(self):
+        recording = effort_log("double_pendulum", 3, wave(1, 0.05, 40.0), duration=40.0)
+        found = add("torque_ripple", model_file("double_pendulum"), [recording.log])
+        (step,) = found.steps
+        assert step.where == ("elbow",)
+        assert step.parameters["elbow"]["order"] == pytest.approx(40.0, abs=0.1)
+        assert found.end.nrms < 0.5 * found.start.nrms
+
+
+@dataclasses.dataclass(frozen=True)
+class TwoHarmonics(JointEffect):
+    """A user's wave with a second harmonic, of an order that the residual tells."""
+
+    order: float
+
+    name = "two_harmonics"
+    proposer = Proposer.WAVES
+    depends_on = frozenset({"q"})
+    parameters = tuple(Parameter(name, "N·m") for name in ("a", "b", "c", "d"))
+
+    def columns(self, joint):
+        angle = self.order * joint.q
+        return [np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
+
+
+class TestUsersWave:
+    """The residual proposes effects of a user's own as it does those of the catalogue."""
+
+    def recording(self):
+        first, second = wave(1, 0.05, 40.0), wave(1, 0.045, 80.0)
+
+        def hidden(seen):
+            return {1: first(seen)[1] + second(seen)[1]}
+
+        return effort_log("double_pendulum", 3, hidden, duration=40.0)
+
+    def test_explained(self):
+        model, log = model_file("double_pendulum"), self.recording().log
+        (step,) = explain(model, [log], extra=[TwoHarmonics]).steps
+        assert (step.effect, step.where) == ("two_harmonics", ("elbow",))
+        assert step.parameters["elbow"]["order"] == pytest.approx(40.0, abs=0.1)
+
+    def test_added(self):
+        model, log = model_file("double_pendulum"), self.recording().log
+        (step,) = add("two_harmonics", model, [log], extra=[TwoHarmonics]).steps
+        assert step.where == ("elbow",)
+        assert step.parameters["elbow"]["order"] == pytest.approx(40.0, abs=0.1)
+
+
+def tilted(x, y):
+    """Effort of a base that is turned about x, then y, by Pinocchio with another gravity."""
+
+    def hidden(seen):
+        leaning = pin.Model(seen.model)
+        leaning.gravity.linear = pin.rpy.rpyToMatrix(x, y, 0.0).T @ np.array([0.0, 0.0, -9.81])
+        data = leaning.createData()
+        samples = zip(seen.q, seen.v, seen.a, strict=True)
+        return np.array([pin.rnea(leaning, data, *sample) for sample in samples]) - seen.load
+
+    return hidden
+
+
+class TestGravityTilt:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(("name", "off"), [("arm6", 0.2), ("arm7", 0.0)])
+    def test_found(self, name, off, seed):
+        recording = effort_log(name, seed, tilted(0.03, -0.05), off=off)
+        steps, _ = assert_found(model_file(name), recording, {"gravity_tilt": ()})
+        values = steps["gravity_tilt"]["base"]
+        assert set(values) == {"tilt_x", "tilt_y"}
+        assert values["tilt_x"] == pytest.approx(0.03, abs=2e-3)
+        assert values["tilt_y"] == pytest.approx(-0.05, abs=2e-3)
+
+    def test_saved(self, tmp_path):
+        recording = effort_log("arm6", 3, tilted(0.03, -0.05))
+        _, found = assert_found(model_file("arm6"), recording, {"gravity_tilt": ()})
+        save_model(found.model, tmp_path / "arm.yaml")
+        other = effort_log("arm6", 4, tilted(0.03, -0.05))
+        assert explain(load_model(tmp_path / "arm.yaml"), [other.log]).steps == ()
+
+
+def dragged(joint, point, drag):
+    """Effort of drag at a point of a joint's body, by Pinocchio's Jacobian of that body."""
+
+    def hidden(seen):
+        effort = np.empty_like(seen.q)
+        for i, (q, v) in enumerate(zip(seen.q, seen.v, strict=True)):
+            J = pin.computeJointJacobian(seen.model, seen.data, q, joint)  # about and in the body
+            linear = J[:3] - pin.skew(np.array(point)) @ J[3:]
+            velocity = linear @ v
+            effort[i] = drag * linear.T @ velocity * np.linalg.norm(velocity)
+        return effort
+
+    return hidden
+
+
+class TestAerodynamicDrag:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("joint", "body", "point", "size"),
+        [
+            pytest.param(3, "forearm", (0.2, 0.0, 0.0), 20.0, marks=pytest.mark.thorough),
+            (6, "flange", (0.0, 0.0, 0.05), 5.0),
+        ],
+    )
+    def test_found(self, joint, body, point, size, seed):
+        recording = effort_log("arm6", seed, dragged(joint, point, size), off=0.2)
+        steps, _ = assert_found(model_file("arm6"), recording, {"aerodynamic_drag": (body,)})
+        values = steps["aerodynamic_drag"][body]
+        assert values["drag"] == pytest.approx(size, rel=0.05)
+        center = [values[axis] + values[f"drag_lever_{axis}"] / values["drag"] for axis in "xyz"]
+        np.testing.assert_allclose(center, point, atol=0.01)
+
+
+def belt(i, j, sense, dry, viscous):
+    """Friction of a motor that turns with v_i ± v_j, by a belt from one joint to the other."""
+
+    def hidden(seen):
+        slip = seen.v[:, i] + sense * seen.v[:, j]
+        effort = dry * slip / np.hypot(slip, 5e-3) + viscous * slip
+        return {i: effort, j: sense * effort}
+
+    return hidden
+
+
+class TestCoupledJoints:
+    """Motors that turn with two joints which do not follow each other."""
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("joints", "sense", "dry", "viscous"),
+        [
+            ((1, 3), 1, 0.8, 0.3),
+            ((3, 5), -1, 0.3, 0.12),
+            pytest.param((1, 3), -1, 0.8, 0.3, marks=pytest.mark.thorough),
+            pytest.param((3, 5), 1, 0.01, 0.01, marks=pytest.mark.thorough),
+            pytest.param((0, 2), 1, 3.0, 1.0, marks=pytest.mark.thorough),
+        ],
+    )
+    def test_friction_is_found(self, joints, sense, dry, viscous, seed):
+        recording = effort_log("arm6", seed, belt(*joints, sense, dry, viscous), off=0.2)
+        names = tuple(model_file("arm6").joints[joint] for joint in joints)
+        steps, _ = assert_found(model_file("arm6"), recording, {"coupled_friction": names})
+        values = steps["coupled_friction"][" & ".join(names)]
+        assert values["sign"] == sense
+        assert values["coulomb"] == pytest.approx(dry, rel=0.05)
+        assert values["viscous"] == pytest.approx(viscous, rel=0.1)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_friction_is_found_beside_that_of_all_joints(self, seed, tmp_path):
+        def hidden(seen):
+            effort = rubbing(seen)
+            for joint, more in belt(3, 5, 1, 0.3, 0.1)(seen).items():
+                effort[:, joint] += more
+            return effort
+
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        joints = model_file("arm6").joints
+        own = dict.fromkeys(("coulomb_friction", "viscous_friction"), joints)
+        expected = own | {"coupled_friction": (joints[3], joints[5])}
+        _, found = assert_found(model_file("arm6"), recording, expected)
+        save_model(found.model, tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml")
+        motion = Motion(*random_states(), time=None)
+        np.testing.assert_allclose(again.effort(motion), found.model.effort(motion))
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_friction_of_either_joint_is_not_coupled(self, seed):
+        def hidden(seen):
+            return {
+                joint: size * seen.v[:, joint] / np.hypot(seen.v[:, joint], 5e-3)
+                for joint, size in ((1, 4.0), (3, 0.6))
+            }
+
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        expected = {"coulomb_friction": ("shoulder_pitch", "wrist_roll")}
+        assert_found(model_file("arm6"), recording, expected)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize("sense", [-1, pytest.param(1, marks=pytest.mark.thorough)])
+    def test_rotor_is_found(self, sense, seed):
+        def hidden(seen):
+            spin = 0.05 * (seen.a[:, 3] + sense * seen.a[:, 5])
+            return {3: spin, 5: sense * spin}
+
+        names = ("wrist_roll", "wrist_spin")
+        expected = dict.fromkeys(("coupled_rotor_inertia", "rotor_inertia"), names)
+        recording = effort_log("arm6", seed, hidden)
+        steps, _ = assert_found(model_file("arm6"), recording, expected)
+        values = steps["coupled_rotor_inertia"]["wrist_roll & wrist_spin"]
+        assert values["inertia"] == pytest.approx(0.05 * sense, rel=0.03)
+
+
+class TestFrictionDrift:
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize(
+        ("joint", "name", "size"),
+        [
+            (1, "shoulder_pitch", 5.0),
+            pytest.param(3, "wrist_roll", 0.25, marks=pytest.mark.thorough),
+        ],
+    )
+    def test_found(self, joint, name, size, seed):
+        """Friction that falls as 1 / (1 + t / 8 s) from one and a half times its last value."""
+
+        def hidden(seen):
+            v = seen.v[:, joint]
+            warm = 1.0 + 0.5 / (1.0 + seen.time / 8.0)
+            return {joint: size * warm * (v / np.sqrt(v**2 + 1e-4) + v)}
+
+        recording = effort_log("arm6", seed, hidden, off=0.2)
+        found = ("coulomb_friction", "viscous_friction", "friction_drift")
+        steps, _ = assert_found(model_file("arm6"), recording, dict.fromkeys(found, (name,)))
+        values = steps["friction_drift"][name]
+        settled = steps["coulomb_friction"][name]["coulomb"]
+        assert settled + values["coulomb_change"] == pytest.approx(1.5 * size, rel=0.08)
+        assert 4.0 < values["time_constant"] < 16.0
+
+    def test_not_where_friction_stays(self):
+        found = explain(model_file("arm6"), [effort_log("arm6", 5, rubbing, off=0.2).log])
+        assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}
+
+
+def rubbing(seen):
+    size = np.array([3.0, 3.0, 3.0, 0.15, 0.15, 0.15])
+    return size * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)
+
+
+class TestEffortScale:
+    """A gain can be told once the inertias are known from another log."""
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def known(tmp_path_factory):
+        model = explain(model_file("arm6"), [effort_log("arm6", 1, rubbing).log]).model
+        path = tmp_path_factory.mktemp("known") / "arm6.yaml"
+        save_model(model, path)
+        return load_model(path)
+
+    @pytest.mark.parametrize(("joint", "name"), [(1, "shoulder_pitch"), (4, "wrist_pitch")])
+    def test_found(self, known, joint, name):
+        def hidden(seen):
+            effort = rubbing(seen)
+            effort[:, joint] += 0.08 * (seen.load + effort)[:, joint]
+            return effort
+
+        recording = effort_log("arm6", 7, hidden)
+        steps, found = assert_found(known, recording, {"effort_scale": (name,)})
+        assert steps["effort_scale"][name]["gain_error"] == pytest.approx(0.08, abs=4e-3)
+        motion = Motion(*random_states(), time=None)
+        scaled, plain = found.model.effort(motion), known.effort(motion)
+        np.testing.assert_allclose(scaled[:, joint], 1.08 * plain[:, joint], rtol=0.03, atol=0.05)
+
+    def test_nothing_where_nothing_changed(self, known):
+        assert explain(known, [effort_log("arm6", 8, rubbing).log]).steps == ()
+
+    def test_not_offered_to_a_model_file(self):
+        def hidden(seen):
+            return 0.08 * seen.load * np.eye(6)[1]
+
+        found = explain(model_file("arm6"), [effort_log("arm6", 7, hidden).log])
+        assert "effort_scale" not in {step.effect for step in found.steps}
+        assert "effort_scale" not in {
+            name for step in found.steps for name in step.indistinguishable_from
+        }
+
+
+def random_states(n=50, nv=6):
+    return np.random.default_rng(3).normal(size=(3, n, nv))

@@ -1,0 +1,137 @@
+"""Elastic joints: logs of links that move as planned, and of motors that lead them by the bend.
+
+The link's motion is known, its effort is Pinocchio's, and the motor is where the spring's end is:
+nothing here is to first order.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+from pinocchio_logs import MODELS, Recording, perturbed, random_motion, robot
+from scipy.interpolate import make_interp_spline
+
+from geodrake import load_model
+from geodrake.control.systems import EffectForce
+from geodrake.diagnosis import add, explain
+from geodrake.effects import FittedEffect, JointElasticity
+from geodrake.effects.deflection import Deflection
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.saved_model import save_model
+
+ARM = load_model(MODELS / "arm6.urdf")
+
+
+def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0, pace=0.6):
+    """Time, motor positions, velocities and accelerations, and the effort (N, n) of the links."""
+    rng, file = np.random.default_rng(seed), robot("arm6")
+    plant = perturbed(file, rng, off)
+    data, time = plant.createData(), np.arange(0.0, duration, 1.0 / rate)
+    motion = [x.copy() for x in random_motion(file, rng, pace=pace)(time)]
+    effort = np.array([pin.rnea(plant, data, *x) for x in zip(*motion, strict=True)])
+    bend = make_interp_spline(time, effort[:, joint] / stiffness, k=5)
+    for order, values in enumerate(motion):
+        values[:, joint] += bend(time, order)
+    return time, *motion, effort
+
+
+def elastic_log(joint, stiffness, seed, *, share=0.01, friction=0.0, pace=0.6):
+    """A log of such a robot, with white noise and friction of all motors."""
+    time, q, v, _, effort = elastic_motion(joint, stiffness, seed, off=0.2, pace=pace)
+    size = friction * np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])
+    effort = effort + size * (np.tanh(v / 0.01) + 0.7 * v)
+    rng, noise = np.random.default_rng(seed), share * effort.std(0)
+    log = JointLog(
+        f"elastic {seed}",
+        ARM.joints,
+        time,
+        q + 1e-5 * rng.normal(size=q.shape),
+        effort + noise * rng.normal(size=effort.shape),
+        v + 2e-4 * rng.normal(size=q.shape),
+    )
+    return Recording(log, noise)
+
+
+@pytest.mark.parametrize("joint", [1, 2, 4])
+def test_effort_of_a_stiff_joint(joint):
+    """What is left of the error is of second order in the compliance."""
+    errors = []
+    for stiffness in (2e4, 4e4):
+        time, q, v, vd, effort = elastic_motion(joint, stiffness, 3, duration=4.0)
+        fitted = FittedEffect(JointElasticity(ARM.joints[joint]), np.array([1.0 / stiffness]))
+        elastic = dataclasses.replace(ARM, effects=(fitted,))
+        motion, inner = Motion(q, v, vd, time), slice(20, -20)
+        rigid = (ARM.effort(motion) - effort)[inner]
+        left = (elastic.effort(motion) - effort)[inner]
+        errors.append(np.abs(left).max() / np.abs(rigid).max())
+    assert errors[0] < 0.05
+    assert errors[1] == pytest.approx(0.5 * errors[0], rel=0.2)
+
+
+def test_at_rest_the_posture_changes():
+    rng = np.random.default_rng(1)
+    q, none = rng.normal(size=(5, 6)), np.zeros((5, 6))
+    seen = ARM.motion(Motion(q, none, none))
+    lag = rng.normal(size=5)
+    change = Deflection.along(lag, seen.time).effort(seen.effort_slopes, 2)
+    ends = []
+    for step in (1e-5, -1e-5):
+        moved = q.copy()
+        moved[:, 2] -= step * lag
+        ends.append(ARM.effort(Motion(moved, none, none)))
+    np.testing.assert_allclose(change, (ends[0] - ends[1]) / 2e-5, atol=1e-5)
+
+
+def test_is_no_force():
+    with pytest.raises(ArgumentError, match="no force"):
+        EffectForce(ARM.plant, [(JointElasticity("elbow_pitch"), [1e-4])])
+
+
+class TestDiagnosis:
+    @pytest.mark.parametrize(
+        ("joint", "stiffness", "friction", "seed"),
+        [
+            (1, 3000.0, 0.0, 1),
+            pytest.param(1, 6000.0, 0.0, 2, marks=pytest.mark.thorough),
+            pytest.param(2, 1500.0, 0.0, 1, marks=pytest.mark.thorough),
+        ],
+    )
+    def test_found(self, joint, stiffness, friction, seed):
+        recording = elastic_log(joint, stiffness, seed, friction=friction)
+        found = explain(ARM, [recording.log])
+        (step,) = found.steps
+        assert (step.effect, step.where) == ("joint_elasticity", (ARM.joints[joint],))
+        compliance = step.parameters[ARM.joints[joint]]["compliance"]
+        assert compliance == pytest.approx(1.0 / stiffness, rel=0.08)
+        trajectories, _ = prepare_for_model(ARM, [recording.log])
+        noise = recording.noise * trajectories[0].filter.noise_gain
+        floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
+        assert found.end.nrms < 1.15 * floor
+
+    @pytest.mark.parametrize("joint", [pytest.param(1, marks=pytest.mark.thorough), 2])
+    def test_in_slow_motion(self, joint):
+        """The load's rates are then mostly noise of the accelerations."""
+        (step,) = explain(ARM, [elastic_log(joint, 2000.0, 2, pace=0.08).log]).steps
+        assert (step.effect, step.where) == ("joint_elasticity", (ARM.joints[joint],))
+        compliance = step.parameters[ARM.joints[joint]]["compliance"]
+        assert compliance == pytest.approx(1.0 / 2000.0, rel=0.1)
+
+    def test_under_friction(self):
+        found = explain(ARM, [elastic_log(1, 3000.0, 1, friction=1.0).log])
+        (step,) = (step for step in found.steps if step.effect == "joint_elasticity")
+        assert step.where == ("shoulder_pitch",)
+        assert step.error_after < 0.4 * step.error_before
+
+    def test_added_by_name_and_saved(self, tmp_path):
+        found = add("joint_elasticity", ARM, [elastic_log(2, 1500.0, 2).log])
+        assert "elbow_pitch" in found.steps[0].where
+        assert found.end.nrms < 0.5 * found.start.nrms
+        save_model(found.model, tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml")
+        assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]

@@ -1,0 +1,171 @@
+"""The loop on measurements of real robots, which are public but do not come with the package."""
+
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from measurements import DATA, REFERENCE
+
+from geodrake import load_model
+from geodrake.diagnosis import compare, diagnose, explain
+from geodrake.inertia import is_physical
+from geodrake.model.saved_model import save_model
+
+MODELS = Path(__file__).parents[2] / "models"
+
+pytestmark = pytest.mark.measurements(
+    "data/ur10e_*.csv",
+    "data/tx40.csv",
+    "data/double_pendulum_c1_*.csv",
+    "reference/ur10e.urdf",
+    "reference/tx40.urdf",
+)
+
+
+def places(explanation):
+    """Effect -> where it was added."""
+    return {step.effect: step.where for step in explanation.steps}
+
+
+@pytest.fixture(scope="session")
+def ur10e_free():
+    """The UR10e's two motions without payload, and how long they took to explain."""
+    start = time.process_time()
+    model = load_model(REFERENCE / "ur10e.urdf")
+    found = explain(model, [DATA / "ur10e_free_a.csv", DATA / "ur10e_free_b.csv"])
+    return found, time.process_time() - start
+
+
+@pytest.fixture(scope="session")
+def ur10e_saved(ur10e_free, tmp_path_factory):
+    """The model fitted to these motions, saved and read back."""
+    path = tmp_path_factory.mktemp("ur10e") / "ur10e.yaml"
+    save_model(ur10e_free[0].model, path)
+    return load_model(path)
+
+
+@pytest.fixture(scope="session")
+def ur10e_changed(ur10e_saved):
+    return explain(ur10e_saved, [DATA / "ur10e_changed.csv"])
+
+
+@pytest.fixture(scope="session")
+def tx40():
+    return explain(load_model(REFERENCE / "tx40.urdf"), [DATA / "tx40.csv"], blocks=6)
+
+
+@pytest.fixture(scope="session")
+def pendulum():
+    logs = sorted(DATA.glob("double_pendulum_c1_*.csv"))
+    return explain(load_model(MODELS / "double_pendulum.urdf"), logs)
+
+
+def test_ur10e_has_dry_and_viscous_friction(ur10e_free):
+    found, _ = ur10e_free
+    assert 0.78 < found.start.nrms < 0.9
+    assert found.end.nrms <= 0.037
+    joints = found.model.joints
+    assert set(places(found)["coulomb_friction"]) == set(joints)
+    # That of the shoulder pan may grow less than its speed: two logs that took no part bear it out.
+    where = places(found)
+    power = set(where.get("nonlinear_viscous_friction", ())) - set(where["viscous_friction"])
+    assert power <= {"shoulder_pan_joint"}
+    assert set(where["viscous_friction"]) | power == set(joints)
+    assert found.steps[0].effect in ("coulomb_friction", "viscous_friction")
+
+
+def test_ur10e_has_no_drag(ur10e_free):
+    # The slopes of a drag of nothing, which have no sign, once stood for friction that drove.
+    assert "aerodynamic_drag" not in places(ur10e_free[0])
+
+
+def test_ur10e_errors_fall_step_by_step(ur10e_free):
+    found, _ = ur10e_free
+    ends = [found.refitted.nrms, *(step.error_after for step in found.steps)]
+    assert all(after < before for before, after in pairwise(ends))
+    assert [step.error_before for step in found.steps] == pytest.approx(ends[:-1], rel=1e-3)
+    assert found.steps[-1].error_after == pytest.approx(found.end.nrms)
+    for joint in found.end.joints:
+        assert joint.floor < joint.rms < found.start.by_joint()[joint.joint]
+
+
+def test_ur10e_is_quick(ur10e_free):
+    assert ur10e_free[1] < 30.0
+
+
+def test_ur10e_third_motion_needs_nothing(ur10e_saved):
+    found = explain(ur10e_saved, [DATA / "ur10e_free_c.csv"])
+    assert found.steps == ()
+    assert found.start.nrms == found.end.nrms <= 0.05
+    as_it_stands = compare(ur10e_saved, [DATA / "ur10e_free_c.csv"]).errors.by_joint()
+    assert as_it_stands == pytest.approx(found.start.by_joint(), rel=1e-9)
+
+
+def test_ur10e_saved_model_holds_on_another_kind_of_motion(ur10e_free, ur10e_saved):
+    """Point-to-point motion: friction found in excitation motions takes most of the error away."""
+    log = [DATA / "ur10e_ptp.csv"]
+    unfitted = compare(load_model(REFERENCE / "ur10e.urdf"), log).errors
+    known = compare(ur10e_saved, log).errors.nrms
+    assert known <= 0.056
+    assert known < 0.1 * unfitted.nrms
+
+
+def test_ur10e_carries_a_payload_after_the_change(ur10e_changed):
+    found = ur10e_changed
+    first = found.steps[0]
+    assert (first.effect, first.where) == ("payload", ("wrist_3_link",))
+    assert found.start.nrms > 0.4
+    assert found.end.nrms <= 0.05
+    mass, deviation = (
+        values["wrist_3_link"]["mass"] for values in (first.parameters, first.deviations)
+    )
+    assert mass == pytest.approx(3.1, abs=0.2)
+    assert 0.0 < deviation < 0.3
+
+
+def test_ur10e_payload_that_was_put_down_is_noticed(ur10e_changed):
+    found = explain(ur10e_changed.model, [DATA / "ur10e_free_c.csv"])
+    (step,) = found.steps
+    assert (step.effect, step.where) == ("payload", ("wrist_3_link",))
+    assert step.error_before > 0.4
+    assert step.error_after < 0.1
+    assert step.parameters["wrist_3_link"]["mass"] < 0.15
+
+
+def test_ur10e_payload_is_named_by_one_diagnosis(ur10e_saved, ur10e_changed):
+    diagnosis = diagnose(ur10e_saved, [DATA / "ur10e_changed.csv"])
+    chosen = diagnosis.candidates[0]
+    assert diagnosis.verdict == "explained"
+    assert (chosen.effect, chosen.where) == ("payload", ("wrist_3_link",))
+    assert diagnosis.start == ur10e_changed.start
+
+
+def test_tx40_has_friction_coupled_friction_and_rotors(tx40):
+    found = places(tx40)
+    assert {"viscous_friction", "coulomb_friction", "rotor_inertia"} <= found.keys()
+    assert found["coupled_friction"] == ("joint_5", "joint_6")
+    step = next(step for step in tx40.steps if step.effect == "coupled_friction")
+    assert step.parameters["joint_5 & joint_6"]["sign"] == 1.0
+    assert tx40.end.pooled_rms <= 0.95
+
+
+def test_tx40_link_without_inertia_is_reported(tx40):
+    assert any("link_6" in note for note in tx40.notes)
+
+
+def test_pendulum_has_dry_friction_at_both_joints(pendulum):
+    step = next(step for step in pendulum.steps if step.effect == "coulomb_friction")
+    assert set(step.where) == {"shoulder", "elbow"}
+    assert step.parameters["shoulder"]["coulomb"] == pytest.approx(0.16, rel=0.25)
+    assert step.parameters["elbow"]["coulomb"] == pytest.approx(0.12, rel=0.25)
+
+
+@pytest.mark.parametrize("robot", ["ur10e_free", "tx40", "pendulum"])
+def test_fitted_models_are_physical(robot, request):
+    found = request.getfixturevalue(robot)
+    model = (found[0] if robot == "ur10e_free" else found).model
+    assert is_physical(model.total_phi).all()
+    for fitted in model.effects:
+        for parameter, value in zip(fitted.effect.parameters, fitted.parameters, strict=True):
+            assert parameter.lower - 1e-9 <= value <= parameter.upper + 1e-9

@@ -1,0 +1,119 @@
+"""What a step cannot be told from comes with the numbers that show it."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from effort_logs import effort_log
+from excitation_robots import MODELS
+from rich.console import Console
+
+from geodrake.cli.tables import show_explanation
+from geodrake.diagnosis import Criteria, add, diagnose, explain
+from geodrake.diagnosis.ambiguity import distinguishing_commands
+from geodrake.diagnosis.results import FittedRival
+from geodrake.model.saved_model import load_model
+from geodrake.report import Units
+from geodrake.report.json_output import explanation_dict
+from geodrake.report.sections import steps_section
+
+MODEL = load_model(MODELS / "double_pendulum.urdf")
+
+
+def spring(seen):
+    return {1: 1.5 * seen.q[:, 1]}
+
+
+def dry_friction(seen):
+    return {1: 0.5 * np.sign(seen.v[:, 1])}
+
+
+def slow_log(hidden):
+    return effort_log("double_pendulum", 1, hidden, duration=16.0, share=0.02, pace=0.3).log
+
+
+@pytest.fixture(scope="module", params=[spring, dry_friction])
+def case(request):
+    """A log and its explanation, whose one step has one rival."""
+    log = slow_log(request.param)
+    return log, explain(MODEL, [log])
+
+
+def test_the_error_of_a_rival_is_that_of_adding_it(case):
+    log, found = case
+    (step,) = found.steps
+    (rival,) = step.rivals
+    assert rival.instead_of == (step.effect,)
+    assert rival.names == step.indistinguishable_from
+    instead = add(rival.effect, MODEL, [log], where=rival.where).steps[0]
+    assert rival.error == pytest.approx(instead.error_after, rel=0.02)
+    assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.02)
+    assert Criteria().tie < rival.tie_probability < 0.5
+
+
+def test_what_adds_the_same_is_no_rival():
+    """Dry friction alone, as the pair of dry and viscous friction of which one part is none."""
+    log = slow_log(dry_friction)
+    named = [candidate.effect for candidate in diagnose(MODEL, [log]).candidates]
+    assert named[0] == "coulomb_friction"
+    assert "coulomb_friction + viscous_friction" not in named
+    (step,) = explain(MODEL, [log]).steps
+    assert "viscous_friction" not in step.indistinguishable_from
+
+
+FITTED = FittedRival(
+    "joint_spring + effort_offset", ("shoulder",), ("rotor_inertia",), 0.5, 0.4, 0.2
+)
+
+
+@pytest.fixture
+def told(case):
+    """An explanation with a rival that was fitted elsewhere than the step, and one that was not."""
+    _, found = case
+    names = ("effort_offset", "joint_spring", "payload")
+    step = replace(
+        found.steps[0],
+        effect="rotor_inertia",
+        where=("elbow",),
+        indistinguishable_from=names,
+        rivals=(FITTED,),
+    )
+    return replace(found, steps=(step,))
+
+
+def test_terminal_report_and_numbers_tell_them(told):
+    console = Console(file=io.StringIO(), markup=False, highlight=False, width=200)
+    show_explanation(console, told, Units.of(told.model))
+    words = "or: joint_spring + effort_offset (0.5000 against 0.4000), payload"
+    assert words in " ".join(console.file.getvalue().split())
+    section = steps_section(told, Units())
+    cell = "joint spring + effort offset (0.5000 against 0.4000), payload"
+    assert cell in [c.text for c in section.tables[0].rows[0]]
+    (step,) = explanation_dict(told)["steps"]
+    assert step["indistinguishable_from"] == ("effort_offset", "joint_spring", "payload")
+    assert step["rivals"] == [
+        {
+            "effect": "joint_spring + effort_offset",
+            "where": ("shoulder",),
+            "instead_of": ("rotor_inertia",),
+            "error": 0.5,
+            "error_of_choice": 0.4,
+            "tie_probability": 0.2,
+        }
+    ]
+
+
+def test_a_fitted_rival_keeps_its_own_place(told):
+    assert distinguishing_commands(told) == tuple(
+        f"geodrake excite MODEL --tell-apart rotor_inertia@elbow,{rival}"
+        for rival in ("effort_offset@shoulder", "joint_spring@shoulder", "payload@lower_link")
+    )
+
+
+def test_a_rival_at_more_joints_is_told_apart_where_the_step_is(told):
+    (step,) = told.steps
+    wider = replace(FITTED, effect="effort_offset", where=("shoulder", "elbow"))
+    step = replace(step, rivals=(wider,), indistinguishable_from=("effort_offset",))
+    expected = "geodrake excite MODEL --tell-apart rotor_inertia,effort_offset@elbow"
+    assert distinguishing_commands(replace(told, steps=(step,))) == (expected,)

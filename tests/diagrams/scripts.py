@@ -1,0 +1,33 @@
+"""Scripts of `diagrams/`, as a user starts them or called in this process."""
+
+import os
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "diagrams"
+
+
+def start(name, *arguments):
+    """Runs a script in a process of its own; its exit code, and what it printed."""
+    return subprocess.run(
+        [sys.executable, str(FOLDER / f"{name}.py"), *map(str, arguments)],
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+
+def call(name, *arguments):
+    """Runs a script in this process, which has Python and Drake at hand; errors are raised."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(FOLDER))
+        patch.setenv("PYTHONPATH", str(ROOT))  # for what a script measures in processes
+        patch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])
+        import_module(name).main()

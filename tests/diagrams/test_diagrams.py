@@ -1,0 +1,131 @@
+"""Every script in `diagrams/` runs, shortened, and writes its numbers and figures.
+
+One script runs as a user starts it, in a process of its own with further ones for its draws, and so
+do those that look for measurements that are absent. The others are called in this process, without
+a second start of Python and Drake.
+"""
+
+import hashlib
+import json
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripts import FOLDER, ROOT, call, start
+
+from geodrake.logs.files import read_log
+
+APART = "wam_payload"
+ELSEWHERE = {  # run by tests of their own, with --quick, too
+    "ambidex_arm",
+    "body_distances",
+    "human_identification",
+    "identification_speed",
+}
+SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in ELSEWHERE)
+
+
+def reaches_its_bars(table):
+    """What few logs can tell; one interval cannot cover the truth in 90 to 98 % of all."""
+    lines = {line["figure"]: line for line in table["lines"] if line["bar"] is not None}
+    told = {figure: line["reached"] for figure, line in lines.items() if line["logs"]}
+    del told["coverage of 95 % intervals, coloured noise"]
+    assert len(told) >= 9
+    assert all(told.values()), told
+    (least,) = table["smallest"]
+    assert least["smallest"] <= 0.01
+
+
+def takes_little_memory(table):
+    """Of which Python and Drake take more than the log."""
+    assert {cost["work"] for cost in table} == {"compare", "diagnose"}
+    for cost in table:
+        assert cost["samples"] == 40_000
+        assert 0.1 < cost["peak_memory"] < 0.6
+
+
+SHOWS = {"hidden_effects": reaches_its_bars, "long_log": takes_little_memory}
+MEASUREMENTS = {
+    "human_identification": ("data/human_force_plate.npz",),
+    "online_payload": ("data/ur10e_*.csv", "reference/ur10e.urdf"),
+    "real_robots": ("data/double_pendulum_c1_*.csv",),
+}
+NEEDING = {name: pytest.mark.measurements(*paths) for name, paths in MEASUREMENTS.items()}
+CASES = [pytest.param(name, marks=NEEDING.get(name, ())) for name in SCRIPTS]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_script(name, tmp_path):
+    table, figures = tmp_path / "table.json", tmp_path / "figures"
+    arguments = ("--quick", "--seed", 3, "--json", table, "--figures", figures)
+    if name == APART:
+        done = start(name, *arguments)
+        assert done.returncode == 0, done.stderr
+    else:
+        in_jobs = "run_draws" in (FOLDER / f"{name}.py").read_text(encoding="utf-8")
+        call(name, *arguments, *(("--jobs", 1) if in_jobs else ()))
+    found = json.loads(table.read_text(encoding="utf-8"))
+    assert found
+    if name in SHOWS:
+        SHOWS[name](found)
+    assert list(figures.glob("*.png"))
+
+
+@pytest.mark.parametrize("name", MEASUREMENTS)
+def test_absent_measurements_are_said_clearly(name, tmp_path):
+    done = start(name, "--quick", "--shared", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"There are no measurements in {tmp_path}: it lacks\n")
+    for path in MEASUREMENTS[name]:
+        assert path.partition("*")[0] in done.stderr
+    assert "GEODRAKE_MEASUREMENTS" in done.stderr and "Traceback" not in done.stderr
+
+
+class TestHiddenEffectLog:
+    SCRIPT = "hidden_effect_log"
+
+    def test_demo_log_is_what_the_script_makes(self, tmp_path):
+        done = start(self.SCRIPT, "--demo", "--quick", "--log", tmp_path / "log.csv")
+        assert done.returncode == 0, done.stderr
+        made = read_log(tmp_path / "log.csv")
+        shipped = read_log(Path(str(files("geodrake.demo") / "demo.csv")))
+        assert made.joints == shipped.joints
+        first = slice(len(made))
+        np.testing.assert_allclose(made.time, shipped.time[first])
+        np.testing.assert_allclose(made.position, shipped.position[first], atol=1e-4)
+        np.testing.assert_allclose(made.velocity, shipped.velocity[first], atol=2e-3)
+        # Noise is a share of the effort's deviation, which differs between 4 and 24 s.
+        error = (made.effort - shipped.effort[first]).std(0)
+        assert (error < 0.05 * shipped.effort.std(0)).all()
+
+    def test_demo_model_is_the_arm(self):
+        demo = (files("geodrake.demo") / "demo.urdf").read_bytes()
+        arm = (ROOT / "models" / "arm6.urdf").read_bytes()
+        assert hashlib.sha256(demo).digest() == hashlib.sha256(arm).digest()
+
+    def test_several_effects(self, tmp_path):
+        done = start(
+            self.SCRIPT,
+            *("--quick", "--robot", "double_pendulum", "--log", tmp_path / "log.npz"),
+            *("--effect", "coulomb_friction", "--where", "shoulder", "--size", "0.16"),
+            *("--effect", "joint_spring", "--where", "elbow", "--size", "1.0,0.0"),
+        )
+        assert done.returncode == 0, done.stderr
+        assert len(read_log(tmp_path / "log.npz")) == 1000
+
+    @pytest.mark.parametrize(
+        ("effect", "where", "message"),
+        [("friction", "elbow", "no effect 'friction'"), ("viscous_friction", "knee", "'knee'")],
+    )
+    def test_bad_effects(self, tmp_path, effect, where, message):
+        log = tmp_path / "log.csv"
+        done = start(
+            self.SCRIPT,
+            *("--quick", "--robot", "double_pendulum", "--log", log),
+            *("--effect", effect, "--where", where, "--size", "1"),
+        )
+        assert done.returncode == 1
+        assert message in done.stderr
+        assert "Traceback" not in done.stderr
+        assert not log.exists()

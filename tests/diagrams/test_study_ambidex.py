@@ -1,0 +1,284 @@
+"""The AMBIDEX study: its arm, measurements and priors, and what its quick form must show."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import lstsq
+from scripts import call
+
+from geodrake.identification import identify
+from geodrake.inertia import is_physical, pseudo_inertia
+from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+from geodrake.logs.motion import Motion
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "diagrams"))
+
+import ambidex_arm as study  # noqa: E402
+from ambidex import arm as robot  # noqa: E402
+from ambidex import draws, measurements  # noqa: E402
+from resumable.draws import kept  # noqa: E402
+
+PLAN = draws.Plan(draws=2, counts=(30,), gamma=0.03, delta=0.5, hull=2.0, seed=4)
+AWARE = ("pullback", "entropic", "riemannian", "point_mass_euclidean", "point_mass_kl")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return robot.Arm.load()
+
+
+@pytest.fixture(scope="module")
+def measured(arm):
+    return measurements.measure(arm, seed=PLAN.seed, hull=PLAN.hull)
+
+
+class TestArm:
+    def test_weighs_little_beyond_the_shoulder(self, arm):
+        assert arm.plant.num_velocities() == 10
+        assert arm.phi.shape == (17, 10)
+        assert arm.phi[2:10, 0].sum() == pytest.approx(2.62)
+        assert is_physical(arm.phi).all()
+
+    def test_rolling_joints_and_shared_wrist(self, arm):
+        turns = np.random.default_rng(0).uniform(-1, 1, (5, 7))
+        theta = arm.transmission.joint_positions(arm.motors(turns))
+        single = [0, 1, 2, 5]
+        np.testing.assert_allclose(theta[:, single], turns[:, [0, 1, 2, 4]], atol=1e-14)
+        for first, turn in ((3, 3), (6, 5), (8, 6)):
+            np.testing.assert_allclose(theta[:, first], theta[:, first + 1], atol=1e-14)
+            np.testing.assert_allclose(2 * theta[:, first], turns[:, turn], atol=1e-14)
+
+    def test_regressor_gives_what_drake_needs(self, arm):
+        """Drake's inverse dynamics of the ten joints, virtual work, and rotors."""
+        rng = np.random.default_rng(1)
+        q, v, vd = (30.0 * rng.uniform(-1, 1, (6, 7)) for _ in range(3))
+        torque = arm.regressor(Motion(q, v, vd)) @ arm.phi.ravel()
+        J = np.zeros((10, 7))
+        for joint, motor in zip((0, 1, 2, 5), (0, 1, 2, 4), strict=True):
+            J[joint, motor] = 1 / 30
+        J[3:5, 3] = 1 / 60
+        J[6:8, 5:] = 1 / 120
+        J[8:10, 5:] = [1 / 120, -1 / 120]
+        context = arm.plant.CreateDefaultContext()
+        for k in range(len(q)):
+            arm.plant.SetPositions(context, J @ q[k])
+            arm.plant.SetVelocities(context, J @ v[k])
+            needed = arm.plant.CalcInverseDynamics(
+                context, J @ vd[k], _no_forces(arm.plant)
+            ) - arm.plant.CalcGravityGeneralizedForces(context)
+            expected = J.T @ needed + robot.ROTOR_INERTIA * vd[k]
+            np.testing.assert_allclose(torque[k], expected, rtol=1e-10, atol=1e-12)
+
+    def test_wrench_at_rest_is_the_weight_above_the_centre_of_mass(self, arm):
+        rest = np.zeros((1, 7))
+        wrench = arm.wrench_regressor(Motion(rest, rest, rest)) @ arm.phi[:10].ravel()
+        mass = arm.phi[:10, 0].sum()
+        context = arm.plant.CreateDefaultContext()
+        center = arm.plant.CalcCenterOfMassPositionInWorld(context)
+        np.testing.assert_allclose(wrench[0, 3:], [0, 0, 9.81 * mass], atol=1e-9)
+        point = np.array([-wrench[0, 1], wrench[0, 0]]) / wrench[0, 5]
+        np.testing.assert_allclose(point, center[:2], atol=1e-12)
+
+
+def _no_forces(plant):
+    from pydrake.multibody.tree import MultibodyForces
+
+    return MultibodyForces(plant)
+
+
+class TestMeasurements:
+    def test_motions_are_smooth_and_rest_between(self, arm):
+        motion = measurements.point_to_point(arm, np.random.default_rng(2))
+        assert motion.q.shape == (47 * 130, 7)
+        period = measurements.PERIOD
+        np.testing.assert_allclose(motion.v[::130], 0.0, atol=1e-12)
+        np.testing.assert_allclose(motion.vd[::130], 0.0, atol=1e-12)
+        for low, high in ((motion.q, motion.v), (motion.v, motion.vd)):
+            central = (low[2:] - low[:-2]) / (2 * period)
+            between = np.arange(1, len(low) - 1) % 130 > 0  # at rest, jerk jumps
+            error = np.abs(central - high[1:-1])[between].max()
+            assert error < 0.01 * np.abs(high).max()
+
+    def test_truth_explains_all_but_uneven_friction_and_noise(self, measured):
+        friction = np.concatenate([robot.COULOMB, robot.VISCOUS])
+        explained = measured.bodies @ measured.truth.ravel() + measured.friction @ friction
+        rest = (measured.torque - explained).std(0)
+        expected = np.hypot(measurements.TORQUE_NOISE, measurements.UNEVEN * robot.COULOMB)
+        np.testing.assert_allclose(rest, expected, rtol=0.15)
+        assert (rest[:2] < 0.2 * measured.torque.std(0)[:2]).all()
+
+    def test_factors_say_what_the_rows_say(self, measured):
+        rng = np.random.default_rng(3)
+        x = np.concatenate([measured.truth.ravel(), rng.uniform(0.0, 0.02, 14)])
+        rows = measured.bodies @ x[:170] + measured.friction @ x[170:] - measured.torque
+        residual = np.linalg.norm(measured.full @ np.append(x, -1.0))
+        assert residual == pytest.approx(np.linalg.norm(rows), rel=1e-10)
+        data = draws.training_data(0, 4100, x[170:], PLAN, measured)
+        again = np.linalg.norm(data @ np.append(x[:170], -1.0))
+        assert again == pytest.approx(residual, rel=1e-10)
+
+
+class TestPriors:
+    def test_are_reproducible_physical_and_off(self, measured):
+        _, prior = draws.prior_of(1, PLAN, measured)
+        _, again = draws.prior_of(1, PLAN, measured)
+        _, other = draws.prior_of(0, PLAN, measured)
+        np.testing.assert_array_equal(prior, again)
+        assert not np.allclose(prior, other)
+        assert is_physical(prior).all()
+        share = prior[:, 0] / measured.truth[:, 0]
+        assert (np.abs(share - 1) < 0.5).all()
+        assert np.abs(share - 1).max() > 0.1
+
+    def test_653_point_masses_have_its_parameters(self, measured):
+        rng, prior = draws.prior_of(0, PLAN, measured)
+        hulls = equivalent_ellipsoid(measured.truth).scaled(PLAN.hull)
+        points = robot.point_masses(prior, hulls, rng)
+        assert len(points.prior) == 653
+        assert (points.prior > 0).all()
+        np.testing.assert_allclose(points.parameters(), prior, rtol=1e-9, atol=1e-12)
+        for body in range(10):
+            lifted = np.column_stack([points.positions[body], np.ones(59)])
+            inside = np.einsum("ni,ij,nj->n", lifted, hulls.quadric[body], lifted)
+            assert inside.min() >= -1e-12
+
+    def test_even_masses_are_stationary(self):
+        """The greatest entropy under linear constraints: log μ is a combination of the moments."""
+        points = np.random.default_rng(5).uniform(-1, 1, (40, 3))
+        wanted = np.diag([0.2, 0.25, 0.3, 1.0])
+        wanted[0, 3] = wanted[3, 0] = 0.1
+        masses = robot.even_masses(points, wanted)
+        lifted = np.column_stack([points, np.ones(40)])
+        np.testing.assert_allclose(np.einsum("n,ni,nj", masses, lifted, lifted), wanted, atol=1e-12)
+        moments = np.einsum("ni,nj->nij", lifted, lifted).reshape(40, 16)
+        rest = moments @ lstsq(moments, np.log(masses))[0] - np.log(masses)
+        assert np.abs(rest).max() < 1e-9
+
+    def test_no_masses_for_a_body_larger_than_its_points(self):
+        points = np.random.default_rng(5).uniform(-1, 1, (40, 3))
+        assert robot.even_masses(points, np.diag([1.5, 1.5, 1.5, 1.0])) is None
+
+
+class TestFits:
+    @pytest.mark.parametrize("draw", [0, 1])
+    def test_newton_is_clarabel(self, measured, draw):
+        _, prior = draws.prior_of(draw, PLAN, measured)
+        friction = draws.full_friction(prior, PLAN, measured)
+        data = draws.training_data(draw, 30, friction, PLAN, measured)
+        newton = draws.fit(data, prior, "entropic", measured, gamma=PLAN.gamma)
+        conic = identify(
+            data[:, :-1],
+            data[:, -1],
+            prior,
+            regularizer="entropic",
+            gamma=PLAN.gamma,
+            ellipsoids=measured.hulls,
+        )
+        cost = [fit.residual + PLAN.gamma * fit.divergence for fit in (newton, conic)]
+        assert cost[0] == pytest.approx(cost[1], rel=1e-6)
+        traces = np.einsum("bij,bji->b", pseudo_inertia(newton.phi), measured.hulls)
+        assert (traces > -1e-9).all()
+
+    def test_friction_is_found(self, measured):
+        _, prior = draws.prior_of(0, PLAN, measured)
+        coulomb, viscous = np.split(draws.full_friction(prior, PLAN, measured), 2)
+        np.testing.assert_allclose(coulomb, robot.COULOMB, rtol=0.3)
+        assert (viscous >= 0).all()
+
+
+class TestCache:
+    def test_finished_draws_are_not_done_again(self, tmp_path, monkeypatch):
+        cache = tmp_path / "draws.jsonl"
+        monkeypatch.setattr(study, "run_draw", lambda draw, **_: [{"draw": draw}])
+        first = study.run(PLAN, None, cache=cache, workers=1)
+        with cache.open("a", encoding="utf-8") as file:
+            file.write('{"key": {"versi')
+        monkeypatch.setattr(study, "run_draw", _never)
+        assert study.run(PLAN, None, cache=cache, workers=1) == first
+
+    def test_draws_of_another_plan_are_not_used(self, tmp_path, monkeypatch):
+        cache = tmp_path / "draws.jsonl"
+        monkeypatch.setattr(study, "run_draw", lambda draw, **_: [{"draw": draw}])
+        study.run(PLAN, None, cache=cache, workers=1)
+        assert len(kept(cache, study.key(PLAN))) == 2
+        assert not kept(cache, study.key(replace(PLAN, gamma=0.1)))
+        fewer = study.run(replace(PLAN, draws=1), None, cache=cache, workers=1)
+        assert fewer == [{"draw": 0}]
+
+
+def _never(draw, **_):
+    raise AssertionError(f"draw {draw} was done again")
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ambidex")
+    options = ("--json", folder / "a.json", "--figures", folder / "figures")
+    call("ambidex_arm", "--quick", "--workers", 1, *options)
+    assert {path.name for path in (folder / "figures").glob("*.png")} == {
+        "ambidex_ellipsoids.png",
+        "ambidex_errors.png",
+        "ambidex_zmp.png",
+    }
+    return json.loads((folder / "a.json").read_text(encoding="utf-8"))
+
+
+def means(quick, column, cells):
+    """Means of a column for several (samples, regularizer), over draws that have all of them."""
+    table = {(r["draw"], r["samples"], r["regularizer"]): r[column] for r in quick["rows"]}
+    rows = [[table.get((draw, *cell)) for cell in cells] for draw in range(quick["plan"]["draws"])]
+    full = [row for row in rows if None not in row]
+    assert len(full) >= 0.8 * len(rows)
+    return np.mean(full, axis=0)
+
+
+class TestQuick:
+    def line(self, quick, count, name):
+        found = [
+            line
+            for line in quick["summary"]
+            if (line["samples"], line["regularizer"]) == (count, name)
+        ]
+        return found[0]
+
+    @pytest.mark.parametrize("name", AWARE)
+    def test_aware_regularizers_beat_the_euclidean_at_30_samples(self, quick, name):
+        cells = [(30, name), (30, "euclidean"), (0, "prior")]
+        aware, euclidean, prior = means(quick, "test", cells)
+        assert aware < 0.94 * euclidean
+        assert aware < 0.98 * prior
+        aware, euclidean, prior = means(quick, "rigid", cells)
+        assert aware < 0.75 * euclidean
+        assert aware < 0.95 * prior
+
+    def test_euclidean_is_worse_than_the_prior_at_30_samples(self, quick):
+        cells = [(30, "euclidean"), (0, "prior")]
+        for column, share in (("test", 1.03), ("rigid", 1.2)):
+            euclidean, prior = means(quick, column, cells)
+            assert euclidean > share * prior
+        assert self.line(quick, 30, "euclidean")["worse_than_prior"] > 0.5
+
+    @pytest.mark.parametrize("name", draws.NAMES)
+    def test_all_agree_with_all_samples(self, quick, name):
+        entropic = self.line(quick, 4100, "entropic")
+        assert self.line(quick, 4100, name)["test"] == pytest.approx(entropic["test"], rel=0.02)
+
+    def test_training_residuals_are_equal(self, quick):
+        groups = {}
+        for row in quick["rows"]:
+            if row["regularizer"] not in ("prior", "riemannian"):
+                groups.setdefault((row["draw"], row["samples"]), []).append(row["training"])
+        for values in groups.values():
+            np.testing.assert_allclose(values, values[0], rtol=5e-6)
+
+    def test_geometric_fits_stay_off_the_boundary(self, quick):
+        for name in ("entropic", "riemannian"):
+            assert self.line(quick, 30, name)["at_boundary"] == 0
+        assert self.line(quick, 30, "euclidean")["at_boundary"] > 5
+        near, far = (self.line(quick, 30, kind)["distance"] for kind in ("entropic", "euclidean"))
+        assert near < 0.2 * far

@@ -1,0 +1,176 @@
+"""The studies of excitation show what they claim to show."""
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from geodrake.excitation import ExcitationTrajectory, FreeSamples, Objective
+from geodrake.logs.motion import Motion
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def study():
+    """The four studies, and the modules that they share."""
+    sys.path.insert(0, str(ROOT / "diagrams"))
+    try:
+        import atlas_identification
+        import excitation_contours
+        import iiwa_excitation
+        import scara_excitation
+        from excitation import balancing, expected, humanoid, manipulator, scara
+    finally:
+        sys.path.remove(str(ROOT / "diagrams"))
+    return SimpleNamespace(
+        contours=excitation_contours,
+        scara_study=scara_excitation,
+        atlas=atlas_identification,
+        iiwa=iiwa_excitation,
+        balancing=balancing,
+        expected=expected,
+        humanoid=humanoid,
+        manipulator=manipulator,
+        scara=scara,
+    )
+
+
+class TestContours:
+    def test_one_map_in_all_coordinates_with_geometric_normalization_alone(self, study):
+        rows = study.contours.run(31, 100)["rows"]
+        largest = {}
+        for row in rows:
+            largest.setdefault(row["normalization"], []).append(row)
+        own = largest["geometric"]
+        assert max(row["shape_difference"] for row in own) < 1e-9  # decades
+        assert len({(row["best_amplitude"], row["best_offset"]) for row in own}) == 1
+        assert np.ptp([row["best_value"] for row in own]) < 1e-9 * own[0]["best_value"]
+        for name in ("none", "diagonal"):
+            assert min(row["shape_difference"] for row in largest[name]) > 0.5
+            places = {(row["best_amplitude"], row["best_offset"]) for row in largest[name]}
+            assert len(places) >= 3
+
+    def test_columns_are_the_motion(self, study):
+        """q̈ by finite differences of the positions that g cos q tells."""
+        weight, acceleration = study.contours.motions(np.array(0.4), np.array(0.9), 20001)
+        q = np.arccos(weight / study.contours.GRAVITY)
+        numeric = np.diff(q, 2) / (2.0 / 20000) ** 2
+        np.testing.assert_allclose(numeric, acceleration[1:-1], atol=1e-4)
+
+
+class TestScara:
+    def test_frames_are_of_one_robot(self, study):
+        rng, efforts = np.random.default_rng(0), []
+        motion = Motion(*rng.uniform(-2, 2, (3, 10, 2)))
+        for frame in study.scara.FRAMES:
+            model = study.scara.scara(frame, study.scara.payload(*study.scara.PRIOR))
+            efforts.append(model.effort(motion))
+        for other in efforts[1:]:
+            np.testing.assert_allclose(other, efforts[0], rtol=1e-10, atol=1e-12)
+
+    def test_prior_is_the_source_s(self, study):
+        phi = study.scara.scara("3", study.scara.payload(*study.scara.PRIOR)).phi[1]
+        assert phi[0] == pytest.approx(4.58)
+        assert phi[1] / phi[0] == pytest.approx(0.02e-3)
+        assert np.sqrt(phi[6] / phi[0]) == pytest.approx(0.08607)
+
+    def test_expected_errors_are_those_of_drawn_noise(self, study):
+        scara, rng = study.scara, np.random.default_rng(1)
+        trajectory = ExcitationTrajectory(
+            FreeSamples(50), rng.uniform(-2, 2, (150, 2)), ("shoulder", "elbow"), np.arange(2)
+        )
+        target, model = scara.payload_target("3"), scara.scara("3", scara.payload(*scara.TRUTH))
+        A = target.measure(trajectory.motion(np.zeros(50))).regressor.reshape(100, -1)[
+            :, [0, 1, 2, 6]
+        ]
+        truth = model.phi[1, [0, 1, 2, 6]]
+        noise = scara.NOISE * rng.normal(size=(100, 4000))
+        m, hx, hy, izz = truth[:, None] + np.linalg.lstsq(A, noise)[0]
+        expected = study.scara_study.errors(trajectory)
+        drawn = {
+            "m": (m - 4.0).std(),
+            "px": 1e3 * (hx / m).std(),
+            "py": 1e3 * (hy / m).std(),
+            "rz": 1e3 * (np.sqrt(izz / m) - 0.08165).std(),
+        }
+        for key, value in drawn.items():
+            assert expected[key] == pytest.approx(value, rel=0.05)
+
+    def test_one_optimum_in_all_frames_and_the_smallest_error(self, study):
+        design, plan = study.scara_study.design, study.scara_study.Plan(iterations=6)
+        cells = [("geometric", "1"), ("geometric", "4"), ("none", "3"), ("diagonal", "1")]
+        first, second, none, diagonal = (
+            design(study.scara_study.Cell(*cell), plan=plan) for cell in cells
+        )
+        np.testing.assert_allclose(second["coefficients"], first["coefficients"], atol=1e-7)
+        assert first["error"] < 0.8 * min(none["error"], diagonal["error"])
+        values = [*first["value_by_frame"].values()]
+        assert max(values) < (1 + 1e-9) * min(values)
+        values = [*diagonal["value_by_frame"].values()]
+        assert max(values) > 2.0 * min(values)
+
+
+class TestOneFoot:
+    def test_motions_are_in_balance(self, study):
+        model = study.humanoid.standing_robot(None)
+        balance = study.balancing.Balance(model)
+        postures = balance.postures(np.random.default_rng(0), 5)
+        context = model.plant.CreateDefaultContext()
+        for q in postures:  # joints are in Drake's order
+            model.plant.SetPositions(context, q)
+            center = model.plant.CalcCenterOfMassPositionInWorld(context)
+            assert (np.abs(center[:2]) < study.humanoid.HALF_SOLE).all()
+        trajectory, _ = balance.motion(np.random.default_rng(1))
+        assert balance.keeps(trajectory)
+        ends = trajectory.states([0.0, 3.0])
+        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
+
+    def test_reduced_identification_is_a_hundred_times_better(self, study):
+        plan = study.atlas.Plan(None, motions=6, rate=60, seed=1)
+        table = study.atlas.run(plan, cache=None, workers=1)
+        prior, full, reduced = table["rows"]
+        assert table["error_full_over_reduced"] > 100
+        assert reduced["error"] < prior["error"]
+        assert 0 < table["identifiable"] < table["base_parameters"]
+        assert table["largest_zmp"] < 1.0
+        for kind in ("force", "moment"):
+            assert reduced[kind] < 0.5 * prior[kind]
+        for group, value in reduced["effort"].items():
+            assert value < full["effort"][group]
+
+
+class TestManipulator:
+    def test_base_representation_does_not_matter_to_the_geometric_criterion(self, study):
+        model = study.manipulator.manipulator(None)
+        q, v, vd = np.random.default_rng(2).uniform(-1, 1, (3, 40, 7))
+        values = {}
+        for base in (1, 2):
+            target = study.manipulator.represented_target(model, base, 0)
+            for name in ("none", "diagonal", "geometric"):
+                value = Objective(target, normalization=name).value(Motion(q, v, vd))
+                values.setdefault(name, []).append(value)
+        assert values["geometric"][1] == pytest.approx(values["geometric"][0], rel=1e-9)
+        for name in ("none", "diagonal"):
+            assert abs(np.log(values[name][1] / values[name][0])) > 0.1
+
+    def test_geometric_design_beats_random_motions_and_no_normalization(self, study):
+        plan = study.iiwa.Plan(None, modes=3, samples=60, iterations=5, validation=50)
+        cells = (study.iiwa.Cell(name) for name in ("geometric", "none", study.iiwa.RANDOM))
+        geometric, none, random = (study.iiwa.design(cell, plan=plan) for cell in cells)
+        for other in (none, random):
+            assert geometric["error"] < 0.7 * other["error"]
+            assert geometric["geometric_e"] < 0.5 * other["geometric_e"]
+        ends = [
+            study.iiwa.refine(
+                study.iiwa.Cell(study.iiwa.REFINED, base),
+                plan=plan,
+                coefficients=geometric["coefficients"],
+            )
+            for base in (1, 2)
+        ]
+        apart = np.subtract(ends[0]["coefficients"], ends[1]["coefficients"])
+        assert np.abs(apart).max() < 1e-6
+        assert ends[0]["geometric_e"] < geometric["geometric_e"]

@@ -1,0 +1,266 @@
+"""The benchmark of hidden effects: its engines, its logs, how it scores, and what it must show."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+pytest.importorskip("pinocchio")
+pytest.importorskip("mujoco")
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "diagrams"))
+
+from hidden import bars, draws, logs, motions, scoring  # noqa: E402
+from hidden.engines import MuJoCoEngine, PinocchioEngine, congruent, pseudo  # noqa: E402
+from hidden.robots import robot_file, robot_model, robot_names  # noqa: E402
+from hidden.table import OUTSIDE, TRUTHS  # noqa: E402
+
+from geodrake.inertia import pseudo_inertia  # noqa: E402
+
+TIME = np.arange(0.0, 12.0, 0.01)
+PLAIN = {
+    "robot": "arm6",
+    "motion": motions.FAST,
+    "prior": draws.EXACT,
+    "noise": 0.01,
+    "duration": 16.0,
+    "rate": 125.0,
+}
+
+
+@pytest.fixture(params=robot_names())
+def engines(request):
+    file = robot_file(request.param)
+    return PinocchioEngine(file), MuJoCoEngine(file)
+
+
+class TestEngines:
+    def test_agree_on_other_bodies_and_gravity(self, engines):
+        rng = np.random.default_rng(0)
+        bodies = congruent(engines[0].bodies(), 0.2, rng)
+        samples = rng.normal(size=(3, 5, len(bodies)))
+        for engine in engines:
+            engine.set_bodies(bodies)
+            engine.set_gravity(np.array([1.0, -2.0, -9.0]))
+            np.testing.assert_allclose(engine.bodies(), bodies, rtol=1e-9, atol=1e-12)
+        efforts, others = (engine.efforts(*samples) for engine in engines)
+        np.testing.assert_allclose(efforts, others, rtol=1e-9, atol=1e-9 * np.abs(efforts).max())
+
+    def test_agree_on_kinematics(self, engines):
+        q, point = np.random.default_rng(1).normal(size=(5, len(engines[0].low))), np.ones(3) / 3
+        for body in range(q.shape[1]):
+            maps = [engine.jacobians(body, point, q) for engine in engines]
+            np.testing.assert_allclose(*maps, atol=1e-9)
+            np.testing.assert_allclose(*(e.rotations(body, q) for e in engines), atol=1e-9)
+
+    def test_bodies_are_those_that_geodrake_reads(self, engines):
+        model = robot_model(self.of(engines))
+        assert model.joints == engines[0].joints
+        P = pseudo_inertia(model.phi)
+        np.testing.assert_allclose(engines[0].bodies(), P, rtol=1e-6, atol=1e-6 * np.abs(P).max())
+
+    @staticmethod
+    def of(engines):
+        names = {robot_model(name).joints: name for name in robot_names()}
+        return names[engines[0].joints]
+
+
+def test_congruent_bodies_are_physical_and_as_far_as_asked():
+    P = np.repeat(
+        pseudo(2.0, np.array([0.1, 0.0, 0.2]), np.diag([0.02, 0.03, 0.04]))[None], 4000, 0
+    )
+    found = congruent(P, 0.2, np.random.default_rng(0))
+    assert np.linalg.eigvalsh(found).min() > 0.0
+    L = np.linalg.cholesky(P[0])
+    whitened = np.linalg.solve(L, np.linalg.solve(L, found).transpose(0, 2, 1))
+    distance = np.sqrt((np.log(np.linalg.eigvalsh(whitened)) ** 2).sum(1))
+    assert np.sqrt(np.mean(distance**2)) == pytest.approx(0.2 * np.sqrt(10.0), rel=0.05)
+    assert np.log(found[:, 3, 3] / 2.0).std() == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", motions.MOTIONS)
+def test_motions(kind, engines):
+    engine = engines[0]
+    q, v, a = motions.make_motion(kind, engine, TIME, np.random.default_rng(0))
+    assert (q > engine.low).all()
+    assert (q < engine.high).all()
+    fastest = np.minimum(engine.fastest, motions.SLOW_SPEED if kind == motions.SLOW else np.inf)
+    assert (np.abs(v).max(0) <= fastest + 1e-9).all()
+    for signal, slope in ((q, v), (v, a)):
+        error = np.abs(np.gradient(signal, TIME, axis=0) - slope)[1:-1]
+        assert error.max() < 0.05 * np.abs(slope).max()
+
+
+class TestLogs:
+    @pytest.mark.parametrize(
+        ("names", "together"),
+        [
+            (("joint_spring", "effort_offset"), False),
+            (("asymmetric_friction", "coulomb_friction"), False),
+            (("viscous_friction", "asymmetric_friction"), False),
+            (("joint_spring", "viscous_friction"), True),
+        ],
+    )
+    def test_what_no_log_can_tell_apart_is_not_at_one_joint(self, names, together):
+        places = []
+        for number in range(8):
+            small = {**PLAIN, "robot": "double_pendulum", "duration": 4.0, "shares": (0.1, 0.1)}
+            draw = draws.draw("two", names, number, 0, **small)
+            made = logs.make_recording(draw, robot_model("double_pendulum").bodies)
+            places.append([secret.where for secret in made.secrets])
+        assert any(first == second for first, second in places) == together
+
+    @pytest.mark.parametrize("name", [*TRUTHS, *OUTSIDE])
+    def test_effects_have_the_size_that_was_asked_for(self, name):
+        draw = draws.draw("one", (name,), 0, 0, **{**PLAIN, "duration": 8.0, "shares": (0.04,)})
+        made = logs.make_recording(draw, robot_model("arm6").bodies)
+        (secret,) = made.secrets
+        assert secret.share == pytest.approx(0.04, rel=0.1)
+        assert set(secret.where) <= {*robot_model("arm6").joints, *robot_model("arm6").bodies}
+
+    def test_same_draw_is_the_same_log(self):
+        draw = draws.draw("one", ("coulomb_friction",), 3, 0, **PLAIN)
+        made = [logs.make_recording(draw, robot_model("arm6").bodies).log for _ in range(2)]
+        np.testing.assert_array_equal(made[0].effort, made[1].effort)
+
+    def test_noise(self):
+        for colour in (draws.WHITE, draws.COLOURED):
+            fixed = {**PLAIN, "colour": colour, "shares": ()}
+            draw = draws.draw("none", (), 1, 0, **{**fixed, "noise": 0.02})
+            made = [
+                logs.make_recording(d, robot_model("arm6").bodies).log.effort
+                for d in (draw, draws.draw("none", (), 1, 0, **{**fixed, "noise": 0.0}))
+            ]
+            noise = (made[0] - made[1]) / made[1].std(0)
+            assert noise.std() == pytest.approx(0.02, rel=0.1)
+            next_one = np.mean(noise[1:] * noise[:-1]) / noise.var()
+            assert (next_one > 0.15) == (colour == draws.COLOURED)
+
+
+class TestLines:
+    @pytest.mark.parametrize(("count", "total"), [(0, 7), (19, 20), (30, 30), (4, 90)])
+    def test_wilson(self, count, total):
+        ours = bars.wilson(count, total)
+        scipys = binomtest(count, total).proportion_ci(0.95, method="wilson")
+        np.testing.assert_allclose(ours, (scipys.low, scipys.high), atol=1e-12)
+
+    def test_bars_are_reached_or_missed(self):
+        assert bars.share("x", [True] * 19 + [False], 0.95).reached
+        assert not bars.share("x", [True] * 18 + [False] * 2, 0.95).reached
+        assert bars.share("x", [False] * 3, 0.01, most=True).reached
+        assert bars.share("x", [], 0.9).reached is None
+        for inside, reached in ((19, True), (20, False), (17, False)):
+            line = bars.share("x", [k < inside for k in range(20)], 0.9, highest=0.98)
+            assert line.reached == reached
+        assert bars.median("x", [1.0, 1.01, 2.0], 1.05).reached
+
+    def test_smallest_is_that_of_nine_in_ten(self):
+        sizes = [*np.linspace(0.01, 0.09, 9), None]
+        rows = [{"hidden": ["coulomb_friction"], "smallest": size} for size in sizes]
+        (line,) = bars.smallest_lines(rows)
+        assert line["smallest"] == pytest.approx(0.09)
+
+
+EASY = (
+    "viscous_friction",
+    "coulomb_friction",
+    "load_dependent_friction",
+    "effort_offset",
+    "effort_delay",
+    "gravity_compensator",
+    "rotor_inertia",
+    "gravity_tilt",
+)
+
+
+class TestWhatItMustShow:
+    def test_easy_effects(self):
+        rows = [
+            scoring.score_draw(draws.draw("one", (n,), 0, 0, **{**PLAIN, "shares": (0.12,)}))
+            for n in EASY
+        ]
+        assert sum(row["first"] for row in rows) >= len(EASY) - 1
+        assert all(row["in_set"] for row in rows)
+        assert sum(not row["extra"] for row in rows) >= len(EASY) - 1
+        assert np.median([row["over_floor"] for row in rows]) < 1.1
+
+    @pytest.mark.parametrize(
+        ("case", "hidden", "number", "seed", "fixed"),
+        [
+            # The friction hides the spring, and the spring the friction: neither convinces alone.
+            ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
+            # Before the pair is known, bounded friction and bristles fit better than either.
+            ("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
+            # An offset leaves several times the squared error, most of it in a few folds.
+            ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
+            # The load changes its sign in five of eight folds.
+            ("one", ("backlash",), 2, 9, {"robot": "panda"}),
+            # Single rotors do as well, beside a body that cannot be.
+            ("one", ("coupled_rotor_inertia",), 1, 18, {"robot": "double_pendulum"}),
+            # Bodies that may move take the payload in: then only the other effect is found.
+            ("two", ("payload", "joint_spring"), 9, 103, {"robot": "double_pendulum"}),
+            ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
+            # Bodies that may not move at all make one more rotor of what they are off.
+            ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
+            # On a coarse grid of exponents v and v² stand for |v|^1.7.
+            (
+                "two",
+                ("nonlinear_viscous_friction", "load_dependent_friction"),
+                8,
+                102,
+                {"robot": "arm7"},
+            ),
+        ],
+    )
+    def test_what_single_criteria_hide(self, case, hidden, number, seed, fixed):
+        if fixed["robot"] not in robot_names():
+            pytest.skip(f"{fixed['robot']} is in the test extra")
+        row = scoring.score_draw(draws.draw(case, hidden, number, seed, **fixed))
+        assert row["named"]
+        assert not row["extra"]
+        assert row["over_floor"] < 1.1
+
+    @pytest.mark.parametrize(
+        ("case", "hidden", "number", "seed"),
+        [
+            # Friction that does not jump where a joint turns round.
+            ("two", ("asymmetric_friction", "load_dependent_friction"), 0, 103),
+            # Viscous friction does half of what bristles do, and hides them.
+            ("one", ("hysteresis",), 1, 15),
+            # The link's acceleration is known only at a lower bandwidth than the motor's.
+            ("one", ("joint_elasticity",), 1, 18),
+        ],
+    )
+    def test_other_laws_than_those_of_the_library(self, case, hidden, number, seed):
+        """The effect is named, and no further one for what its law leaves."""
+        row = scoring.score_draw(draws.draw(case, hidden, number, seed, robot="double_pendulum"))
+        assert row["named"]
+        assert not row["extra"]
+        assert row["over_floor"] < 1.3
+
+    @pytest.mark.parametrize("colour", [draws.WHITE, draws.COLOURED])
+    def test_no_false_alarms(self, colour):
+        for number in range(3):
+            fixed = {**PLAIN, "colour": colour, "shares": ()}
+            assert not scoring.score_draw(draws.draw("none", (), number, 0, **fixed))["steps"]
+
+    @pytest.mark.parametrize(
+        "name", ["oscillation in time", "brake that another joint's position tightens"]
+    )
+    def test_outside_effects(self, name):
+        fixed = {**PLAIN, "robot": "double_pendulum", "shares": (0.15,)}
+        row = scoring.score_draw(draws.draw("outside", (name,), 0, 0, **fixed))
+        assert row["verdict"] == "unexplained"
+        assert row["right_joint"]
+        assert row["right_correlate"]
+
+    def test_a_hose_that_free_bodies_follow(self):
+        """It goes with the pendulum's weight, so that bodies spread it over both joints."""
+        hose = "hose on the sum of two angles"
+        row = scoring.score_draw(draws.draw("outside", (hose,), 0, 22, robot="double_pendulum"))
+        assert row["verdict"] == "unexplained"
+        assert row["right_joint"]
+        assert row["right_correlate"]

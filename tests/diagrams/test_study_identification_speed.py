@@ -1,0 +1,39 @@
+"""The study of the speed of identification: its table says what it claims."""
+
+import json
+
+import pytest
+from scripts import start
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("speed")
+    options = ("--json", folder / "table.json", "--figures", folder, "--shared", folder)
+    # Without measurements, and in a process of its own, whose memory is measured.
+    done = start("identification_speed", "--quick", "--seed", 3, *options)
+    assert done.returncode == 0, done.stderr
+    assert "There are no measurements in" in done.stdout
+    assert (folder / "identification_speed.png").stat().st_size > 10_000
+    return json.loads((folder / "table.json").read_text(encoding="utf-8"))
+
+
+def test_all_solvers_have_the_same_cost(table):
+    assert table["arm"]["size"] == [2100, 107]
+    single = table["arm"]["from the factor"]
+    assert abs(single["cost difference, drake"]) < 1e-6
+    assert table["arm"]["sweep"]["largest cost difference"] < 1e-6
+    if table["cvxpy"]:
+        assert abs(single["cost difference, cvxpy"]) < 1e-4
+
+
+def test_newton_is_faster(table):
+    # Times of a busy machine: only the direction, the study itself measures the size.
+    assert table["arm"]["from the factor"]["newton / drake"] < 0.8
+    assert table["arm"]["sweep"]["drake / newton"] > 2.0
+
+
+def test_memory_is_that_of_the_solve(table):
+    for solver in ("clarabel", "newton"):
+        memory = table["arm"]["memory, MB"][solver]
+        assert 0.9 * memory["made"] < memory["solved"] < memory["made"] + 500.0

@@ -1,0 +1,113 @@
+"""The study of sandbags on an AMBIDEX-like arm: controller, plant, and what it must show."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from geodrake.control.adaptation import natural_adaptation
+from geodrake.control.systems import PassivityBasedAdaptiveController, VaryingGains
+from geodrake.inertia import is_physical
+from geodrake.logs.motion import Motion
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "diagrams"))
+
+import ambidex_sandbags as study  # noqa: E402
+from adaptive import coupled, laws, sandbag_loop  # noqa: E402
+from ambidex import arm as robot  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return robot.Arm.load()
+
+
+@pytest.fixture(scope="module")
+def true(arm):
+    return coupled.CoupledArm.of(coupled.Known.true(arm.phi))
+
+
+class TestCoupledArm:
+    def test_efforts_are_those_of_the_motors(self, arm, true):
+        """Against the transmission and the friction of the identification study."""
+        rng = np.random.default_rng(0)
+        # Fast enough that friction is full.
+        q, v, a = (
+            rng.uniform(-1, 1, 7),
+            rng.choice([-1.0, 1.0], 7) * [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.4],
+            rng.normal(size=7),
+        )
+        effort = true.control.at(q, v, v, a).effort(true.control.prior)
+        wrist = block_diag(np.eye(5), [[1, 1], [1, -1]])
+        motors = Motion(*((robot.REDUCTION * wrist @ x)[None] for x in (q, v, a)))
+        friction = np.concatenate([robot.COULOMB, robot.VISCOUS])
+        torque = (arm.regressor(motors) @ arm.phi.ravel())[0]
+        torque += robot.friction_regressor(motors.v)[0] @ friction
+        np.testing.assert_allclose(effort, robot.REDUCTION * wrist.T @ torque, rtol=1e-9, atol=1e-9)
+
+    def test_sample_is_consistent(self, true):
+        rng = np.random.default_rng(1)
+        q, qd, v, a, r = rng.normal(size=(5, 7))
+        sample = true.control.at(q, qd, v, a)
+        p = true.control.prior
+        np.testing.assert_allclose(sample.regressor @ p, sample.effort(p), atol=1e-12)
+        np.testing.assert_allclose(sample.regressor.T @ r, sample.covector(r), atol=1e-12)
+        further = true.control.at(q, qd, v, a + r).effort(p) - sample.effort(p)
+        np.testing.assert_allclose(sample.mass_matrix(p) @ r, further, atol=1e-10)
+
+    def test_rotors_stay(self, true):
+        law = true.law(laws.NATURAL, 1.0)
+        rng = np.random.default_rng(2)
+        p, b = true.control.prior, rng.normal(size=len(true.control.prior))
+        moved = law.step(p, b, 1e-3)
+        np.testing.assert_array_equal(moved[-7:], p[-7:])
+        size = true.manifold.dimension
+        free = natural_adaptation(true.manifold).step(p[:size], b[:size], 1e-3)
+        np.testing.assert_allclose(moved[:-7], free)
+        assert not np.isclose(moved[:-7], p[:-7]).all()
+
+    def test_plant_carries_the_bags(self):
+        bare, full = (coupled.make_coupled_plant(bags) for bags in ((), (2, 4, 9)))
+        mass = [plant.CalcTotalMass(plant.CreateDefaultContext()) for plant in (bare, full)]
+        assert mass[1] - mass[0] == pytest.approx(1.5)
+
+    def test_truth_tracks_where_friction_is_even(self, true, monkeypatch):
+        """Drake's ten coupled joints do what the controller's seven turns predict."""
+        monkeypatch.setattr(sandbag_loop, "UNEVEN", 0.0)
+        controller = PassivityBasedAdaptiveController(true.control, None, gains=VaryingGains(3.0))
+        motion = sandbag_loop.point_to_point(1, 0)
+        record = sandbag_loop.simulate_coupled(controller, (), motion, seed=0)
+        assert record.rms() < 0.05
+        assert not record.lost
+
+
+class TestIdentified:
+    def test_is_near_the_truth_and_not_it(self, arm):
+        known = study.known_arm(0)
+        assert is_physical(known.phi).all()
+        mass = known.phi[:10, 0].sum() / arm.phi[:10, 0].sum() - 1.0
+        assert 1e-3 < abs(mass) < 0.2
+        np.testing.assert_allclose(known.coulomb, robot.COULOMB, rtol=0.3)
+
+
+class TestMotion:
+    def test_goes_within_reach_and_rests(self):
+        motion = sandbag_loop.point_to_point(3, 1)
+        for t in (0.0, 1.5, 3.0, 4.5):
+            assert np.abs(motion.EvalDerivative(t, 1)).max() < 1e-9
+            assert (np.abs(motion.value(t).ravel()) <= robot.REACH + 1e-12).all()
+        assert motion.end_time() == pytest.approx(4.5)
+
+
+class TestStudy:
+    def test_natural_adaptation_helps_and_stays_physical(self):
+        rows = [
+            study.run_draw(study.Draw("links 3, 5, 10", law, 1.0, 1), seed=0)
+            for law in (laws.NONE, laws.NATURAL)
+        ]
+        assert rows[1]["rms"] < 0.7 * rows[0]["rms"]
+        assert rows[1]["unphysical"] == 0.0
+        assert not rows[1]["lost"]

@@ -1,0 +1,182 @@
+"""The studies of adaptive control of the WAM-like arm: their parts, and what they must show."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake.control.adaptation import natural_adaptation
+from geodrake.inertia import is_physical, to_mass_com_inertia
+from geodrake.manifolds import PhysicalInertia
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "diagrams"))
+
+import wam_adaptation as full  # noqa: E402
+import wam_payload as payload  # noqa: E402
+from adaptive import gains, laws, loads, loop, wam  # noqa: E402
+from adaptive.options import make_parser, run_draws, write_json  # noqa: E402
+
+
+class TestArm:
+    def test_is_the_public_one_repaired(self):
+        model = wam.load_wam().model
+        assert is_physical(model.phi).all()
+        assert model.phi[:, 0].sum() == pytest.approx(19.0, abs=0.01)
+        assert len(model.joints) == len(model.bodies) == 7
+
+    def test_plant_weighs_the_load(self):
+        plain, loaded = wam.make_plant(), wam.make_plant(loads.LOADS["ellipsoid 2"])
+        masses = [plant.CalcTotalMass(plant.CreateDefaultContext()) for plant in (plain, loaded)]
+        assert masses[1] - masses[0] == pytest.approx(3.0)
+
+    def test_loads_are_the_sources(self):
+        mass, com, inertia = to_mass_com_inertia(loads.LOADS["ellipsoid 2"])
+        assert mass == 3.0
+        assert np.linalg.norm(com - loads.HELD) == pytest.approx(0.095, abs=1e-3)
+        a, b = 0.2165, 0.1082
+        assert inertia[0, 0] == pytest.approx(3.0 / 5.0 * (a * a + b * b))
+
+    def test_first_estimates_scale_bodies(self):
+        phi = wam.load_wam().model.phi
+        some = [wam.first_estimate(sigma, 3, 1).reshape(phi.shape) for sigma in (0.1, 0.4)]
+        one, other = (estimate[:, 0] / phi[:, 0] - 1.0 for estimate in some)
+        np.testing.assert_allclose(4.0 * one, other)
+        assert 0.05 < np.abs(other).max() <= 0.4
+        np.testing.assert_allclose(some[1], phi * (1.0 + other[:, None]))
+        assert not np.allclose(wam.first_estimate(0.1, 3, 2), wam.first_estimate(0.1, 3, 1))
+
+    def test_rounds_rest_in_between(self):
+        motion = loop.rounds((0.4, 1.2), 5.0, 2)
+        t = np.linspace(0.0, 10.0, 77)
+        amplitude = np.where(t < 5.0, 0.4, 1.2)
+        wanted = amplitude * (np.cos(2.0 * np.pi * t / 5.0) - 1.0)
+        found = np.array([motion.value(x)[0, 0] for x in t])
+        np.testing.assert_allclose(found, wanted, atol=1e-6)
+        assert np.abs(motion.EvalDerivative(5.0, 1)).max() < 1e-12
+
+
+class TestOptions:
+    @pytest.mark.parametrize("wrong", [["--seed", "-1"], ["--jobs", "0"], ["--jobs", "two"]])
+    def test_numbers_that_make_no_sense_are_told_of(self, wrong, capsys):
+        with pytest.raises(SystemExit):
+            make_parser("A study.").parse_args(wrong)
+        assert wrong[0] in capsys.readouterr().err
+
+    def test_folders_are_made_before_the_work(self, tmp_path):
+        parser = make_parser("A study.")
+        table = tmp_path / "new" / "table.json"
+        options = parser.parse_args(["--jobs", "1", "--json", str(table)])
+        rows = run_draws(parser, options, lambda draw, *, seed: {"square": draw**2}, [2, 3])
+        assert rows == [{"square": 4}, {"square": 9}]
+        write_json(options.json, {"rows": rows})
+        assert table.is_file()
+        assert len(table.with_suffix(".draws.jsonl").read_text().splitlines()) == 2
+
+
+class TestPartialLaw:
+    def test_moves_its_part_alone(self):
+        rng = np.random.default_rng(0)
+        part = np.repeat([False, True], 10)
+        law = natural_adaptation(PhysicalInertia(), 0.5)
+        partial = laws.PartialLaw(law, part)
+        p, b = np.concatenate([rng.normal(size=10), loads.GUESS]), rng.normal(size=20)
+        moved = partial.step(p, b, 1e-3)
+        np.testing.assert_array_equal(moved[:10], p[:10])
+        np.testing.assert_allclose(moved[10:], law.step(p[10:], b[10:], 1e-3))
+        np.testing.assert_allclose(partial.rate(p, b)[10:], law.rate(p[10:], b[10:]))
+        assert partial.parameter_error(p, moved) == law.parameter_error(p[10:], moved[10:])
+
+
+class TestRule:
+    def rows(self, rms, lost=(), rise=()):
+        return [
+            {
+                "law": law,
+                "part": "grid",
+                "speed": speed,
+                "rms": rms(speed),
+                "lost": speed in lost,
+                "rise": 1.0 if speed in rise else 1e-6,
+                "unphysical": 0.0,
+            }
+            for law in laws.LAWS[1:]
+            for speed in gains.GRID
+        ]
+
+    def chosen(self, rows):
+        lines = gains.summarize_grid(rows, "part")
+        return [line["speed"] for line in lines if line["chosen"]]
+
+    def test_takes_the_best_of_what_is_stable(self):
+        assert self.chosen(self.rows(lambda speed: 1.0 / speed)) == [3e3] * 3
+        rows = self.rows(lambda speed: 1.0 / speed, lost=(3e3, 1e3), rise=(3e2,))
+        assert self.chosen(rows) == [1e2] * 3
+        assert self.chosen(self.rows(lambda speed: abs(np.log(speed / 3.0)))) == [3.0] * 3
+
+    def test_reported_draws_take_what_is_chosen(self):
+        for study, chosen in gains.CHOSEN.items():
+            assert {laws.EUCLIDEAN, laws.NATURAL} <= set(chosen) <= set(laws.LAWS[1:])
+            assert set(chosen.values()) <= set(gains.GRID)
+            assert gains.speeds(study, "rule")[laws.NATURAL_EULER] == chosen[laws.NATURAL]
+        assert gains.speeds("wam", "source")[laws.EUCLIDEAN] == 5e-5
+
+
+@pytest.fixture(scope="module", params=[0.1, 0.4])
+def adapted(request):
+    """Rows of all laws by name, over σ."""
+    speed = {laws.NONE: 1.0, **gains.speeds("wam", "rule")}
+    draws = [
+        full.Draw(full.NOISE, law, speed[law], request.param, 0, amplitudes=(0.8,), end=1.3)
+        for law in laws.LAWS
+    ]
+    return {draw.law: full.run_draw(draw, seed=0) for draw in draws}
+
+
+class TestFullAdaptation:
+    def test_geometric_laws_track_best(self, adapted):
+        rms = {law: row["rms"] for law, row in adapted.items()}
+        assert max(rms[laws.NATURAL], rms[laws.PULLBACK]) < 0.5 * rms[laws.EUCLIDEAN]
+        assert rms[laws.EUCLIDEAN] < 0.5 * rms[laws.NONE]
+
+    def test_only_the_euclidean_leaves_what_is_physical(self, adapted):
+        assert adapted[laws.EUCLIDEAN]["unphysical"] > 0.5
+        assert adapted[laws.NATURAL]["unphysical"] == adapted[laws.PULLBACK]["unphysical"] == 0.0
+
+    def test_lyapunov_value_does_not_rise(self, adapted):
+        for law in laws.LAWS[1:]:
+            assert 0.0 <= adapted[law]["rise"] < 1e-3
+
+    @pytest.mark.parametrize("speed", [3.0, 30.0])
+    def test_natural_is_physical_at_100_hz_even_when_lost(self, speed):
+        draw = full.Draw(full.STEP, laws.NATURAL, speed, 0.4, 0, 1e-2, (0.8,))
+        row = full.run_draw(draw, seed=1)
+        assert row["unphysical"] == 0.0
+        assert row["lost"] == (speed > 3.0)
+
+    def test_unfinished_rounds_of_a_lost_loop_are_not_told(self):
+        draw = full.Draw(full.STEP, laws.NATURAL, 300.0, 0.4, 0, 1e-2)
+        row = full.run_draw(draw, seed=1)
+        assert row["lost"]
+        assert row["rounds"] == [None]
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    """Rows of all laws by name, with the source's speeds."""
+    speed = {laws.NONE: 1.0, **gains.speeds("payload", "source")}
+    draws = [payload.Draw("ellipsoid 2", law, speed[law], 1, 3.0) for law in laws.LAWS]
+    return {draw.law: payload.run_draw(draw, seed=0) for draw in draws}
+
+
+class TestPayload:
+    def test_natural_finds_the_load(self, loaded):
+        assert loaded[laws.NATURAL]["mass"] == pytest.approx(3.0, abs=0.3)
+        assert loaded[laws.NONE]["mass"] == pytest.approx(1.0)
+        for law in (laws.NONE, laws.EUCLIDEAN, laws.PULLBACK):
+            assert loaded[laws.NATURAL]["rms"] < 0.8 * loaded[law]["rms"]
+
+    def test_natural_stays_physical(self, loaded):
+        assert loaded[laws.NATURAL]["unphysical"] == 0.0
+        assert loaded[laws.NATURAL]["rise"] < 1e-3

@@ -1,0 +1,257 @@
+"""An effect is one file: what others ask of it is declared there, and nobody else names it."""
+
+import ast
+import inspect
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import geodrake
+from geodrake.effects import Role, Shape, catalogue
+from geodrake.effects.lookup import effect_of, stub, table_rows
+from geodrake.effects.shape import when_sliding
+from geodrake.errors import ArgumentError
+
+PACKAGE = Path(geodrake.__file__).parent
+TESTS = Path(__file__).parents[1]
+README = TESTS.parent / "README.md"
+EFFECTS = PACKAGE / "effects"
+FILES = sorted(path for path in PACKAGE.rglob("*.py") if EFFECTS not in path.parents)
+NAMES = {effect.name for effect in catalogue()}
+CLASSES = {effect.__name__ for effect in catalogue()}
+
+ALLOWED = {
+    "cli/options.py": "help gives names as examples, and the catalogue would make --help slow",
+    "cli/excitation_options.py": "the same",
+    "cli/tell_apart.py": "the same example, where the option cannot be read",
+    "robot/files/checks.py": "drake:rotor_inertia is a tag of Drake's",
+    "robot/files/sdf.py": "advice to add one, from below effects/",
+    "robot/files/mjcf.py": "contact is a tag of MuJoCo's",
+}
+"""Files that may say the name of an effect, and why."""
+
+
+def docstrings(tree):
+    """Strings that stand alone, as those of modules, classes, functions and constants do."""
+    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+
+
+def names_in(text):
+    """Names of effects in a string; those of one word are words of the language too."""
+    found = {name for name in NAMES if "_" in name and re.search(rf"\b{name}\b", text)}
+    return found | ({text} & NAMES)
+
+
+def mentions(path):
+    """Where a module names an effect or its class, outside of docstrings and comments."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    words, drakes = docstrings(tree), set()
+    for node in ast.walk(tree):
+        found = set()
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in words:
+            found = names_in(node.value)
+        elif isinstance(node, ast.ImportFrom):
+            imported = {alias.name for alias in node.names}
+            if (node.module or "").startswith("pydrake"):  # which has a CoulombFriction too
+                drakes |= imported & CLASSES
+                continue
+            found = (imported & CLASSES) | ({(node.module or "").rpartition(".")[2]} & NAMES)
+        elif isinstance(node, ast.Name):
+            found = {node.id} & (CLASSES - drakes)
+        elif isinstance(node, ast.Attribute):
+            found = {node.attr} & CLASSES
+        yield from (f"{path.relative_to(PACKAGE)}:{node.lineno} names {name}" for name in found)
+
+
+def test_nobody_else_names_an_effect():
+    found = [line for path in FILES for line in mentions(path)]
+    assert not [line for line in found if line.partition(":")[0] not in ALLOWED]
+
+
+def test_what_may_name_effects_does():
+    assert set(ALLOWED) == {
+        str(path.relative_to(PACKAGE)) for path in FILES if next(mentions(path), None)
+    }
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ('if effect.name == "payload": ...', True),
+        ('advice = "Fit viscous_friction first."', True),
+        ("from geodrake.effects import Contact", True),
+        ("from geodrake.effects.contact import log_number", True),
+        ("isinstance(effect, effects.Contact)", True),
+        ("geodrake.effects.Contact", True),
+        ('"""Such as coulomb_friction."""', False),
+        ('note = "the payload is part of it"', False),
+        ("from pydrake.multibody.plant import CoulombFriction\nCoulombFriction(1, 1)", False),
+    ],
+)
+def test_a_name_is_seen(tmp_path, monkeypatch, line, found):
+    monkeypatch.setattr(sys.modules[__name__], "PACKAGE", tmp_path)
+    (tmp_path / "module.py").write_text(line + "\n", encoding="utf-8")
+    assert bool([*mentions(tmp_path / "module.py")]) == found
+
+
+@pytest.mark.parametrize("effect", catalogue(), ids=lambda effect: effect.name)
+class TestDeclarations:
+    def test_is_the_effect_of_its_module(self, effect):
+        assert Path(inspect.getfile(effect)) == EFFECTS / f"{effect.name}.py"
+
+    def test_says_what_it_is(self, effect):
+        assert effect.law and effect.signature
+        assert isinstance(effect.role, Role)
+        assert 0 <= effect.complexity <= 3
+        assert effect.list_position < float("inf")
+
+    def test_relations_are_to_others(self, effect):
+        related = (*effect.contains, *effect.tried_beside, *effect.at_each_joint, effect.companion)
+        assert set(related) - {None} <= set(catalogue()) - {effect}
+
+    def test_shapes_are_its_own(self, effect):
+        fields = inspect.signature(effect).parameters
+        assert {shape.name for shape in effect.shapes} <= set(fields)
+
+
+@pytest.mark.parametrize(
+    "role", [Role.SCALE, Role.DELAY, Role.BODY, Role.EPISODE, Role.INERTIA], ids=lambda r: r.name
+)
+def test_roles_that_one_effect_has(role):
+    assert effect_of(role) in [effect for effect in catalogue() if effect.role is role]
+
+
+def test_no_two_effects_at_one_position():
+    positions = [effect.list_position for effect in catalogue()]
+    assert positions == sorted(set(positions))
+
+
+def test_wrong_inertia_has_no_instance():
+    with pytest.raises(ArgumentError, match="no effect beside the bodies"):
+        effect_of(Role.INERTIA)()
+
+
+class TestShape:
+    def test_values(self):
+        scaled = Shape("width", "rad", (0.1, 0.2), "reach", 0.05)
+        assert scaled.values({"reach": 10.0}) == (1.0, 2.0)
+        assert scaled.values({"speed": 10.0}) == (0.05,)
+        assert Shape("width", grid=(1, 3)).values({}) == (1, 3)
+        assert Shape("width").values({}) == ()
+
+    def test_bad_scale(self):
+        with pytest.raises(ArgumentError, match="scale"):
+            Shape("width", scale="wide")
+
+
+@pytest.mark.parametrize(
+    ("turning", "sliding"),
+    [
+        ("N·m", "N"),
+        ("N·m·s/rad", "N·s/m"),
+        ("kg·m²", "kg"),
+        ("rad/(N·m)", "m/N"),
+        ("rad/(N·m·s)", "m/(N·s)"),
+        ("1", "1"),
+    ],
+)
+def test_units_at_a_joint_that_slides(turning, sliding):
+    assert when_sliding(turning) == sliding
+
+
+def test_table_of_the_readme_is_that_of_the_classes():
+    rows = [
+        f"| `{name}` | {law.replace('|', chr(92) + '|')} | {place} |"
+        for name, law, place in table_rows()
+    ]
+    text = README.read_text(encoding="utf-8")
+    assert "| effect | needed effort | place |\n|---|---|---|\n" + "\n".join(rows) + "\n\n" in text
+
+
+def test_stub_is_that_of_the_classes():
+    """It tells type checkers what is found at run time, so that every effect has its own type."""
+    make = "from geodrake.effects.lookup import stub; print(stub(), end='')"
+    written = (EFFECTS / "__init__.pyi").read_text(encoding="utf-8")
+    assert written == stub(), f'Write it anew: python -c "{make}" > geodrake/effects/__init__.pyi'
+    imported = {
+        alias.name: node.module
+        for node in ast.parse(written).body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert {
+        effect.__name__: effect.__module__ for effect in catalogue()
+    }.items() <= imported.items()
+
+
+CABLE = '''
+"""A cable that is wound up by a joint."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geodrake.effects.base import JointEffect, Parameter, Shape
+
+
+@dataclass(frozen=True)
+class WoundCable(JointEffect):
+    """Cable that stiffens as it is wound up.
+
+    effort = k tanh(q / a), with k ≥ 0 in N·m.
+
+    Attributes:
+        width: a, rad.
+    """
+
+    width: float
+
+    name = "wound_cable"
+    law = "k tanh(q/a)"
+    signature = "a force towards the middle of the motion that saturates"
+    list_position = 33
+    shapes = (Shape("width", "rad", (0.03, 0.1)),)
+    parameters = (Parameter("strength", "N·m", lower=0.0),)
+    depends_on = frozenset({"q"})
+
+    def columns(self, joint):
+        return [np.tanh(joint.q / self.width)]
+'''
+
+USE = """
+from pendulum_logs import PENDULUM, pendulum_log
+import numpy as np
+import geodrake
+from geodrake import effects
+from geodrake.diagnosis import explain
+
+assert geodrake.__file__.startswith({folder!r}), geodrake.__file__
+cable = effects.WoundCable("elbow", 0.1)
+assert cable == effects.make_effect("wound_cable", ["elbow"], {{"width": 0.1}})
+assert [e.name for e in effects.catalogue()].index("wound_cable") == 15
+log = pendulum_log(1, lambda q, v, vd, load: 0.4 * np.tanh(q / 0.1) * [0.0, 1.0], seconds=20.0)
+found = explain(geodrake.load_model(PENDULUM), [log], bandwidth=6.0)
+print([(step.effect, step.where) for step in found.steps])
+"""
+
+
+def test_one_file_is_one_more_effect(tmp_path):
+    """Nothing else is told of it, and it is found in a log."""
+    shutil.copytree(PACKAGE, tmp_path / "geodrake")
+    (tmp_path / "geodrake" / "effects" / "wound_cable.py").write_text(CABLE, encoding="utf-8")
+    run = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(USE.format(folder=str(tmp_path)))],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": f"{tmp_path}:{TESTS}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.strip() == "[('wound_cable', ('elbow',))]"

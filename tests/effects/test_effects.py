@@ -1,0 +1,565 @@
+"""The effects: equations, serial form, names, and a user's own."""
+
+import dataclasses
+import textwrap
+
+import numpy as np
+import pytest
+from effect_motions import JOINTS, hand_robot, instances, random_motion
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.math import RollPitchYaw, RotationMatrix
+from pydrake.multibody.tree import (
+    JacobianWrtVariable,
+)
+
+import geodrake.effects
+from geodrake import effects
+from geodrake.effects import Effect, JointMotion, RobotMotion, delays
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.manifolds import PhysicalInertia
+
+NAMES_OF_DESIGN = (
+    "viscous_friction",
+    "coulomb_friction",
+    "asymmetric_friction",
+    "stribeck_friction",
+    "nonlinear_viscous_friction",
+    "load_dependent_friction",
+    "coupled_friction",
+    "friction_drift",
+    "hysteresis",
+    "effort_offset",
+    "effort_scale",
+    "effort_delay",
+    "joint_spring",
+    "gravity_compensator",
+    "torque_ripple",
+    "rotor_inertia",
+    "coupled_rotor_inertia",
+    "joint_elasticity",
+    "backlash",
+    "payload",
+    "wrong_inertia",
+    "gravity_tilt",
+    "contact",
+    "aerodynamic_drag",
+)
+
+
+@pytest.mark.parametrize("effect", instances(), ids=lambda e: e.name)
+class TestEveryEffect:
+    def test_regressor(self, effect):
+        motion, k = random_motion(), len(effect.parameters)
+        mu = np.random.default_rng(1).normal(size=k)
+        regressor = effect.regressor(motion)
+        assert regressor.shape == (20, 3, k)
+        np.testing.assert_allclose(effect.effort(motion, mu), regressor @ mu)
+        assert set(effect.rows(motion)) <= set(JOINTS)
+
+    def test_serial_form(self, effect):
+        again = effects.make_effect(effect.name, effect.where, effect.shape)
+        assert again == effect
+        assert hash(again) == hash(effect)
+
+    def test_words(self, effect):
+        assert effect.signature
+        assert effect.law
+        assert type(effect).__doc__ and "effort" in type(effect).__doc__
+        assert all(parameter.unit for parameter in effect.parameters)
+
+    def test_manifold(self, effect):
+        assert effect.manifold.dimension == len(effect.parameters)
+        if isinstance(effect, effects.Payload):
+            assert effect.manifold == PhysicalInertia()
+            assert [p.lower for p in effect.parameters] == [
+                0,
+                *[-np.inf] * 3,
+                0,
+                0,
+                0,
+                *[-np.inf] * 3,
+            ]
+        else:
+            assert effect.manifold.lower == tuple(p.lower for p in effect.parameters)
+
+    def test_frozen(self, effect):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            effect.joint = "wrist"
+
+
+@pytest.mark.parametrize("name", [e.name for e in instances() if "friction" in e.name])
+def test_friction_brakes(name):
+    effect = next(e for e in instances() if e.name == name)
+    motion = random_motion(200, width=0.3)
+    effort = effect.effort(motion, np.arange(1.0, 1 + len(effect.parameters)))
+    assert ((effort * motion.v).sum(-1) >= 0).all()
+    still = dataclasses.replace(motion, v=np.zeros_like(motion.v))
+    np.testing.assert_array_equal(effect.effort(still, np.ones(len(effect.parameters))), 0.0)
+
+
+class TestEquations:
+    motion = random_motion()
+    q, v, vd, load = (x[:, 1] for x in (motion.q, motion.v, motion.vd, motion.load))
+
+    def elbow(self, effect, mu):
+        effort = effect.effort(self.motion, np.array(mu))
+        np.testing.assert_array_equal(effort[:, [0, 2]], 0.0)
+        return effort[:, 1]
+
+    def test_asymmetric_contains_coulomb_and_viscous(self):
+        both = self.elbow(effects.AsymmetricFriction("elbow"), [2.0, 2.0, 3.0, 3.0])
+        np.testing.assert_allclose(both, 2.0 * np.sign(self.v) + 3.0 * self.v)
+
+    def test_asymmetric(self):
+        effort = self.elbow(effects.AsymmetricFriction("elbow"), [1.0, 2.0, 3.0, 4.0])
+        expected = np.where(self.v > 0, 1.0 + 3.0 * self.v, -2.0 + 4.0 * self.v)
+        np.testing.assert_allclose(effort, expected)
+
+    def test_stribeck_on_top_of_coulomb(self):
+        F, S, v_s = 1.5, 4.0, 0.2
+        effort = self.elbow(effects.CoulombFriction("elbow"), [F])
+        effort = effort + self.elbow(effects.StribeckFriction("elbow", v_s), [S - F])
+        curve = F + (S - F) * np.exp(-np.abs(self.v) / v_s)
+        np.testing.assert_allclose(effort, curve * np.sign(self.v))
+
+    def test_nonlinear_viscous(self):
+        effort = self.elbow(effects.NonlinearViscousFriction("elbow", 2.0), [3.0])
+        np.testing.assert_allclose(effort, 3.0 * self.v * np.abs(self.v))
+
+    def test_load_dependent(self):
+        effort = self.elbow(effects.LoadDependentFriction("elbow"), [0.1])
+        np.testing.assert_allclose(effort, 0.1 * np.abs(self.load) * np.sign(self.v))
+
+    def test_drift_of_friction(self):
+        effort = self.elbow(effects.FrictionDrift("elbow", 0.05), [2.0, 3.0])
+        fade = np.exp(-self.motion.time / 0.05)
+        np.testing.assert_allclose(effort, fade * (2.0 * np.sign(self.v) + 3.0 * self.v))
+        settled = dataclasses.replace(self.motion, time=None)
+        np.testing.assert_array_equal(effects.FrictionDrift("elbow", 5.0).regressor(settled), 0.0)
+
+    def test_spring_and_rest_position(self):
+        k, q_0, center = 2.0, 0.7, 0.3
+        effort = self.elbow(effects.JointSpring("elbow", 1, center), [k, k * (center - q_0)])
+        np.testing.assert_allclose(effort, k * (self.q - q_0))
+
+    def test_gravity_compensator(self):
+        k, q_0 = 3.0, 0.4
+        mu = [k * np.cos(q_0), -k * np.sin(q_0)]
+        effort = self.elbow(effects.GravityCompensator("elbow"), mu)
+        np.testing.assert_allclose(effort, k * np.sin(self.q - q_0), atol=1e-12)
+
+    def test_torque_ripple_repeats(self):
+        ripple = effects.TorqueRipple("elbow", 12.5)
+        effort = self.elbow(ripple, [2.0, -1.0])
+        wave = ((2.0 + 1.0j) * np.exp(12.5j * self.q)).real
+        np.testing.assert_allclose(effort, wave, atol=1e-12)
+        turned = dataclasses.replace(self.motion, q=self.motion.q + 2 * np.pi / 12.5)
+        np.testing.assert_allclose(ripple.effort(turned, [2.0, -1.0])[:, 1], effort, atol=1e-12)
+
+    def test_rotor_inertia(self):
+        np.testing.assert_allclose(self.elbow(effects.RotorInertia("elbow"), [2.0]), 2.0 * self.vd)
+
+    @pytest.mark.parametrize("sign", [1, -1])
+    def test_coupled_friction_has_the_power_of_its_actuator(self, sign):
+        F, c, v = 2.0, 0.5, self.motion.v
+        effort = effects.CoupledFriction(("elbow", "wrist"), sign).effort(self.motion, [F, c])
+        w = v[:, 1] + sign * v[:, 2]
+        np.testing.assert_allclose((effort * v).sum(-1), F * np.abs(w) + c * w**2)
+        np.testing.assert_array_equal(effort[:, 0], 0.0)
+
+    def test_coupled_rotor_inertia_is_symmetric(self):
+        effort = effects.CoupledRotorInertia(("elbow", "wrist")).effort(self.motion, [0.3])
+        np.testing.assert_allclose(effort[:, 1:], 0.3 * self.motion.vd[:, :0:-1])
+
+    def test_smooth_sign(self):
+        smooth = random_motion(width=0.5)
+        np.testing.assert_allclose(smooth.joint("elbow").sign_v, np.tanh(self.v / 0.5))
+        mixed = RobotMotion.direction(np.array([[-2.0, 0.3]]), np.array([0.0, 0.3]))
+        np.testing.assert_allclose(mixed, [[-1.0, np.tanh(1.0)]])
+
+
+class TestBodies:
+    """Effects on bodies, of Drake's own kinematics and gravity."""
+
+    motion = random_motion()
+
+    def held_by_tilted_base(self, turn):
+        """Change of the efforts (N, nv) that hold the robot when its base is turned by R."""
+        plant, _, _ = hand_robot()
+        context = plant.CreateDefaultContext()
+        level = plant.gravity_field().gravity_vector()
+        changes = []
+        for q in self.motion.q:
+            plant.SetPositions(context, q)
+            held = []
+            for gravity in (level, turn.inverse() @ level):
+                plant.mutable_gravity_field().set_gravity_vector(gravity)
+                held.append(-plant.CalcGravityGeneralizedForces(context))
+            changes.append(held[1] - held[0])
+        plant.mutable_gravity_field().set_gravity_vector(level)
+        return np.array(changes)
+
+    def test_tilt_is_another_gravity(self):
+        """To second order of the angles."""
+        angles = np.array([2e-4, -3e-4])
+        found = effects.GravityTilt().effort(self.motion, angles)
+        turn = RollPitchYaw(*angles, 0.0).ToRotationMatrix()
+        np.testing.assert_allclose(found, self.held_by_tilted_base(turn), atol=1e-5)
+        assert np.abs(found).max() > 1e-3
+
+    @given(arrays(float, 2, elements=st.floats(-1.5, 1.5)))
+    @settings(max_examples=25, deadline=None)
+    def test_tilt_is_exact_where_it_is_expanded(self, angles):
+        angle = float(np.linalg.norm(angles))
+        effect = effects.GravityTilt().expanded_about(angles, self.motion.bodies)
+        if effect == effects.GravityTilt():
+            assert angle < 0.011
+            return
+        found = effect.effort(self.motion, angles)
+        turn = RotationMatrix(AngleAxis(angle, np.array([*angles, 0.0]) / angle))
+        np.testing.assert_allclose(found, self.held_by_tilted_base(turn), atol=1e-9)
+        assert effect.expanded_about(angles, self.motion.bodies) is effect
+
+    @staticmethod
+    def drag_at(point, q, v):
+        """Effort of drag 1 N·s²/m² at a point of the hand (3,), and that point's velocity."""
+        plant, _, _ = hand_robot()
+        context = plant.CreateDefaultContext()
+        plant.SetPositions(context, q)
+        frame, world = plant.GetFrameByName("hand"), plant.world_frame()
+        of_v = JacobianWrtVariable.kV
+        J = plant.CalcJacobianTranslationalVelocity(context, of_v, frame, point, world, world)
+        return J.T @ (np.linalg.norm(J @ v) * (J @ v))
+
+    @pytest.mark.parametrize("point", [(0.1, -0.2, 0.3), None])
+    def test_drag(self, point):
+        effect = effects.AerodynamicDrag("hand", *(point or ()))
+        found = effect.effort(self.motion, [0.7, 0.0, 0.0, 0.0])
+        at = point or (0.1, 0.02, 0.2)  # the mass centre
+        for i, (q, v) in enumerate(zip(self.motion.q, self.motion.v, strict=True)):
+            np.testing.assert_allclose(found[i], 0.7 * self.drag_at(at, q, v), atol=1e-12)
+
+    def test_drag_levers_are_slopes(self):
+        columns = effects.AerodynamicDrag("hand", 0.1, -0.2, 0.3).regressor(self.motion)
+        center, step = np.array([0.1, -0.2, 0.3]), 1e-5
+        for i, (q, v) in enumerate(zip(self.motion.q, self.motion.v, strict=True)):
+            for k, e in enumerate(step * np.eye(3)):
+                slope = (self.drag_at(center + e, q, v) - self.drag_at(center - e, q, v)) / 2 / step
+                np.testing.assert_allclose(columns[i, :, 1 + k], slope, atol=1e-6)
+
+    def test_drag_is_expanded_where_its_parameters_say(self):
+        effect = effects.AerodynamicDrag("hand")
+        moved = effect.expanded_about(np.array([2.0, 0.2, 0.0, -0.4]), self.motion.bodies)
+        assert (moved.x, moved.y, moved.z) == pytest.approx((0.2, 0.02, 0.0))
+        assert moved.expanded_about(np.array([2.0, 1e-4, 0.0, 0.0]), self.motion.bodies) is moved
+        assert moved.expanded_about(np.array([0.0, 1.0, 0.0, 0.0]), self.motion.bodies) is moved
+
+    def test_poses_are_needed(self):
+        unknown = dataclasses.replace(self.motion, bodies=None)
+        with pytest.raises(ArgumentError, match="gravity_tilt needs the poses"):
+            effects.GravityTilt().regressor(unknown)
+
+    def test_scale_is_of_all_that_is_needed(self):
+        effect = effects.EffortScale("elbow")
+        np.testing.assert_allclose(effect.regressor(self.motion)[:, 1, 0], self.motion.load[:, 1])
+        total = np.random.default_rng(5).normal(size=self.motion.v.shape)
+        whole = dataclasses.replace(self.motion, effort=lambda: total)
+        np.testing.assert_allclose(effect.effort(whole, [0.1])[:, 1], 0.1 * total[:, 1])
+
+
+class TestDelay:
+    period = 0.002
+    time = np.arange(2000) * period
+
+    @pytest.mark.parametrize("delay", [0.0, 0.0031, 0.02, -0.0007])
+    def test_shifts_a_sine(self, delay):
+        def signal(t):
+            return np.stack([np.sin(40 * t), np.cos(90 * t)], -1)
+
+        delayed = effects.EffortDelay(delay).delayed(signal(self.time), self.period)
+        inside = slice(30, -30)
+        np.testing.assert_allclose(delayed[inside], signal(self.time - delay)[inside], atol=1e-5)
+
+    def test_holds_edges(self):
+        delayed = effects.EffortDelay(0.01).delayed(self.time + 1.0, self.period)
+        np.testing.assert_allclose(delayed[:5], 1.0)
+        ahead = effects.EffortDelay(-0.01).delayed(self.time, self.period)
+        np.testing.assert_allclose(ahead[-5:], self.time[-1])
+
+    @pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 7])
+    def test_short_signals(self, n):
+        ramp = np.arange(n, dtype=float)
+        delayed = effects.EffortDelay(0.5).delayed(ramp, 1.0)
+        np.testing.assert_allclose(delayed, np.maximum(ramp - 0.5, 0.0), atol=1e-12)
+
+    def test_several_signals(self):
+        """Each is delayed by its own time; what makes delays is one effect where they are alike."""
+        signals = np.stack([np.sin(40 * self.time), np.cos(90 * self.time)], -1)
+        seconds = np.array([0.004, -0.0013])
+        found = delays.delayed_by(seconds, signals, self.period)
+        for column, (delay, signal) in enumerate(zip(seconds, signals.T, strict=True)):
+            alone = effects.EffortDelay(delay).delayed(signal, self.period)
+            np.testing.assert_array_equal(found[:, column], alone)
+        joints = ("a", "b")
+        for some, count in ((seconds, 2), ([0.003, 0.003], 1), ([0.0, 0.01], 1), ([0, 0], 0)):
+            made = delays.effort_delays(some, joints)
+            assert len(made) == count
+            np.testing.assert_array_equal(delays.delays_of(made, joints), some)
+
+    def test_bad_arguments(self):
+        with pytest.raises(ArgumentError, match="delay of effort_delay must be"):
+            effects.EffortDelay(np.nan)
+        with pytest.raises(ArgumentError, match="positive period"):
+            effects.EffortDelay(0.1).delayed(self.time, 0.0)
+
+
+class TestCandidates:
+    def test_stribeck_velocities(self):
+        found = effects.StribeckFriction.candidates("elbow", 2.0)
+        velocities = np.array([e.stribeck_velocity for e in found])
+        np.testing.assert_allclose(velocities[[0, -1]], [0.02, 0.6])
+        np.testing.assert_allclose(np.diff(np.log(velocities), 2), 0.0, atol=1e-12)
+
+    def test_grids(self):
+        exponents = [e.exponent for e in effects.NonlinearViscousFriction.candidates("elbow", 1.0)]
+        assert exponents == [0.5, 1.5, 2.0, 3.0]
+        pair = ("elbow", "wrist")
+        assert [e.sign for e in effects.CoupledFriction.candidates(pair)] == [1, -1]
+
+    def test_every_effect_has_some(self):
+        for cls in effects.catalogue():
+            if not cls.parameters:  # a delay or other inertias have no columns of their own
+                continue
+            place = {
+                "joint": ("elbow", 1.0),
+                "joint_pair": (("elbow", "wrist"),),
+                "body": ("hand",),
+                "robot": (),
+            }[cls.places]
+            found = tuple(cls.candidates(*place))
+            assert found and all(isinstance(effect, cls) for effect in found)
+            assert len(set(found)) == len(found)
+
+
+class TestNames:
+    def test_catalogue_is_in_the_order_of_the_design(self):
+        assert tuple(effect.name for effect in effects.catalogue()) == NAMES_OF_DESIGN
+
+    def test_lookup(self):
+        assert effects.effect_class("payload") is effects.Payload
+
+    def test_nearest_name(self):
+        with pytest.raises(ArgumentError, match=r"Did you mean coulomb_friction") as caught:
+            effects.effect_class("coulom_friction")
+        assert caught.value.evidence["nearest"][0] == "coulomb_friction"
+        with pytest.raises(ArgumentError, match="Effects are: viscous_friction"):
+            effects.effect_class("xyz")
+
+    @pytest.mark.parametrize(
+        ("name", "where", "shape", "message"),
+        [
+            ("coulomb_friction", (), {}, "one joint"),
+            ("coulomb_friction", "elbow", {}, "one joint"),
+            ("coupled_friction", ("elbow",), {}, "two joints"),
+            ("coupled_friction", ("elbow", "elbow"), {}, "two different joints"),
+            ("coupled_friction", ("elbow", "wrist"), {"sign": 2}, "sign 1 or −1"),
+            ("payload", ("hand", "arm"), {}, "one body"),
+            ("effort_delay", ("a", "b"), {"delay": 0.1}, "one joint or none"),
+            ("gravity_tilt", ("elbow",), {}, "the whole robot"),
+            ("coulomb_friction", ("elbow",), {"width": 1.0}, "no shape parameter 'width'"),
+            ("stribeck_friction", ("elbow",), {}, "stribeck_velocity"),
+            (
+                "stribeck_friction",
+                ("elbow",),
+                {"stribeck_velocity": -1.0},
+                "stribeck_velocity of .* above 0",
+            ),
+            (
+                "stribeck_friction",
+                ("elbow",),
+                {"stribeck_velocity": "fast"},
+                "must be a finite real number",
+            ),
+            ("joint_spring", ("elbow",), {"exponent": 2}, "exponent 1 or 3"),
+            ("torque_ripple", ("elbow",), {"order": -2.0}, "order of .* above 0"),
+        ],
+    )
+    def test_bad_serial_form(self, name, where, shape, message):
+        with pytest.raises(ArgumentError, match=message):
+            effects.make_effect(name, where, shape)
+
+    def test_unknown_joint(self):
+        with pytest.raises(ArgumentError, match=r"no joint 'knee'.*shoulder"):
+            effects.CoulombFriction("knee").regressor(random_motion())
+
+
+def documented_lines():
+    """The lines of a user's own effect, as the documentation has them."""
+    text = geodrake.effects.__doc__
+    block = text[text.index("    from dataclasses") :]
+    lines = block[: block.index("\n\n`HangingHose")]
+    return textwrap.dedent(lines)
+
+
+class TestUsersEffect:
+    def test_about_ten_lines(self):
+        assert len([line for line in documented_lines().splitlines() if line.strip()]) <= 10
+
+    def test_file(self, tmp_path):
+        path = tmp_path / "hose.py"
+        path.write_text(documented_lines())
+        extra = effects.load_effect_file(path)
+        assert [cls.name for cls in extra] == ["hanging_hose"]
+        hose = effects.make_effect("hanging_hose", ["elbow"], {}, extra)
+        motion = random_motion()
+        expected = 2.0 * np.cos(motion.q[:, 1]) + 3.0 * np.sin(motion.q[:, 1])
+        np.testing.assert_allclose(hose.effort(motion, [2.0, 3.0])[:, 1], expected)
+        assert hose.manifold.contains([-1.0, 5.0])
+        assert tuple(extra[0].candidates("elbow", 1.0)) == (hose,)
+
+    def test_two_files_of_one_name(self, tmp_path):
+        for folder in ("a", "b"):
+            (tmp_path / folder).mkdir()
+            text = documented_lines().replace("hanging_hose", f"hose_{folder}")
+            (tmp_path / folder / "hose.py").write_text(text)
+        names = [effects.load_effect_file(tmp_path / f / "hose.py")[0].name for f in "ab"]
+        assert names == ["hose_a", "hose_b"]
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("import numpy", "defines no effect"),
+            ("1 / 0", "ZeroDivisionError"),
+            ("def f(:", "SyntaxError"),
+            ("from geodrake.effects import CoulombFriction", "defines no effect"),
+            (documented_lines().replace("hanging_hose", "payload"), "'payload' of another"),
+            (documented_lines().replace("name =", "label ="), "lacks name"),
+        ],
+    )
+    def test_bad_files(self, tmp_path, text, message):
+        path = tmp_path / "mine.py"
+        path.write_text(text)
+        with pytest.raises(ModelError, match=message):
+            effects.load_effect_file(path)
+
+    def test_no_file(self, tmp_path):
+        with pytest.raises(ModelError, match=r"absent\.py does not exist\. Check the path"):
+            effects.load_effect_file(tmp_path / "absent.py")
+        (tmp_path / "effects.txt").write_text("x = 1\n")
+        with pytest.raises(ModelError, match="not a Python file"):
+            effects.load_effect_file(tmp_path / "effects.txt")
+
+    def test_wrong_number_of_columns(self):
+        class Wrong(effects.JointEffect):
+            name = "wrong"
+            parameters = (effects.Parameter("a", "N·m"),)
+
+            def columns(self, joint: JointMotion):
+                return [joint.q, joint.v]
+
+        with pytest.raises(ArgumentError, match="1 parameters and 2 columns"):
+            Wrong("elbow").regressor(random_motion())
+
+    @staticmethod
+    def of_columns(*made):
+        class Mine(effects.JointEffect):
+            name = "mine"
+            parameters = (effects.Parameter("a", "N·m"),) * len(made)
+
+            def columns(self, joint: JointMotion):
+                return [column(joint) for column in made]
+
+        return Mine("elbow")
+
+    def test_a_number_is_a_column(self):
+        motion = random_motion()
+        effect = self.of_columns(lambda _: 1.0, lambda joint: joint.q)
+        expected = np.stack([np.ones(20), motion.q[:, 1]], -1)
+        np.testing.assert_array_equal(effect.rows(motion)["elbow"], expected)
+
+    @pytest.mark.parametrize(
+        ("column", "message"),
+        [
+            (lambda joint: joint.q[:-1], r"mine of elbow gives a column of shape \(19,\) for 20"),
+            (lambda _: "much", "mine of elbow gives a column"),
+            (lambda joint: np.where(joint.q > joint.q.min(), 1.0, np.nan), "nan in 1 of 20"),
+            (lambda _: np.inf, "mine of elbow gives inf in 20 of 20"),
+        ],
+    )
+    def test_unusable_columns(self, column, message):
+        with pytest.raises(ArgumentError, match=message):
+            self.of_columns(column).regressor(random_motion())
+
+    @pytest.mark.parametrize(
+        ("field", "places", "place"),
+        [("body", "body", "hand"), ("joints", "joint_pair", ("elbow", "wrist"))],
+    )
+    def test_candidates_without_a_base_of_its_kind(self, tmp_path, field, places, place):
+        path = tmp_path / "bare.py"
+        path.write_text(
+            "from dataclasses import dataclass\n"
+            "from geodrake.effects import Effect, Parameter\n"
+            "@dataclass(frozen=True)\n"
+            "class Bare(Effect):\n"
+            f"    {field}: object\n"
+            f"    name, places = 'bare', {places!r}\n"
+            "    parameters = (Parameter('a', 'N'),)\n"
+            "    where = ()\n"
+            "    def rows(self, motion):\n"
+            "        return {}\n"
+        )
+        (cls,) = effects.load_effect_file(path)
+        assert tuple(cls.candidates(place)) == (cls(place),)
+        path.write_text(path.read_text().replace(f"    {field}:", "    spot:"))
+        with pytest.raises(ModelError, match=r"\['spot'\].*BodyEffect"):
+            effects.load_effect_file(path)
+
+    def test_speed_of_a_joint_is_no_shape(self):
+        @dataclasses.dataclass(frozen=True)
+        class Bare(effects.Effect):
+            joint: str
+            width: float = 0.1
+
+            name, places, where = "bare", "joint", ()
+            parameters = (effects.Parameter("a", "N·m"),)
+
+            def rows(self, motion: RobotMotion):
+                return {self.joint: np.tanh(motion.joint(self.joint).v / self.width)[:, None]}
+
+        assert Bare.candidates("elbow", 3.87) == (Bare("elbow", 0.1),)
+        Bare.shapes = (effects.Shape("width", "rad/s", (0.1, 0.5), "speed"),)
+        assert Bare.candidates("elbow", 2.0) == (Bare("elbow", 0.2), Bare("elbow", 1.0))
+
+    def test_words_are_no_values_that_results_report(self):
+        @dataclasses.dataclass(frozen=True)
+        class Tuned(effects.EffortOffset):
+            kind: str = "loose"
+            width: float = 0.1
+            teeth: int = 3
+
+        assert Tuned("elbow").reported_shape == {"width": 0.1, "teeth": 3.0}
+
+    def test_body_effect(self):
+        @dataclasses.dataclass(frozen=True)
+        class Drag(effects.BodyEffect):
+            area: float
+
+            name = "drag"
+            parameters = (effects.Parameter("d", "N·s²/m²", lower=0.0),)
+
+            def rows(self, motion: RobotMotion):
+                return {"elbow": motion.body_columns(self.body)[:, 1, :1]}
+
+        drag = Drag("hand", 2.0)
+        assert (drag.where, drag.places, drag.shape) == (("hand",), "body", {"area": 2.0})
+        assert drag.regressor(random_motion()).shape == (20, 3, 1)
+        with pytest.raises(ArgumentError, match=r"drag cannot be made of its place 'hand' alone"):
+            Drag.candidates("hand")
+
+
+def test_exports():
+    assert all(hasattr(effects, name) for name in effects.__all__)
+    assert all(issubclass(cls, Effect) for cls in effects.catalogue())

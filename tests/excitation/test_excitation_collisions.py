@@ -1,0 +1,201 @@
+"""Collision geometry of model files: meshes wherever they are, and public robots as others see."""
+
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from pydrake.geometry import Box, Sphere
+from pydrake.math import RigidTransform
+
+from geodrake.errors import ModelError
+from geodrake.excitation import (
+    CollisionWorld,
+    DesignOptions,
+    FourierMotion,
+    Solid,
+    design_excitation,
+    make_target,
+    motion_limits,
+)
+from geodrake.excitation.collision_meshes import stl_vertices
+from geodrake.model.robot_model import load_description
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+SQUARES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+FACES = [face for a, b, c, d in SQUARES for face in ((a, b, c), (a, c, d))]
+TRIANGLES = CORNERS[np.array(FACES)]
+ARM = """<robot name="arm">
+  <link name="base"/>
+  <link name="head">
+    <inertial><mass value="1"/>
+      <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="1 0 0"/><geometry><mesh filename="{place}" scale="0.1 0.2 0.3"/>
+      </geometry></collision>
+  </link>
+  <joint name="neck" type="revolute"><parent link="base"/><child link="head"/>
+    <axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="9" velocity="2"/></joint>
+</robot>"""
+
+
+def write_binary(path):
+    facets = np.zeros(12, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = TRIANGLES
+    path.write_bytes(b"solid but binary".ljust(80) + np.uint32(12).tobytes() + facets.tobytes())
+
+
+def write_text(path):
+    lines = ["solid cube"]
+    for triangle in TRIANGLES:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"  vertex {x:e} {y} {z}" for x, y, z in triangle]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid cube"]))
+
+
+def write_wavefront(path):
+    lines = [f"v {x} {y} {z}" for x, y, z in CORNERS]
+    path.write_text("\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]))
+
+
+WRITERS = {"binary.stl": write_binary, "text.STL": write_text, "cube.obj": write_wavefront}
+
+
+def arm_with_mesh(tmp_path, name, place):
+    """A head of 0.2 × 0.4 × 0.6 m, one metre from its joint."""
+    folder = tmp_path / "my robot" / "meshes"
+    folder.mkdir(parents=True)
+    WRITERS[name](folder / name)
+    path = tmp_path / "my robot" / "urdf" / "arm.urdf"
+    path.parent.mkdir()
+    path.write_text(ARM.format(place=place.format(folder=folder, name=name)))
+    return load_description(path)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize(
+    "place", ["../meshes/{name}", "{folder}/{name}", "package://my robot/meshes/{name}"]
+)
+def test_meshes_are_found_and_read(name, place, tmp_path):
+    model = arm_with_mesh(tmp_path, name, place)
+    ball = Solid("ball", Sphere(0.1), RigidTransform([0.0, 1.23, 0.0]))
+    world = CollisionWorld(model, obstacles=[ball])
+    distances, names = world.distances(np.array([[0.5 * np.pi], [0.0]]))
+    assert distances[0] == pytest.approx(1.23 - 0.1 - 1.1, abs=1e-6)
+    assert set(names[0].split(" and ")) == {"head", "ball"}
+    assert distances[1] == np.inf
+
+
+def test_vertices_of_stl_files(tmp_path):
+    for name in ("binary.stl", "text.STL"):
+        WRITERS[name](tmp_path / name)
+        found = stl_vertices(tmp_path / name)
+        np.testing.assert_allclose(found, TRIANGLES.reshape(-1, 3))
+
+
+def test_unusable_meshes(tmp_path):
+    contents = b"", b"solid\nendsolid", b"vertex 1 2 x", b"vertex 1 2 3"
+    for number, content in enumerate(contents):
+        path = tmp_path / f"{number}.stl"
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match=rf"{number}\.stl cannot be used"):
+            stl_vertices(path)
+    missing = arm_with_mesh(tmp_path, "text.STL", "../meshes/none.stl")
+    with pytest.raises(
+        ModelError, match=r"none\.stl cannot be used for collisions: .* does not exist"
+    ):
+        CollisionWorld(missing)
+    missing.path.write_text(ARM.format(place="package://other/none.stl"))
+    with pytest.raises(ModelError, match=r"unknown package 'other'"):
+        CollisionWorld(missing)
+    wall = Solid("wall", Box(1, 1, 1), RigidTransform())
+    CollisionWorld(missing, obstacles=[wall], use_file=False)
+
+
+def public_robot(name):
+    """The path of a model of example-robot-data."""
+    try:
+        package = distribution("example-robot-data")
+    except PackageNotFoundError:
+        pytest.skip("example-robot-data is not installed")
+    share = Path(str(package.locate_file("cmeel.prefix/share")))
+    return share / "example-robot-data" / "robots" / name
+
+
+def neighbours(path):
+    """Pairs of links that a joint connects, or that are welded together."""
+    joints = [
+        (j.find("parent").get("link"), j.find("child").get("link"), j.get("type") == "fixed")
+        for j in ElementTree.parse(path).getroot().iter("joint")
+        if j.find("parent") is not None
+    ]
+    group = {name: name for pair in joints for name in pair[:2]}
+    for parent, child, welded in joints:
+        if welded:
+            old, new = group[child], group[parent]
+            group = {name: new if g == old else g for name, g in group.items()}
+    pairs = {frozenset(pair[:2]) for pair in joints}
+    return pairs | {frozenset((a, b)) for a in group for b in group if group[a] == group[b]}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "panda_description/urdf/panda.urdf",
+        "panda_description/urdf/panda_collision.urdf",
+        "ur_description/urdf/ur5_robot.urdf",
+    ],
+)
+def test_distances_of_public_robots_are_pinocchios(name):
+    """Of meshes in STL files, whose convex hulls count, and of primitives."""
+    pin, coal = pytest.importorskip("pinocchio"), pytest.importorskip("coal")
+    path = public_robot(name)
+    model = load_description(path)
+    world = CollisionWorld(model, clearance=1.0)
+    robot = pin.buildModelFromUrdf(str(path))
+    shapes = pin.buildGeomFromUrdf(
+        robot, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parents[4])]
+    )
+    for shape in shapes.geometryObjects:
+        if isinstance(shape.geometry, coal.BVHModelBase):
+            shape.geometry.buildConvexHull(True, "Qt")
+            shape.geometry = shape.geometry.convex
+    near, links = neighbours(path), [s.name.rpartition("_")[0] for s in shapes.geometryObjects]
+    allowed = {frozenset(note.partition(" of ")[0].split(" and ")) for note in world.notes}
+    for i, first in enumerate(links):
+        for j, second in enumerate(links[:i]):
+            if frozenset((first, second)) not in near | allowed:
+                shapes.addCollisionPair(pin.CollisionPair(j, i))
+    limits = motion_limits(model)
+    q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (30, len(model.joints)))
+    order = [model.joints.index(joint) for joint in robot.names[1:]]
+    data, found = robot.createData(), shapes.createData()
+    expected = []
+    for one in q:
+        pin.computeDistances(robot, data, shapes, found, one[order])
+        expected.append(min(result.min_distance for result in found.distanceResults))
+    distances, _ = world.distances(q)
+    apart = np.array(expected) > 1e-3  # depths of overlaps are a matter of definition
+    assert apart.sum() > 3 and not apart.all()
+    np.testing.assert_allclose(distances[apart], np.array(expected)[apart], atol=1e-5)
+    assert (distances[~apart] < 2e-3).all()
+
+
+@pytest.mark.parametrize("solver", ["snopt", "ipopt"])
+def test_a_public_robot_does_not_hit_itself(solver):
+    """SNOPT's way, when it is stopped, has long been through collisions; before, it was better."""
+    model = load_description(public_robot("ur_description/urdf/ur5_robot.urdf"))
+    world, target = CollisionWorld(model, clearance=0.005), make_target(model, noise=1.0)
+    result = design_excitation(
+        target,
+        motion_limits(model, acceleration=6.0, effort=np.inf),
+        trajectory=FourierMotion(6.0, 2),
+        options=DesignOptions(
+            samples=60, iterations=10, sharpness=(8.0,), collisions=world, solver=solver
+        ),
+        seeds=1,
+    )
+    assert result.use.is_within and result.use.distance >= 0.005 - 1e-6
+    assert result.value < 0.7 * result.outcomes[0].random_value
+    assert "link" in result.use.nearest

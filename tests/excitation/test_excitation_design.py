@@ -1,0 +1,526 @@
+"""Designs of motions: gradients of the program, limits kept, and what cannot be designed."""
+
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+import pytest
+from excitation_robots import MODELS, arm, random_pose
+from pydrake.geometry import Box, Capsule, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
+from geodrake.errors import ArgumentError
+from geodrake.excitation import (
+    CollisionWorld,
+    Criterion,
+    DesignOptions,
+    FourierMotion,
+    FreeSamples,
+    MotionLimits,
+    Objective,
+    Solid,
+    SplineMotion,
+    design_excitation,
+    make_target,
+    motion_limits,
+)
+from geodrake.excitation.design import make_problem
+from geodrake.excitation.guess import random_guess
+from geodrake.excitation.postures import possible_postures
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import load_description
+
+FAST = DesignOptions(samples=60, iterations=40, sharpness=(8.0,))
+SHORT = FourierMotion(4.0, 2)
+
+PLANAR = """<robot name="planar">
+  <link name="base"/>
+  {links}
+</robot>"""
+LINK = """<link name="link_{i}">
+    <inertial><origin xyz="0.25 0.02 0"/><mass value="2"/>
+      <inertia ixx="0.02" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0.25 0 0" rpy="0 1.5707963 0"/>
+      <geometry><cylinder radius="0.03" length="0.4"/></geometry></collision>
+  </link>
+  <joint name="joint_{i}" type="revolute">
+    <parent link="{parent}"/><child link="link_{i}"/>
+    <origin xyz="{offset} 0 0"/><axis xyz="0 {y} {z}"/>
+    <limit lower="-2.5" upper="2.5" effort="{effort}" velocity="2"/>
+  </joint>"""
+
+
+def planar(tmp_path, *, effort=60.0, count=2):
+    """A chain of links with collision geometry, turning about z, then about y."""
+    links = "".join(
+        LINK.format(
+            i=i,
+            parent="base" if i == 0 else f"link_{i - 1}",
+            offset=0.5 if i else 0.0,
+            y=i % 2,
+            z=1 - i % 2,
+            effort=effort,
+        )
+        for i in range(count)
+    )
+    path = Path(tmp_path) / "planar.urdf"
+    path.write_text(PLANAR.format(links=links))
+    return load_description(path)
+
+
+def limits_of(model, **changes):
+    nv = len(model.joints)
+    values = {
+        "lower": np.full(nv, -2.0),
+        "upper": np.full(nv, 2.0),
+        "velocity": np.full(nv, 2.0),
+        "acceleration": np.full(nv, 8.0),
+        "effort": np.full(nv, np.inf),
+    }
+    return MotionLimits(model.joints, **(values | changes))
+
+
+def problem_of(model, limits, family=SHORT, **options):
+    chosen = replace(FAST, **options)
+    return make_problem(Objective(make_target(model, noise=0.1)), limits, family, chosen)
+
+
+def drake_efforts(model, motion):
+    """(N, nv) efforts of the rigid bodies, by Drake."""
+    plant, context = model.plant, model.create_context()
+    efforts = np.empty_like(motion.v)
+    for i in range(len(motion)):
+        plant.SetPositions(context, motion.q[i])
+        plant.SetVelocities(context, motion.v[i])
+        gravity = plant.CalcGravityGeneralizedForces(context)
+        efforts[i] = plant.CalcInverseDynamics(context, motion.vd[i], MultibodyForces(plant))
+        efforts[i] -= gravity
+    return efforts
+
+
+def assert_limits_are_kept(result, model):
+    """By a fine look at the motion that knows nothing of the design."""
+    limits, trajectory = result.limits, result.trajectory
+    times = np.linspace(0.0, trajectory.family.length, 2003)
+    q, v, vd = trajectory.states(times)
+    slack = 1e-5
+    assert (q <= limits.upper + slack).all() and (q >= limits.lower - slack).all()
+    assert (np.abs(v) <= limits.velocity * (1 + slack)).all()
+    assert (np.abs(vd) <= limits.acceleration * (1 + slack)).all()
+    effort = drake_efforts(model, trajectory.motion(times[::10]))
+    assert (np.abs(effort) <= limits.effort * (1 + slack)).all()
+    assert result.use.is_within
+
+
+class TestProgram:
+    @pytest.mark.parametrize("family", [SHORT, SplineMotion(3.0, 9), FreeSamples(8)], ids=repr)
+    @pytest.mark.parametrize("start", [None, [0.5, -0.3, 0.2]])
+    def test_gradients(self, family, start):
+        friction = [
+            FittedEffect(CoulombFriction("joint_1"), np.array([2.0])),
+            FittedEffect(ViscousFriction("joint_2"), np.array([1.0])),
+        ]
+        model = arm(effects=friction)
+        problem = problem_of(model, limits_of(model, effort=np.full(3, 50.0)), family, start=start)
+        rng = np.random.default_rng(0)
+        y, direction = rng.uniform(-0.5, 0.5, (2, problem.scale.size))
+        for function in (problem.cost, problem.efforts):
+            value, jacobian = function(y)
+            h = 1e-6
+            ends = [np.asarray(function(y + by * direction)[0]) for by in (h, -h)]
+            slope = (ends[0] - ends[1]) / (2 * h)
+            atol = 1e-6 * (np.abs(slope).max() + 1.0)
+            np.testing.assert_allclose(jacobian @ direction, slope, atol=atol)
+            assert np.isfinite(value).all()
+
+    def test_gradients_of_collisions(self, tmp_path):
+        model = planar(tmp_path)
+        world = CollisionWorld(
+            model, obstacles=[Solid("ball", Sphere(0.2), RigidTransform([0.75, 0.3, 0.0]))]
+        )
+        problem = problem_of(model, limits_of(model), collisions=world)
+        rng = np.random.default_rng(1)
+        y, direction = rng.uniform(-0.3, 0.3, (2, problem.scale.size))
+        values, jacobian = problem.nearness(y)
+        ends = [problem.nearness(y + by * direction)[0] for by in (1e-6, -1e-6)]
+        slope = (ends[0] - ends[1]) / 2e-6
+        assert values.max() > 1.0  # some are too near
+        np.testing.assert_allclose(jacobian @ direction, slope, atol=1e-5 * np.abs(slope).max())
+
+    def test_ends_are_fixed_without_constraints(self):
+        model = arm()
+        problem = problem_of(model, limits_of(model), start=[0.5, -0.3, 0.2])
+        y = np.random.default_rng(2).normal(size=problem.scale.size)
+        ends = problem.trajectory(y).states([0.0, SHORT.length])
+        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-9)
+        np.testing.assert_allclose(ends[0, 0], [0.5, -0.3, 0.2], atol=1e-9)
+
+    @pytest.mark.parametrize("family", [SHORT, SplineMotion(3.0, 9), FreeSamples(8)], ids=repr)
+    def test_random_guesses_keep_the_limits(self, family, tmp_path):
+        model = planar(tmp_path, effort=12.0, count=3)
+        limits = limits_of(model, effort=np.array([12.0, 25.0, 12.0]))
+        problem = problem_of(model, limits, family)
+        postures = possible_postures(model, limits, None)
+        for seed in range(5):
+            guess = random_guess(problem, postures, np.random.default_rng(seed))
+            trajectory = problem.trajectory(guess)
+            q, v, _ = trajectory.states(family.times(300))
+            assert (np.abs(q) <= 2.0).all() and (np.abs(v) <= 2.0).all()
+            motion = trajectory.motion(family.times(300))
+            assert (np.abs(drake_efforts(model, motion)) <= limits.effort).all()
+            assert np.abs(v).max() > 0.1
+
+
+class TestDesigns:
+    @pytest.mark.parametrize("family", [SHORT, SplineMotion(4.0, 9)], ids=repr)
+    @pytest.mark.parametrize("solver", ["snopt", "ipopt"])
+    def test_within_limits_and_better_than_random(self, family, solver):
+        model = arm()
+        effort = np.array([60.0, 35.0, 12.0])
+        result = design_excitation(
+            make_target(model, noise=0.1),
+            limits_of(model, effort=effort),
+            trajectory=family,
+            options=replace(FAST, solver=solver),
+            seeds=2,
+        )
+        assert_limits_are_kept(result, model)
+        ends = result.trajectory.states([0.0, family.length])
+        np.testing.assert_allclose(ends[1:], 0.0, atol=1e-8)
+        for outcome in result.outcomes:
+            assert outcome.value < 0.3 * outcome.random_value
+            assert outcome.evaluations > 10
+        assert result.value == min(outcome.value for outcome in result.outcomes)
+        assert result.value == pytest.approx(1.0 / result.eigenvalues[0])
+        assert len(result.motion) == result.samples == 60
+        assert result.use.velocity.max() > 0.9
+
+    def test_solvers_agree(self):
+        model = arm(joints="RR")
+        values = [
+            design_excitation(
+                make_target(model),
+                limits_of(model),
+                criterion="d_optimality",
+                trajectory=SHORT,
+                options=replace(FAST, solver=solver, iterations=200),
+                seeds=3,
+            ).value
+            for solver in ("snopt", "ipopt")
+        ]
+        assert values[0] == pytest.approx(values[1], abs=0.05)
+
+    def test_the_optimum_does_not_depend_on_frames_and_base(self):
+        rng = np.random.default_rng(3)
+        model, turned = arm(joints="RR"), arm(joints="RR", frames=[random_pose(rng) for _ in "RR"])
+        results = [
+            design_excitation(
+                make_target(robot, noise=0.1),
+                limits_of(robot),
+                trajectory=SHORT,
+                options=replace(FAST, iterations=300),
+                seeds=1,
+            )
+            for robot in (model, turned)
+        ]
+        assert results[0].value == pytest.approx(results[1].value, rel=1e-3)
+
+    def test_same_seed_same_motion(self):
+        model = arm(joints="RR")
+        first, second = (
+            design_excitation(model, limits_of(model), trajectory=SHORT, options=FAST, seeds=[7])
+            for _ in range(2)
+        )
+        np.testing.assert_array_equal(first.trajectory.coefficients, second.trajectory.coefficients)
+        assert [outcome.seed for outcome in first.outcomes] == [7]
+
+    def test_free_samples(self):
+        model = arm()
+        result = design_excitation(
+            model,
+            limits_of(model),
+            criterion="condition_number",
+            trajectory=FreeSamples(20),
+            options=FAST,
+            seeds=1,
+        )
+        q, v, vd = result.trajectory.states([0.0])
+        assert q.shape == (20, 3) and result.samples == 20
+        for values, limit in ((q, 2.0), (v, 2.0), (vd, 8.0)):
+            assert (np.abs(values) <= limit * (1 + 1e-6)).all()
+        assert result.value < 0.7 * result.outcomes[0].random_value
+
+    @pytest.mark.parametrize("family", [FourierMotion(8.0, 5), SplineMotion(4.0, 12)], ids=repr)
+    @pytest.mark.parametrize("start", [[0.5, -0.3, 1.9], [2.0, -2.0, 2.0]])
+    def test_start(self, start, family):
+        model = arm()
+        result = design_excitation(
+            model,
+            limits_of(model),
+            trajectory=family,
+            options=replace(FAST, start=start),
+            seeds=1,
+        )
+        assert result.value < 0.5 * result.outcomes[0].random_value
+        assert result.value < 1e3
+        np.testing.assert_allclose(result.trajectory.states([0.0])[0, 0], start, atol=1e-9)
+        assert_limits_are_kept(result, model)
+
+    def test_friction_is_told_too(self):
+        friction = [
+            FittedEffect(effect(f"joint_{i}"), np.array([1.0]))
+            for effect in (CoulombFriction, ViscousFriction)
+            for i in range(3)
+        ]
+        model = arm(effects=friction)
+        target = make_target(model, bodies=(), noise=0.1)
+        result = design_excitation(
+            target, limits_of(model), trajectory=SHORT, options=FAST, seeds=1
+        )
+        assert len(result.eigenvalues) == 6
+        assert result.value < 0.8 * result.outcomes[0].random_value
+
+    def test_progress_and_interruption(self):
+        model, seen = arm(joints="RR"), []
+        result = design_excitation(
+            model,
+            limits_of(model),
+            trajectory=SHORT,
+            options=FAST,
+            seeds=2,
+            progress=seen.append,
+        )
+        assert [p.evaluations for p in seen] == list(range(1, len(seen) + 1))
+        assert {p.seed for p in seen} == {0, 1} and seen[0].seeds == 2
+        assert sum(outcome.evaluations for outcome in result.outcomes) == len(seen)
+        assert min(p.value for p in seen) < seen[0].value
+
+        class StopError(Exception):
+            pass
+
+        def stop(progress):
+            if progress.evaluations == 5:
+                raise StopError
+
+        with pytest.raises(StopError):
+            design_excitation(
+                model, limits_of(model), trajectory=SHORT, options=FAST, progress=stop
+            )
+
+    def test_time_is_kept(self):
+        model = arm()
+        options = replace(FAST, seconds=1e-9)
+        result = design_excitation(
+            model, limits_of(model), trajectory=SHORT, options=options, seeds=1
+        )
+        assert result.outcomes[0].value == result.outcomes[0].random_value
+        assert_limits_are_kept(result, model)
+
+
+class TestCollisions:
+    def wall(self):
+        return Solid("wall", Box(0.1, 2.0, 2.0), RigidTransform([0.0, -0.5, 0.0]))
+
+    def test_obstacles_are_avoided(self, tmp_path):
+        model = planar(tmp_path)
+        ball = Solid("ball", Sphere(0.15), RigidTransform([0.3, 0.8, 0.0]))
+        world = CollisionWorld(model, obstacles=[ball], clearance=0.02)
+        limits = limits_of(model, acceleration=np.full(2, 4.0))
+        settings = {"trajectory": SHORT, "seeds": 1}
+        free = design_excitation(model, limits, options=FAST, **settings)
+        kept = design_excitation(model, limits, options=replace(FAST, collisions=world), **settings)
+        times = np.linspace(0.0, 4.0, 400)
+        assert world.distances(free.trajectory.motion(times).q)[0].min() < 0.0
+        assert world.distances(kept.trajectory.motion(times).q)[0].min() > 0.0195
+        assert kept.use.is_within and kept.use.distance >= 0.02 - 1e-6
+        assert kept.value >= 0.99 * free.value
+
+    def test_distances_and_names(self, tmp_path):
+        model = planar(tmp_path)
+        ball = Solid("ball", Sphere(0.1), RigidTransform([1.1, 0.0, 0.0]))
+        world = CollisionWorld(model, obstacles=[ball], clearance=0.5)
+        distances, names = world.distances(np.array([[0.0, 0.0], [2.0, 0.0]]))
+        assert distances[0] == pytest.approx(1.0 - 0.95, abs=1e-6)  # the link ends at 0.95 m
+        assert names[0] in ("link_1 and ball", "ball and link_1")
+        assert distances[1] > 0.5
+
+    def test_links_of_ones_own_and_overlaps(self, tmp_path):
+        model = planar(tmp_path, count=3)
+        fat = {"link_0": [Solid("fat", Sphere(1.2), RigidTransform())]}
+        world = CollisionWorld(model, links=fat)
+        assert any("link_0" in note and "link_2" in note for note in world.notes)
+        bare = CollisionWorld(
+            model,
+            use_file=False,
+            links={
+                "link_0": [Solid("a", Capsule(0.02, 0.3), RigidTransform())],
+                "link_2": [Solid("b", Capsule(0.02, 0.3), RigidTransform())],
+            },
+        )
+        assert not bare.notes
+
+    def test_bad_geometry(self, tmp_path):
+        model = planar(tmp_path)
+        with pytest.raises(ArgumentError, match=r"no link 'hand'.*link_1"):
+            CollisionWorld(model, links={"hand": []})
+        with pytest.raises(ArgumentError, match="no collision geometry and there are no obstacles"):
+            CollisionWorld(model, use_file=False)
+        with pytest.raises(ArgumentError, match="clearance must be"):
+            CollisionWorld(model, clearance=-0.1)
+
+    def test_start_in_collision_and_no_way_out(self, tmp_path):
+        model = planar(tmp_path)
+        ball = Solid("ball", Sphere(0.15), RigidTransform([0.7, 0.0, 0.0]))
+        options = replace(
+            FAST, collisions=CollisionWorld(model, obstacles=[ball]), start=[0.0, 0.0]
+        )
+        with pytest.raises(ArgumentError, match=r"start is in collision: .*ball"):
+            design_excitation(model, limits_of(model), trajectory=SHORT, options=options)
+        cage = Solid("cage", Sphere(3.0), RigidTransform())
+        options = replace(FAST, collisions=CollisionWorld(model, obstacles=[cage]))
+        with pytest.raises(ArgumentError, match=r"collides in all of \d+ postures.*cage"):
+            design_excitation(model, limits_of(model), trajectory=SHORT, options=options)
+
+
+class TestBadInput:
+    def test_limits_without_room(self):
+        model = arm()
+        with pytest.raises(ArgumentError, match=r"'joint_1' has no room to move: .* 2 … 2"):
+            limits_of(model, lower=np.array([-2.0, 2.0, -2.0]))
+        for name in ("velocity", "acceleration", "effort"):
+            with pytest.raises(ArgumentError, match=rf"'joint_2' has no room.*largest {name} is 0"):
+                limits_of(model, **{name: np.array([1.0, 1.0, 0.0])})
+        with pytest.raises(ArgumentError, match="no room"):
+            limits_of(model, lower=np.array([np.nan, -2.0, -2.0]))
+
+    def test_infinite_limits(self):
+        model = arm(joints="RPR")
+        with pytest.raises(ArgumentError, match=r"speed of joint 'joint_0' is not limited"):
+            motion_limits(model, position={"joint_1": (-1, 1)})
+        with pytest.raises(ArgumentError, match=r"position of joint 'joint_1' is not limited"):
+            motion_limits(model, velocity=1.0)
+        limits = motion_limits(model, position={"joint_1": (-1, 1)}, velocity=1.0)
+        np.testing.assert_allclose(limits.upper, [np.pi, 1.0, np.pi])
+        assert np.isinf(limits.acceleration).all()
+        with pytest.raises(ArgumentError, match=r"acceleration of joint 'joint_0'.*free samples"):
+            design_excitation(model, limits, trajectory=FreeSamples(20))
+
+    def test_limits_of_a_file(self):
+        model = load_description(MODELS / "arm7.urdf")
+        limits = motion_limits(model, velocity={"joint_2": 0.5}, acceleration=[4.0] * 7)
+        assert limits.velocity.tolist() == [1.6, 0.5, 1.9, 1.9, 2.2, 3.0, 3.0]
+        assert limits.upper.tolist() == [2.9, 2.0, 2.9, 2.0, 2.9, 2.0, 3.0]
+        assert limits.effort.tolist() == [320, 320, 180, 180, 110, 45, 45]
+        half = limits.scaled(0.5)
+        np.testing.assert_allclose(half.upper, 0.5 * limits.upper)
+        np.testing.assert_allclose(half.effort, 0.5 * limits.effort)
+        with pytest.raises(ArgumentError, match=r"no joint 'elbow'"):
+            motion_limits(model, effort={"elbow": 1.0})
+        with pytest.raises(ArgumentError, match=r"shape \(2,\)"):
+            motion_limits(model, velocity=[1.0, 2.0])
+        with pytest.raises(ArgumentError, match="pairs"):
+            motion_limits(model, position={"joint_1": 2.0})
+        with pytest.raises(ArgumentError, match="share"):
+            limits.scaled(0.0)
+
+    def test_start_outside(self):
+        model = arm()
+        for start, message in (
+            ([0.0, 2.5, 0.0], r"'joint_1' is at 2\.5, and may be from -2 to 2"),
+            ([0.0, 0.0], "3 finite positions"),
+        ):
+            with pytest.raises(ArgumentError, match=message):
+                design_excitation(
+                    model, limits_of(model), trajectory=SHORT, options=replace(FAST, start=start)
+                )
+
+    def test_gravity_stronger_than_the_robot(self, tmp_path):
+        model = planar(tmp_path)
+        weak = limits_of(model, effort=np.array([10.0, 1.0]))
+        with pytest.raises(ArgumentError, match=r"'joint_1' needs .* hold the robot at the start"):
+            design_excitation(
+                model, weak, trajectory=SHORT, options=replace(FAST, start=[0.0, 0.0])
+            )
+        weak = limits_of(
+            model, effort=np.array([10.0, 1.0]), lower=np.full(2, -0.5), upper=np.full(2, 0.5)
+        )
+        with pytest.raises(ArgumentError, match=r"Gravity is stronger.*joint_1 .*'joint_1' needs"):
+            design_excitation(model, weak, trajectory=SHORT, options=FAST)
+
+    def test_other_arguments(self):
+        model = arm()
+        limits = limits_of(model)
+        for arguments, message in (
+            ({"criterion": "g"}, "no criterion"),
+            ({"normalization": "g"}, "normalization must be one of"),
+            ({"seeds": 0}, "at least one seed"),
+            ({"options": replace(FAST, samples=0)}, "at least one seed"),
+            ({"options": replace(FAST, solver="magic")}, "No nonlinear solver 'magic'.*snopt"),
+            ({"options": replace(FAST, samples=3)}, "Use more samples"),
+            ({"trajectory": FourierMotion(4.0, 1, offset=False)}, "more coefficients"),
+        ):
+            with pytest.raises(ArgumentError, match=message):
+                design_excitation(
+                    model, limits, **({"trajectory": SHORT, "options": FAST} | arguments)
+                )
+        with pytest.raises(ArgumentError, match="are of the joints"):
+            design_excitation(model, limits_of(arm(joints="RR")))
+        off = limits_of(model, lower=np.array([0.5, -2, -2]))
+        with pytest.raises(ArgumentError, match=r"about zero, which joint 'joint_0' cannot"):
+            design_excitation(
+                model, off, trajectory=FourierMotion(4.0, 2, offset=False), options=FAST
+            )
+
+
+def test_gradient_is_much_faster_than_differences():
+    """A seven-joint arm, 1,000 samples, 70 Fourier coefficients."""
+    model = load_description(MODELS / "arm7.urdf")
+    family = FourierMotion(10.0, 5, 0.3 * np.pi, offset=False)
+    options = DesignOptions(samples=1000, rest=False)
+    objective = Objective(make_target(model, noise=0.1), Criterion())
+    problem = make_problem(objective, motion_limits(model), family, options)
+    y = np.random.default_rng(0).uniform(-0.2, 0.2, problem.scale.size)
+    assert y.size == 70
+
+    def smooth_value(y):
+        states = problem.basis @ problem.coefficients(y)
+        motion = Motion(*states)
+        eigenvalues = objective.eigenvalues(motion)
+        return objective.criterion.objective(np.log(eigenvalues))[0]
+
+    problem.cost(y)
+    begin = process_time()
+    for _ in range(5):
+        value, gradient = problem.cost(y)
+    analytic = (process_time() - begin) / 5
+    begin = process_time()
+    h = 1e-6
+    slopes = [(smooth_value(y + h * e) - value) / h for e in np.eye(70)]
+    differences = process_time() - begin
+    np.testing.assert_allclose(gradient, slopes, atol=1e-4 * np.abs(gradient).max())
+    assert differences > 20.0 * analytic
+
+
+def test_cost_grows_at_most_linearly():
+    """In samples, and in the coefficients of a motion."""
+    model = load_description(MODELS / "arm7.urdf")
+    objective, limits = Objective(make_target(model, noise=0.1)), motion_limits(model)
+
+    def seconds(samples, modes):
+        options = DesignOptions(samples=samples, rest=False)
+        problem = make_problem(objective, limits, FourierMotion(10.0, modes), options)
+        y = np.random.default_rng(0).uniform(-0.1, 0.1, problem.scale.size)
+        problem.cost(y)
+        times = []
+        for _ in range(3):
+            begin = process_time()
+            problem.cost(y)
+            times.append(process_time() - begin)
+        return min(times)
+
+    few = seconds(500, 5)
+    assert seconds(2000, 5) < 1.5 * 4 * few
+    assert seconds(500, 20) < 4 * few

@@ -1,0 +1,305 @@
+"""What data can tell: the source's formulas, a second solver, statistics, and invariance."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from excitation_robots import arm, motion_of, random_pose
+from pydrake.math import RigidTransform
+from pydrake.solvers import MathematicalProgram, Solve
+from scipy.linalg import sqrtm
+
+from geodrake.effects import CoulombFriction, FittedEffect
+from geodrake.errors import ArgumentError
+from geodrake.excitation import (
+    Criterion,
+    DesignOptions,
+    FourierMotion,
+    MotionLimits,
+    Objective,
+    design_reduced_excitation,
+    identifiable_parameters,
+    make_target,
+    measurement_factor,
+    reduced_design,
+    reduced_identification,
+)
+from geodrake.logs.motion import Motion
+
+NOISE = 0.5
+
+
+def slow_motion(model, seed=0, count=60):
+    """A motion that hardly excites inertia."""
+    motion = motion_of(model, seed, count)
+    return Motion(0.4 * motion.q, 0.1 * motion.v, 0.1 * motion.vd)
+
+
+def measured_case(seed=0, *, effects=()):
+    """A target, a slow motion, noisy efforts of other parameters, and those parameters."""
+    model, rng = arm(effects=effects), np.random.default_rng(seed)
+    target = make_target(model, noise=NOISE)
+    truth = target.prior + 0.1 * target.metric_root @ rng.normal(size=target.size)
+    motion = slow_motion(model, seed)
+    exact = target.measure(motion).regressor @ truth
+    return target, motion, exact + NOISE * rng.normal(size=exact.shape), truth
+
+
+class TestFormulas:
+    def test_closed_form_of_the_source(self):
+        """[Lee2019] Eqs. (4.5.53) to (4.5.60), with explicit matrices in base parameters."""
+        target, *_ = measured_case()
+        motion = motion_of(target.model, 0, 60)  # so lively that inverses have digits left
+        b = 10.0 * np.random.default_rng(1).normal(size=(60, 3))
+        B, prior_B = target.base.matrix, target.base.values(target.prior)
+        A = target.base.regressor(target.measure(motion).regressor).reshape(-1, len(B)) / NOISE
+        b_white = b.reshape(-1) / NOISE
+        H = target.base.metric(target.inertial_prior)
+        root = np.real(sqrtm(H))
+        variances, U = np.linalg.eigh(root @ np.linalg.inv(A.T @ A) @ root)
+        V = np.linalg.solve(root, U)
+        threshold = float(np.sqrt(variances[7] * variances[8]))
+        low, high = V[:, :8], V[:, 8:]
+        expected = low @ (variances[:8, None] * (low.T @ A.T @ b_white)[:, None]).ravel()
+        expected = expected + high @ high.T @ H @ prior_B
+        factor = measurement_factor(target, motion, [b])
+        found = reduced_identification(target, factor, threshold=threshold)
+        assert found.identifiable.kept == 8
+        np.testing.assert_allclose(found.identifiable.variances, variances, rtol=1e-6)
+        np.testing.assert_allclose(found.base_parameters, expected, rtol=1e-6, atol=1e-8)
+        directions = found.identifiable.base_directions
+        np.testing.assert_allclose(directions.T @ H @ directions, np.eye(len(B)), atol=1e-7)
+        np.testing.assert_allclose(found.base_parameters, B @ found.parameters, rtol=1e-9)
+
+    def test_constrained_least_squares_by_another_solver(self):
+        """[Lee2019] Eqs. (4.5.58), (4.5.59)."""
+        target, motion, b, _ = measured_case(
+            1, effects=[FittedEffect(CoulombFriction("joint_1"), np.array([2.0]))]
+        )
+        factor = measurement_factor(target, motion, [b])
+        found = reduced_identification(target, factor, kept=6)
+        rows, size = factor[:, :-1] @ np.linalg.pinv(target.base.matrix), target.base.rank
+        H = target.base.metric(target.inertial_prior, extra=[0.5 / 2.0**2])
+        program = MathematicalProgram()
+        x = program.NewContinuousVariables(size)
+        program.Add2NormSquaredCost(rows, factor[:, -1], x)
+        held = found.identifiable.base_directions[:, 6:].T @ H
+        prior_B = target.base.values(target.prior)
+        program.AddLinearEqualityConstraint(held, held @ prior_B, x)
+        expected = Solve(program).GetSolution(x)
+        np.testing.assert_allclose(found.base_parameters, expected, rtol=1e-5, atol=1e-6)
+
+    def test_all_directions_are_least_squares(self):
+        target, motion, b, _ = measured_case(2)
+        A = target.base.regressor(target.measure(motion).regressor).reshape(-1, target.base.rank)
+        expected = np.linalg.lstsq(A, b.ravel())[0]
+        factor = measurement_factor(target, motion, [b])
+        full = reduced_identification(target, factor, threshold=np.inf)
+        assert full.identifiable.kept == target.base.rank
+        np.testing.assert_allclose(full.base_parameters, expected, rtol=1e-6, atol=1e-7)
+        assert full.phi.shape == (3, 10)
+
+    def test_what_is_not_seen_stays_nearest_to_the_prior(self):
+        target, motion, b, _ = measured_case(3)
+        found = reduced_identification(target, measurement_factor(target, motion, [b]), kept=5)
+        step = np.linalg.solve(target.metric_root, found.parameters - target.prior)
+        null = np.linalg.svd(target.base.matrix @ target.metric_root)[2][target.base.rank :]
+        np.testing.assert_allclose(null @ step, 0.0, atol=1e-9)
+
+
+class TestProperties:
+    def test_variances_are_those_of_estimates(self):
+        target, motion, _, truth = measured_case(4)
+        exact = target.measure(motion).regressor @ truth
+        rng, estimates = np.random.default_rng(0), []
+        for _ in range(400):
+            b = exact + NOISE * rng.normal(size=exact.shape)
+            found = reduced_identification(target, measurement_factor(target, motion, [b]), kept=4)
+            estimates.append(found.parameters)
+        whitened = np.linalg.solve(target.metric_root, np.array(estimates).T)
+        along = np.linalg.solve(target.metric_root, found.identifiable.directions[:, :4])
+        spread = (along.T @ whitened).var(axis=1)
+        np.testing.assert_allclose(spread, found.identifiable.variances[:4], rtol=0.25)
+
+    def test_neither_frames_nor_base_matter(self):
+        rng = np.random.default_rng(5)
+        model, turned = arm(), arm(frames=[random_pose(rng) for _ in range(3)])
+        motion, check = slow_motion(model), motion_of(model, 9)
+        b = np.random.default_rng(6).normal(size=(60, 3)) * 5.0
+        predictions, counts = [], []
+        for robot in (model, turned):
+            target = make_target(robot, noise=NOISE)
+            factor = measurement_factor(target, motion, [b])
+            found = reduced_identification(target, factor, threshold=1.0)
+            predictions.append(target.measure(check).regressor @ found.parameters)
+            counts.append(found.identifiable.counts)
+        scale = np.abs(predictions[0]).max()
+        np.testing.assert_allclose(predictions[0], predictions[1], atol=1e-7 * scale)
+        np.testing.assert_allclose(counts[0], counts[1], atol=1e-7)
+
+    def test_eigenvalues_are_those_of_the_criterion(self):
+        target, motion, *_ = measured_case()
+        found = identifiable_parameters(target, measurement_factor(target, motion), threshold=1.0)
+        expected = Objective(target).eigenvalues(motion)
+        np.testing.assert_allclose(1.0 / found.variances, expected[::-1], rtol=1e-8)
+
+    def test_shares_and_counts(self):
+        friction = [FittedEffect(CoulombFriction("joint_0"), np.array([2.0]))]
+        target, motion, *_ = measured_case(effects=friction)
+        found = identifiable_parameters(target, measurement_factor(target, motion), threshold=1.0)
+        assert found.shares.shape == (4, target.base.rank)
+        np.testing.assert_allclose(found.shares.sum(axis=0), 1.0)
+        assert found.counts.sum() == pytest.approx(found.kept)
+        assert (found.counts[:3] <= 10).all() and 0 <= found.counts[3] <= 1 + 1e-9
+
+    def test_more_data_keep_more(self):
+        target, motion, *_ = measured_case()
+        motions = [motion_of(target.model, seed, 200) for seed in range(5)]
+        kept = [
+            identifiable_parameters(target, measurement_factor(target, some), threshold=1e-2).kept
+            for some in ([motions[0]], motions, [*motions, motion])
+        ]
+        assert kept == sorted(kept) and kept[0] < kept[-1]
+
+    def test_reduced_beats_full_where_data_are_poor(self):
+        """Parameter errors √(⟨φ_B* − φ_B, ·⟩/n_B), as in table 4.3."""
+        for seed in range(3):
+            target, motion, b, truth = measured_case(seed)
+            H = target.base.metric(target.inertial_prior)
+            factor = measurement_factor(target, motion, [b])
+
+            def error(values, target=target, H=H, truth=truth):
+                off = values - target.base.values(truth)
+                return np.sqrt(off @ H @ off / len(off))
+
+            reduced = reduced_identification(target, factor, threshold=1e-3)
+            full = reduced_identification(target, factor, threshold=np.inf)
+            prior = error(target.base.values(target.prior))
+            assert error(reduced.base_parameters) < prior < error(full.base_parameters)
+
+    def test_base_wrench_of_a_force_plate(self):
+        model = arm()
+        noise = [1.5] * 3 + [0.5] * 3
+        target = make_target(model, noise=noise, X_WP=RigidTransform([0.1, 0.0, -0.2]))
+        motion, rng = motion_of(model, 0, 300), np.random.default_rng(7)
+        truth = target.prior + 0.1 * target.metric_root @ rng.normal(size=target.size)
+        b = target.measure(motion).regressor @ truth + noise * rng.normal(size=(300, 6))
+        found = reduced_identification(target, measurement_factor(target, motion, [b]))
+        off = np.abs(found.base_parameters - target.base.values(truth))
+        prior = np.abs(target.base.values(target.prior) - target.base.values(truth))
+        assert np.linalg.norm(off) < 0.5 * np.linalg.norm(prior)
+
+    def test_long_motions_are_reduced_in_pieces(self):
+        target, *_ = measured_case()
+        motion = motion_of(target.model, 0, 4500)
+        X = target.measure(motion).regressor.reshape(-1, target.size) / NOISE
+        R = measurement_factor(target, motion)
+        np.testing.assert_allclose(R.T @ R, X.T @ X, rtol=1e-9, atol=1e-6)
+
+
+class TestBadInput:
+    def test_nothing_is_kept(self):
+        target, motion, b, _ = measured_case()
+        factor = measurement_factor(target, motion, [b])
+        for threshold in (1e-12, 0.0, -1.0, np.nan):
+            with pytest.raises(ArgumentError, match=r"most certain .* variance|threshold must"):
+                reduced_identification(target, factor, threshold=threshold)
+        for kept in (0, 99):
+            with pytest.raises(ArgumentError, match=f"{kept} directions cannot be kept"):
+                identifiable_parameters(target, factor, kept=kept)
+        still = Motion(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros((5, 3)))
+        with pytest.raises(ArgumentError, match="keeps nothing"):
+            identifiable_parameters(target, 0.0 * measurement_factor(target, still))
+
+    def test_more_than_the_data_see_is_kept(self):
+        target, motion, *_ = measured_case()
+        alone = np.array([1.0, 0.0, 0.0])  # the first joint moves, and the others rest
+        motion = Motion(alone * motion.q, alone * motion.v, alone * motion.vd)
+        b = target.measure(motion).regressor @ target.prior
+        factor = measurement_factor(target, motion, [b])
+        full = reduced_identification(target, factor, threshold=np.inf)
+        assert full.identifiable.kept < target.base.rank
+        np.testing.assert_allclose(full.parameters, target.prior, atol=1e-6)
+        with pytest.raises(ArgumentError, match=r"the data say something of \d+ alone"):
+            reduced_identification(target, factor, kept=target.base.rank)
+
+    def test_shapes(self):
+        target, motion, b, _ = measured_case()
+        with pytest.raises(ArgumentError, match="measurements of 2 of them"):
+            measurement_factor(target, motion, [b, b])
+        with pytest.raises(ArgumentError, match=r"\(59, 3\); the motion needs \(60, 3\)"):
+            measurement_factor(target, motion, [b[1:]])
+        with pytest.raises(ArgumentError, match=r"with measurements it is \(31, 31\)"):
+            reduced_identification(target, measurement_factor(target, motion))
+        with pytest.raises(ArgumentError, match="the target has 30 parameters"):
+            identifiable_parameters(target, np.eye(20))
+
+
+class TestReducedExcitation:
+    LIMITS = (np.full(2, -0.3), np.full(2, 0.3), np.full(2, 0.5), np.full(2, 2.0))
+    OPTIONS = DesignOptions(samples=50, iterations=40, sharpness=(8.0,))
+
+    def test_as_many_as_can_be_told(self):
+        model = arm(joints="RR")
+        limits = MotionLimits(model.joints, *self.LIMITS, np.full(2, np.inf))
+        target = make_target(model, noise=0.05)
+        family = FourierMotion(4.0, 2)
+        found = design_reduced_excitation(
+            target, limits, threshold=0.1, trajectory=family, options=self.OPTIONS
+        )
+        assert 1 <= found.kept < target.base.rank
+        assert found.result.value <= 0.1
+        values = dict(found.tried)
+        assert values[found.kept + 1] > 0.1  # tried, and not good enough
+        criterion = Criterion(kept=found.kept)
+        assert criterion.value(found.result.eigenvalues) == found.result.value
+        data = measurement_factor(target, found.result.motion)
+        told = identifiable_parameters(target, data, kept=found.kept)
+        assert told.threshold == pytest.approx(found.result.value, rel=1e-6)
+
+    def test_all_or_nothing(self):
+        model = arm(joints="RR")
+        limits = MotionLimits(model.joints, *self.LIMITS, np.full(2, np.inf))
+        target, family = make_target(model, noise=0.05), FourierMotion(4.0, 2)
+        settings = {"trajectory": family, "options": self.OPTIONS}
+        everything = design_reduced_excitation(target, limits, threshold=1e9, **settings)
+        assert everything.kept == target.base.rank and len(everything.tried) == 1
+        with pytest.raises(ArgumentError, match="even one direction"):
+            design_reduced_excitation(target, limits, threshold=1e-12, **settings)
+
+    def test_the_motion_is_the_one_that_tells_so_many(self, monkeypatch):
+        """Motions that were tried in between, and tell fewer, do not take its place."""
+        model = arm(joints="RR")
+        target = make_target(model, noise=0.05)
+        rank = target.base.rank
+        spectra = (
+            np.r_[np.full(rank - 2, 1.0), 100.0, 100.0],  # tells two directions well enough
+            np.r_[np.full(rank - 1, 5.0), 100.0],  # tells one
+        )
+
+        def designed(*_, criterion, options, **__):
+            """The first motion is for all directions; for two, the solver stays at the guess."""
+            number = {rank: 0, 2: options.guess}.get(criterion.kept, 1)
+            return SimpleNamespace(
+                value=criterion.value(spectra[number]),
+                eigenvalues=spectra[number],
+                trajectory=SimpleNamespace(coefficients=number),
+            )
+
+        monkeypatch.setattr(reduced_design, "design_excitation", designed)
+        found = design_reduced_excitation(target, threshold=0.02)
+        assert found.kept == 2 and len(found.tried) > 2
+        assert found.result.value <= 0.02
+
+    def test_guess(self):
+        model = arm(joints="RR")
+        limits = MotionLimits(model.joints, *self.LIMITS, np.full(2, np.inf))
+        target, family = make_target(model, noise=0.05), FourierMotion(4.0, 2)
+        wrong = replace(self.OPTIONS, guess=np.zeros((3, 2)))
+        with pytest.raises(
+            ArgumentError, match=r"guess has the shape \(3, 2\) and must be \(5, 2\)"
+        ):
+            design_reduced_excitation(
+                target, limits, threshold=1.0, trajectory=family, options=wrong
+            )

@@ -1,0 +1,165 @@
+"""Gradients of regressors: against finite differences, and Drake's AutoDiff of inverse dynamics."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.tree import MultibodyForces_
+from random_plants import JOINTS, random_motion, random_plant, random_tree
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation.regressor_gradient import (
+    base_wrench_regressor_gradient,
+    inverse_dynamics_regressor_gradient,
+    regressor_jacobian,
+)
+from geodrake.inertia import inertial_parameters
+from geodrake.robot.floating_base import base_wrench_regressor
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import piece_size
+from geodrake.robot.regressor import inverse_dynamics_regressor
+
+NAMES = ("q", "v", "vd")
+
+
+def differences(function, motion, step=1e-4):
+    """Fourth-order differences of (N, ...) values that depend on their own sample only."""
+    found = []
+    for which in range(3):
+        columns = []
+        for column in range(motion[which].shape[1]):
+
+            def moved(by, which=which, column=column):
+                changed = [x.copy() for x in motion]
+                changed[which][:, column] += by
+                return function(*changed)
+
+            near, far = moved(step) - moved(-step), moved(2 * step) - moved(-2 * step)
+            columns.append((8 * near - far) / (12 * step))
+        found.append(np.stack([*columns, function(*motion)], -1)[..., :-1])  # of none, too
+    return found
+
+
+def assert_gradient(gradient, expected):
+    for name, values in zip(NAMES, expected, strict=True):
+        scale = np.abs(values).max(initial=0.0) + 1.0
+        np.testing.assert_allclose(getattr(gradient, name), values, rtol=0, atol=2e-9 * scale)
+
+
+def assert_equals_differences(plant, rng):
+    tree, motion = KinematicTree.from_plant(plant), random_motion(plant, rng, 3)
+    weights = rng.normal(size=(3, plant.num_velocities(), 10 * len(tree.bodies)))
+
+    def value(*motion):
+        return np.einsum("nij,nij->n", weights, inverse_dynamics_regressor(tree, *motion))
+
+    gradient = inverse_dynamics_regressor_gradient(plant, *motion, weights)
+    assert_gradient(gradient, differences(value, motion))
+
+
+@pytest.mark.parametrize("kind", sorted(set(JOINTS) - {"weld", "weld, reversed"}))
+def test_every_joint_type_alone_and_inside_a_chain(kind):
+    rng = np.random.default_rng(0)
+    assert_equals_differences(random_plant(rng, [kind]), rng)
+    if kind != "none":
+        kinds = ["revolute", kind, "revolute"]
+        assert_equals_differences(random_plant(rng, kinds, chain=True), rng)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=7), st.integers(0, 2**32 - 1))
+def test_random_trees(kinds, seed):
+    rng = np.random.default_rng(seed)
+    assert_equals_differences(random_tree(rng, kinds), rng)
+
+
+def test_drake_autodiff_of_efforts():
+    """With W = λ φᵀ the gradient is that of λᵀ τ, which Drake differentiates by itself."""
+    rng = np.random.default_rng(1)
+    plant = random_plant(rng, ("revolute", "universal", "weld", "prismatic", "screw", "planar"))
+    q, v, vd = random_motion(plant, rng, 5)
+    phi, weights = inertial_parameters(plant).ravel(), rng.normal(size=v.shape)
+    gradient = inverse_dynamics_regressor_gradient(
+        plant, q, v, vd, weights[:, :, None] * phi[None, None]
+    )
+    smooth = plant.ToAutoDiffXd()
+    context, forces = smooth.CreateDefaultContext(), MultibodyForces_[AutoDiffXd](smooth)
+    nq, nv = q.shape[1], v.shape[1]
+    for i in range(len(q)):
+        x = InitializeAutoDiff(np.concatenate([q[i], v[i], vd[i]])).ravel()
+        smooth.SetPositions(context, x[:nq])
+        smooth.SetVelocities(context, x[nq : nq + nv])
+        effort = smooth.CalcInverseDynamics(context, x[nq + nv :], forces)
+        effort = effort - smooth.CalcGravityGeneralizedForces(context)
+        expected = weights[i] @ ExtractGradient(effort)
+        found = np.concatenate([gradient.q[i], gradient.v[i], gradient.vd[i]])
+        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("base", ["revolute", "quaternion floating"])
+def test_base_wrench(base):
+    rng = np.random.default_rng(2)
+    plant = random_plant(rng, (base, "prismatic", "ball", "revolute", "weld", "universal"))
+    tree, motion = KinematicTree.from_plant(plant), random_motion(plant, rng, 4)
+    weights = rng.normal(size=(4, 6, 10 * len(tree.bodies)))
+    poses = [RigidTransform(RollPitchYaw(rng.normal(size=3)), rng.normal(size=3)) for _ in "1234"]
+    for X_WP in (None, poses[0], np.stack([X.GetAsMatrix4() for X in poses])):
+
+        def value(*motion, X_WP=X_WP):
+            return np.einsum("nij,nij->n", weights, base_wrench_regressor(tree, *motion, X_WP=X_WP))
+
+        gradient = base_wrench_regressor_gradient(plant, *motion, weights, X_WP=X_WP)
+        assert_gradient(gradient, differences(value, motion))
+
+
+def test_jacobian_has_every_entry():
+    rng = np.random.default_rng(3)
+    plant = random_plant(rng, ("revolute", "prismatic", "revolute"), chain=True)
+    motion = random_motion(plant, rng, 2)
+    expected = differences(lambda *m: inverse_dynamics_regressor(plant, *m), motion)
+    for part, values in zip(regressor_jacobian(plant, *motion), expected, strict=True):
+        assert part.shape == (2, 3, 30, 3)
+        np.testing.assert_allclose(part, values, atol=1e-8)
+
+
+def test_samples_do_not_mix_across_pieces():
+    rng = np.random.default_rng(4)
+    plant = random_plant(rng, ("revolute", "ball", "revolute"), chain=True)
+    tree = KinematicTree.from_plant(plant)
+    count = 2 * piece_size(tree) + 7
+    motion = random_motion(plant, rng, count)
+    weights = rng.normal(size=(count, 5, 30))
+    whole = inverse_dynamics_regressor_gradient(tree, *motion, weights)
+    for i in (0, piece_size(tree), count - 1):
+        one = (x[[i]] for x in (*motion, weights))
+        alone = inverse_dynamics_regressor_gradient(tree, *one)
+        for name in NAMES:
+            found = getattr(whole, name)[i]
+            np.testing.assert_allclose(found, getattr(alone, name)[0], rtol=1e-12, atol=1e-12)
+
+
+def test_linear_in_weights_and_nothing_at_all():
+    rng = np.random.default_rng(5)
+    plant = random_plant(rng, ("universal", "screw"))
+    motion, weights = random_motion(plant, rng, 6), rng.normal(size=(2, 6, 3, 20))
+    parts = [inverse_dynamics_regressor_gradient(plant, *motion, w) for w in weights]
+    both = inverse_dynamics_regressor_gradient(plant, *motion, 2.0 * weights[0] - weights[1])
+    for name in NAMES:
+        expected = 2.0 * getattr(parts[0], name) - getattr(parts[1], name)
+        np.testing.assert_allclose(getattr(both, name), expected, atol=1e-11)
+    empty = inverse_dynamics_regressor_gradient(plant, *(x[:0] for x in motion), weights[0, :0])
+    assert empty.q.shape == (0, plant.num_positions())
+
+
+def test_bad_arguments():
+    rng = np.random.default_rng(6)
+    plant = random_plant(rng, ("revolute",))
+    motion = random_motion(plant, rng, 2)
+    with pytest.raises(ArgumentError, match=r"\(2, 1, 10\).*\(2, 1, 9\)"):
+        inverse_dynamics_regressor_gradient(plant, *motion, np.zeros((2, 1, 9)))
+    with pytest.raises(ArgumentError, match="holds nan"):
+        inverse_dynamics_regressor_gradient(plant, *motion, np.full((2, 1, 10), np.nan))
+    with pytest.raises(ArgumentError, match=r"\(2, 6, 10\)"):
+        base_wrench_regressor_gradient(plant, *motion, np.zeros((2, 1, 10)))

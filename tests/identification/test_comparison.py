@@ -1,0 +1,175 @@
+"""Equal residuals for every regularizer, least squares without one, and solvers to cross-check."""
+
+import numpy as np
+import pytest
+from pydrake.solvers import MathematicalProgram, MosekSolver
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification import (
+    PointMasses,
+    PointMassEuclidean,
+    PointMassKL,
+    Riemannian,
+    compare_regularizers,
+    identify,
+    least_squares,
+    physical_least_squares,
+)
+from geodrake.identification.solvers import cone_multiplier, run_solver
+from geodrake.inertia import from_mass_com_inertia, is_physical
+
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
+)
+
+
+def data(seed, *, rows=15, extra=0, noise=0.3):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    phi = PRIOR * rng.uniform(0.7, 1.4, (2, 1))
+    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+
+
+@pytest.mark.parametrize(
+    ("reference", "gamma"), [("euclidean", 2000.0), ("entropic", 20.0), ("riemannian", 20.0)]
+)
+def test_all_residuals_are_equal(reference, gamma):
+    A, b = data(0, rows=40, extra=1, noise=0.1)
+    points = PointMasses.of_bodies(PRIOR, 30)
+    kinds = ["euclidean", "pullback", "entropic", "riemannian"]
+    found = compare_regularizers(
+        A,
+        b,
+        PRIOR,
+        gamma=gamma,
+        reference=reference,
+        regularizers=[*kinds, PointMassEuclidean(points), PointMassKL(points)],
+        extra_bounds=[[0.0, np.inf]],
+        sigma=0.3,
+    )
+    assert list(found.results) == [*kinds, "point_mass_euclidean", "point_mass_kl"]
+    alone = identify(
+        A, b, PRIOR, regularizer=reference, gamma=gamma, sigma=0.3, extra_bounds=[[0.0, np.inf]]
+    )
+    assert found.residual == pytest.approx(alone.residual, rel=1e-9)
+    for name, result in found.results.items():
+        x = np.append(result.phi.ravel(), result.extra)
+        assert np.sum(((A @ x - b) / 0.3) ** 2) == pytest.approx(found.residual, rel=1e-5), name
+        assert is_physical(result.phi).all() and result.regularizer == name
+    assert (found.reference, found.gamma) == (reference, gamma)
+
+
+def test_each_regularizer_is_best_by_its_own_measure():
+    """Among solutions of one residual, none is closer to the prior in a regularizer's distance."""
+    A, b = data(1)
+    found = compare_regularizers(A, b, PRIOR, gamma=0.5)
+    from geodrake.identification import REGULARIZERS
+
+    for name, own in found.results.items():
+        measure = REGULARIZERS[name]().divergence
+        others = [measure(other.phi, PRIOR) for other in found.results.values()]
+        assert own.divergence <= min(others) * (1 + 1e-6)
+
+
+def test_bad_comparisons_are_refused():
+    A, b = data(2)
+    with pytest.raises(ArgumentError, match="can be compared once"):
+        compare_regularizers(A, b, PRIOR, gamma=1.0, regularizers=["entropic", "entropic"])
+    with pytest.raises(ArgumentError, match="is 'ridge'"):
+        compare_regularizers(A, b, PRIOR, gamma=1.0, reference="ridge")
+
+
+def test_a_named_reference_has_the_settings_of_its_regularizer():
+    A, b = data(2)
+    kinds = [Riemannian(starts=("entropic", "prior")), "entropic"]
+    found = compare_regularizers(A, b, PRIOR, gamma=1.0, reference="riemannian", regularizers=kinds)
+    assert found.results["riemannian"].minima.starts == ("entropic", "prior")
+
+
+def test_least_squares_is_that_of_numpy():
+    A, b = data(3, rows=60)
+    result = least_squares(A, b, bodies=2)
+    expected, residual = np.linalg.lstsq(A, b)[:2]
+    np.testing.assert_allclose(result.x, expected, rtol=1e-9)
+    assert result.residual == pytest.approx(residual[0], rel=1e-9)
+    assert result.rank == 20 and result.directions.shape == (0, 20)
+
+
+def test_open_directions_are_named():
+    A, b = data(4, rows=60)
+    A[:, 4] = 0.0  # Ixx of body 0
+    A[:, 12] = 3.0 * A[:, 1]  # hy of body 1 like hx of body 0
+    for solve in (
+        lambda: least_squares(A, b, bodies=2),
+        lambda: physical_least_squares(A, b, PRIOR),
+    ):
+        with pytest.raises(
+            IdentificationError, match=r"do not identify 2 of 20 directions"
+        ) as caught:
+            solve()
+        directions = caught.value.evidence["directions"]
+        np.testing.assert_allclose(A @ directions.T, 0.0, atol=1e-9)
+        assert "+1 Ixx[0]" in str(caught.value)
+        assert "hy[1]" in str(caught.value) and "hx[0]" in str(caught.value)
+    least = least_squares(A, b, minimum_norm=True)
+    np.testing.assert_allclose(least.x, np.linalg.lstsq(A, b)[0], atol=1e-9)
+    assert least.rank == 18
+
+
+def test_too_few_rows_leave_directions_open():
+    A, b = data(5, rows=7)
+    result = least_squares(A, b, minimum_norm=True)
+    np.testing.assert_allclose(result.x, np.linalg.lstsq(A, b)[0], atol=1e-9)
+    np.testing.assert_allclose(A @ result.directions.T, 0.0, atol=1e-9)
+    assert result.rank == 7 and result.residual < 1e-18
+
+
+def test_physical_least_squares_is_the_limit_of_a_weak_prior():
+    A, b = data(6, rows=60, noise=2.0)
+    result = physical_least_squares(A, b, PRIOR)
+    assert is_physical(result.x.reshape(2, 10)).all() and result.active_blocks
+    weak = identify(A, b, PRIOR, regularizer="pullback", gamma=1e-6)
+    assert result.residual == pytest.approx(weak.residual, rel=1e-4)
+    assert result.residual > least_squares(A, b).residual
+    easy = data(6, rows=60, noise=1e-6)
+    inside = physical_least_squares(*easy, PRIOR)
+    np.testing.assert_allclose(inside.x, least_squares(*easy).x, rtol=1e-6)
+
+
+@pytest.mark.parametrize("regularizer", ["euclidean", "pullback"])
+def test_csdp_agrees_with_clarabel(regularizer):
+    A, b = data(7, noise=3.0)
+    found = [
+        identify(A, b, PRIOR, regularizer=regularizer, gamma=0.05, solver=solver)
+        for solver in ("clarabel", "csdp")
+    ]
+    assert [result.solver for result in found] == ["clarabel", "csdp"]
+    costs = [result.residual + 0.05 * result.divergence for result in found]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
+
+
+def test_solvers_say_what_they_cannot_do():
+    A, b = data(8)
+    with pytest.raises(ArgumentError, match="csdp cannot solve this kind of program"):
+        identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="csdp")
+    program = MathematicalProgram()
+    x = program.NewContinuousVariables(2)
+    cone = program.AddLorentzConeConstraint(np.eye(3)[:, 1:], np.eye(3)[0], x)
+    program.AddLinearCost(x[0])
+    with pytest.raises(ArgumentError, match="CSDP gives no multipliers"):
+        cone_multiplier(run_solver(program, "csdp"), cone)
+    assert cone_multiplier(run_solver(program, "clarabel"), cone) == pytest.approx(1.0, rel=1e-6)
+    if not MosekSolver().enabled():
+        with pytest.raises(ArgumentError, match="MOSEK needs a licence"):
+            identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, solver="mosek")
+
+
+def test_bodies_flat_to_the_solvers_accuracy_are_solved_with_a_wider_margin():
+    A, b = data(0, extra=1)
+    options = {"sigma": 0.3, "extra_bounds": [[0.0, np.inf]]}
+    bound = identify(A, b, PRIOR, regularizer="entropic", gamma=0.8, **options).residual
+    result = identify(A, b, PRIOR, regularizer="euclidean", residual_bound=bound, **options)
+    assert is_physical(result.phi).all()
+    assert result.residual == pytest.approx(bound, rel=1e-6)

@@ -1,0 +1,464 @@
+"""Held-out errors from triangular factors, against ridge regression on the stacked rows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
+from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
+
+from geodrake import load_model
+from geodrake.effects import (
+    AsymmetricFriction,
+    CoulombFriction,
+    CoupledFriction,
+    EffortOffset,
+    FittedEffect,
+    JointSpring,
+    Payload,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geodrake.identification import normal_equations
+from geodrake.identification.logs.cross_validation import CrossValidation, ExtraColumns, hold_out
+from geodrake.identification.logs.model_fit import (
+    as_it_stands,
+    fit_problem,
+    held_out_physical,
+    model_unknowns,
+)
+from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.identification.logs.unknowns import effect_prior
+from geodrake.inertia import is_physical
+from geodrake.logs.folds import validation_blocks
+from geodrake.logs.preparation import prepare_logs
+
+WEIGHTS = np.array([30.0, 70.0])
+EFFECTS = (
+    *(effect(joint) for effect in (CoulombFriction, ViscousFriction) for joint in JOINTS),
+    AsymmetricFriction("elbow"),
+    CoupledFriction(JOINTS, 1),
+    EffortOffset("shoulder"),
+    JointSpring("elbow"),
+    StribeckFriction("shoulder", 0.2),
+    Payload("lower_link"),
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def dataset(model):
+    logs = [pendulum_log(seed, friction((0.2, 0.1), (0.1, 0.05))) for seed in (1, 2)]
+    trajectories = prepare_logs(logs, bandwidth=6.0)
+    folds = validation_blocks(trajectories, blocks=2)
+    return reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.01))
+
+
+def with_effects(dataset, unknowns, *effects):
+    for effect in effects:
+        mean, information = effect_prior(dataset, effect)
+        unknowns = unknowns.with_effect(effect, dataset.effect_columns(effect), information, mean)
+    return unknowns
+
+
+def stacked(dataset, columns, fold, joint, delay=0):
+    """Rows A (K, p) over given columns, zero where a joint has none, and b (K,)."""
+    data = dataset.data[joint]
+    rows = data.rows[fold]
+    A = np.zeros((sum(len(r.b) for r in rows), len(columns)))
+    position = {column: i for i, column in enumerate(data.columns)}
+    own = np.concatenate([r.A for r in rows])
+    for i, column in enumerate(columns):
+        if column in position:
+            A[:, i] = own[:, position[column]]
+    return A, np.concatenate([r.b[:, delay] for r in rows])
+
+
+def ridge_fit(dataset, unknowns, *, without, delay=0):
+    """Fit to all folds but one by bounded least squares on the rows themselves."""
+    rows, sides = [], []
+    for fold in range(len(dataset.folds)):
+        for joint in range(len(dataset.joints)):
+            if fold != without:
+                A, b = stacked(dataset, unknowns.columns, fold, joint, delay)
+                rows.append(np.sqrt(WEIGHTS[joint]) * A)
+                sides.append(np.sqrt(WEIGHTS[joint]) * b)
+    values, vectors = np.linalg.eigh(unknowns.information)
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    A, b = np.vstack([*rows, root]), np.concatenate([*sides, root @ unknowns.mean])
+    scale = 1.0 / np.linalg.norm(A, axis=0)
+    bounds = (unknowns.lower / scale, unknowns.upper / scale)
+    return scale * lsq_linear(A * scale, b, bounds, method="bvls", tol=1e-14).x
+
+
+def ridge_errors(dataset, unknowns, *, delay=0):
+    """Squared held-out errors (F, nv) of such fits."""
+    sse = np.empty((len(dataset.folds), len(dataset.joints)))
+    for fold in range(len(dataset.folds)):
+        x = ridge_fit(dataset, unknowns, without=fold, delay=delay)
+        for joint in range(len(dataset.joints)):
+            A, b = stacked(dataset, unknowns.columns, fold, joint, delay)
+            sse[fold, joint] = np.sum((b - A @ x) ** 2)
+    return sse
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+@pytest.mark.parametrize("effects", [(), EFFECTS[:1], EFFECTS[:4], (EFFECTS[6], EFFECTS[7])])
+def test_held_out_errors_are_those_of_ridge_regression(dataset, model, effects, delay):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *effects)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
+    expected = ridge_errors(dataset, unknowns, delay=delay)
+    np.testing.assert_allclose(cv.held_out.sse, expected, rtol=1e-5)
+    x = ridge_fit(dataset, unknowns, without=None, delay=delay)
+    for joint in range(2):
+        A, _ = stacked(dataset, unknowns.columns, 0, joint)
+        np.testing.assert_allclose(A @ cv.fit_all(), A @ x, atol=1e-5)
+
+
+def test_information_of_a_fitted_model_is_kept(dataset, model):
+    """Correlated prior information about a nonzero mean."""
+    rng = np.random.default_rng(1)
+    fitted = tuple(FittedEffect(e, np.array([0.15])) for e in EFFECTS[:4])
+    p = model.phi.size + 4
+    root = rng.normal(size=(p, p)) * 10.0
+    known = replace(model, effects=fitted, information=root @ root.T)
+    unknowns = model_unknowns(dataset, known)
+    np.testing.assert_array_equal(unknowns.information, known.information)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    np.testing.assert_allclose(cv.held_out.sse, ridge_errors(dataset, unknowns), rtol=1e-5)
+
+
+def test_certain_prior_cannot_be_moved(dataset, model):
+    unknowns = model_unknowns(dataset, model, spread=1e-7)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    held = as_it_stands(dataset, model)
+    np.testing.assert_allclose(cv.held_out.sse, held.sse, rtol=1e-4)
+
+
+def test_bound_is_kept(dataset, model):
+    """Friction of the wrong sign is what such data would like: it stays at zero."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = replace(unknowns, mean=-unknowns.mean)
+    negated = replace(
+        dataset,
+        data=tuple(
+            replace(
+                data,
+                factors=data.factors * np.r_[np.ones(len(data.columns)), -np.ones(2)],
+                rows=tuple(
+                    tuple(replace(rows, b=-rows.b) for rows in blocks) for blocks in data.rows
+                ),
+            )
+            for data in dataset.data
+        ),
+    )
+    cv = CrossValidation(negated, unknowns, WEIGHTS)
+    spans = [unknowns.span(effect).start for effect in EFFECTS[:4]]
+    np.testing.assert_array_equal(cv.held_out.x[:, spans], 0.0)
+    np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
+
+
+@pytest.mark.parametrize("candidate", EFFECTS[4:], ids=lambda effect: effect.name)
+def test_candidate_is_as_good_as_a_refit(dataset, model, candidate):
+    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:2])
+    columns = dataset.effect_columns(candidate)
+    mean, information = effect_prior(dataset, candidate)
+    lower = np.array([parameter.lower for parameter in candidate.parameters])
+    if candidate.name == "payload":
+        lower[:] = -np.inf  # bounds are those of the physical fit
+    extra = ExtraColumns(columns, information, lower, np.full(len(columns), np.inf))
+    (shortcut,) = CrossValidation(dataset, base, WEIGHTS).with_candidates([extra])
+    both = base.with_effect(candidate, columns, information, mean)
+    both = replace(both, lower=np.concatenate([base.lower, lower]))
+    np.testing.assert_allclose(shortcut.sse, ridge_errors(dataset, both), rtol=1e-4)
+    assert (shortcut.x[:, len(base.columns) :] >= lower).all()
+
+
+def test_several_candidates_at_once(dataset, model):
+    base = model_unknowns(dataset, model)
+    pair = EFFECTS[:4]
+    columns = np.concatenate([dataset.effect_columns(e) for e in pair])
+    information = block_diag(*[effect_prior(dataset, e)[1] for e in pair])
+    extra = ExtraColumns(columns, information, np.zeros(4), np.full(4, np.inf))
+    (shortcut,) = CrossValidation(dataset, base, WEIGHTS).with_candidates([extra])
+    full = CrossValidation(dataset, with_effects(dataset, base, *pair), WEIGHTS)
+    np.testing.assert_allclose(shortcut.sse, full.held_out.sse, rtol=1e-6)
+
+
+@pytest.mark.parametrize("taken", [0, 2, 4])
+def test_candidates_together_are_as_one_by_one(dataset, model, taken):
+    """Single ones, pairs, payloads that share columns with the inertia, bounds that are met."""
+    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:taken])
+    cv = CrossValidation(dataset, base, WEIGHTS, delay=1)
+    packages = [(effect,) for effect in EFFECTS[taken:]]
+    packages += [(EFFECTS[5], EFFECTS[4]), (EFFECTS[8], EFFECTS[9], EFFECTS[7])]
+    candidates = [candidate(dataset, package, sign) for package in packages for sign in (1, -1)]
+    together = cv.with_candidates(candidates)
+    bounded = 0
+    for one, found in zip(candidates, together, strict=True):
+        (alone,) = cv.with_candidates([one])
+        np.testing.assert_allclose(found.sse, alone.sse, rtol=1e-10)
+        size = np.maximum(np.abs(alone.x).max(0), 1e-9)
+        np.testing.assert_allclose(found.x / size, alone.x / size, atol=1e-6)
+        np.testing.assert_array_equal(found.samples, alone.samples)
+        own = found.x[:, len(base.columns) :]
+        assert ((own >= one.lower) & (own <= one.upper)).all()
+        bounded += int(np.any((own == one.lower) | (own == one.upper)))
+    assert bounded > 3
+
+
+def candidate(dataset, effects, sign):
+    """Effects as they are, or with bounds that keep them negative."""
+    columns = np.concatenate([dataset.effect_columns(effect) for effect in effects])
+    information = block_diag(*[effect_prior(dataset, effect)[1] for effect in effects])
+    free = np.full(len(columns), np.inf)
+    bounds = (-free, free) if effects[0].name == "payload" else (np.zeros(len(columns)), free)
+    lower, upper = bounds if sign > 0 else (-bounds[1], -bounds[0])
+    return ExtraColumns(columns, information, lower, upper)
+
+
+def test_dropped_unknowns_are_as_a_refit_without(dataset, model):
+    base = model_unknowns(dataset, model)
+    full = with_effects(dataset, base, *EFFECTS[:4])
+    full = replace(full, lower=np.full_like(full.lower, -np.inf))
+    dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[2]).stop)
+    found = CrossValidation(dataset, full, WEIGHTS).without_columns(dropped)
+    rest = full.without_effect(EFFECTS[1]).without_effect(EFFECTS[2])
+    expected = CrossValidation(dataset, rest, WEIGHTS).held_out
+    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
+    np.testing.assert_allclose(found.x[:, dropped], 0.0, atol=1e-12)
+    np.testing.assert_allclose(np.delete(found.x, dropped, axis=1), expected.x, rtol=1e-6)
+
+
+def test_unknowns_at_bounds_stay_there_when_others_are_dropped(dataset, model):
+    full = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    start = full.span(EFFECTS[0]).start
+    bound = np.where(np.arange(len(full.lower)) == start, 1e3, -np.inf)
+    dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[1]).stop)
+    cv = CrossValidation(dataset, replace(full, lower=bound), WEIGHTS)
+    found = cv.without_columns(dropped)
+    fewer = full.without_effect(EFFECTS[1])
+    rest = replace(fewer, lower=np.delete(bound, dropped))
+    expected = CrossValidation(dataset, rest, WEIGHTS).held_out
+    np.testing.assert_array_equal(expected.x[:, start], 1e3)
+    np.testing.assert_allclose(found.x[:, start], 1e3, rtol=1e-9)
+    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
+
+
+def test_unknowns_that_would_leave_their_bounds_are_not_dropped_in_passing(dataset, model):
+    """Bounds between what viscous friction is beside dry friction and what it is without."""
+    dry, viscous = EFFECTS[0], EFFECTS[2]
+    full = with_effects(dataset, model_unknowns(dataset, model), dry, viscous)
+    full = replace(full, lower=np.full_like(full.lower, -np.inf))
+    start, dropped = full.span(viscous).start, full.span(dry)
+    rest = full.without_effect(dry)
+    then = CrossValidation(dataset, rest, WEIGHTS).held_out.x[:, rest.span(viscous).start]
+    now = CrossValidation(dataset, full, WEIGHTS).held_out.x[:, start]
+    assert now.max() < then.min()
+    for bound, leaves in ((0.5 * (now.max() + then.min()), True), (then.max() + 1.0, False)):
+        lower = full.lower.copy()
+        lower[start] = bound
+        cv = CrossValidation(dataset, replace(full, lower=lower), WEIGHTS)
+        found = cv.without_columns(np.arange(dropped.start, dropped.stop))
+        assert (found is None) == leaves
+
+
+def test_candidate_of_the_wrong_sign_changes_nothing(dataset, model):
+    """Friction that is taken already: what is left of its sign is negative in some fold or none."""
+    base = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    cv = CrossValidation(dataset, base, WEIGHTS)
+    columns = dataset.effect_columns(CoupledFriction(JOINTS, 1))
+    extra = ExtraColumns(columns, 1e-9 * np.eye(2), np.zeros(2), np.full(2, np.inf))
+    (after,) = cv.with_candidates([extra])
+    at_zero = np.all(after.x[:, -2:] == 0.0, axis=1)
+    np.testing.assert_allclose(after.sse[at_zero], cv.held_out.sse[at_zero], rtol=1e-12)
+    assert (after.x[:, -2:] >= 0.0).all()
+
+
+def test_candidate_keeps_within_its_bounds(dataset, model):
+    base = model_unknowns(dataset, model)
+    friction = EFFECTS[0]
+    columns = dataset.effect_columns(friction)
+    cv = CrossValidation(dataset, base, WEIGHTS)
+    unbounded = (np.array([-np.inf]), np.array([np.inf]))
+    (free,) = cv.with_candidates([ExtraColumns(columns, 1e-9 * np.eye(1), *unbounded)])
+    found = free.x[:, -1]
+    for lower, upper in ((2.0 * found.max(), np.inf), (-np.inf, 0.5 * found.min())):
+        box = (np.array([lower]), np.array([upper]))
+        (bounded,) = cv.with_candidates([ExtraColumns(columns, 1e-9 * np.eye(1), *box)])
+        both = base.with_effect(friction, columns, 1e-9 * np.eye(1))
+        both = replace(
+            both,
+            lower=np.concatenate([base.lower, box[0]]),
+            upper=np.concatenate([base.upper, box[1]]),
+        )
+        np.testing.assert_allclose(bounded.sse, ridge_errors(dataset, both), rtol=1e-4)
+
+
+def test_errors_of_given_parameters_are_those_of_the_rows(dataset):
+    rng = np.random.default_rng(2)
+    columns = np.concatenate([dataset.effect_columns(e) for e in EFFECTS])
+    x = rng.normal(size=(len(dataset.folds), len(columns)))
+    for delay in (0, 1):
+        found = hold_out(dataset, columns, x, delay=delay)
+        for fold in range(len(dataset.folds)):
+            for joint in range(2):
+                A, b = stacked(dataset, columns, fold, joint, delay)
+                expected = np.sum((b - A @ x[fold]) ** 2)
+                assert found.sse[fold, joint] == pytest.approx(expected, rel=1e-9)
+                assert found.samples[fold, joint] == len(b)
+    np.testing.assert_allclose(found.mse, found.sse.sum(0) / found.samples.sum(0))
+    np.testing.assert_allclose(found.rms**2, found.mse)
+
+
+def test_deviations_are_those_of_the_normal_matrix(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    matrix = unknowns.information.copy()
+    for fold in range(len(dataset.folds)):
+        for joint in range(2):
+            A, _ = stacked(dataset, unknowns.columns, fold, joint)
+            matrix += WEIGHTS[joint] * A.T @ A
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    expected = scale * np.sqrt(np.diag(np.linalg.inv(matrix * np.outer(scale, scale))))
+    found = CrossValidation(dataset, unknowns, WEIGHTS).deviations()
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+def test_fit_finds_the_friction_that_was_there(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    np.testing.assert_allclose(cv.fit_all()[-4:], [0.2, 0.1, 0.1, 0.05], atol=0.01)
+
+
+def test_physical_fit_is_the_ridge_fit_where_that_is_physical(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model, spread=0.05), *EFFECTS[:4])
+    free = CrossValidation(dataset, unknowns, WEIGHTS).held_out
+    physical = held_out_physical(dataset, unknowns, WEIGHTS)
+    assert is_physical(free.x[:, :20].reshape(-1, 10)).all()
+    np.testing.assert_allclose(physical.sse, free.sse, rtol=1e-3)
+
+
+def test_problem_has_the_residuals_of_the_rows(dataset, model):
+    """‖R [x; −1]‖² of the program is the weighted sum of squares, for any parameters."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS)
+    rng = np.random.default_rng(3)
+    problem = fit_problem(dataset, unknowns, WEIGHTS, without=1, delay=1)
+    for _ in range(3):
+        x = rng.normal(size=len(unknowns.columns))
+        residual = problem.factor @ np.r_[x, -1.0]
+        expected = sum(
+            WEIGHTS[joint] * np.sum((b - A @ x) ** 2)
+            for fold in (0, 2, 3)
+            for joint in range(2)
+            for A, b in [stacked(dataset, unknowns.columns, fold, joint, 1)]
+        )
+        assert residual @ residual == pytest.approx(expected, rel=1e-9)
+
+
+def test_unknowns_without_an_effect_are_those_before_it(dataset, model):
+    base = model_unknowns(dataset, model)
+    every = with_effects(dataset, base, *EFFECTS)
+    for effect in EFFECTS:
+        fewer = every.without_effect(effect)
+        rest = with_effects(dataset, base, *(e for e in EFFECTS if e != effect))
+        assert fewer.effects == rest.effects
+        assert fewer.starts == rest.starts
+        assert fewer.inertia_blocks == rest.inertia_blocks
+        for name in ("columns", "mean", "information", "lower", "upper"):
+            np.testing.assert_array_equal(getattr(fewer, name), getattr(rest, name))
+
+
+def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:3])
+    size = len(unknowns.columns)
+    root = np.random.default_rng(3).normal(size=(2 * size, size))
+    known = replace(unknowns, information=root.T @ root)
+    weak = np.array([[1e-6]])
+    released = known.released(EFFECTS[1], weak)
+    span = known.span(EFFECTS[1])
+    rest = np.delete(np.arange(len(known.columns)), span)
+    before, after = (np.linalg.inv(u.information) for u in (known, released))
+    np.testing.assert_allclose(
+        after[np.ix_(rest, rest)], before[np.ix_(rest, rest)], rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_array_equal(released.information[span, span], weak)
+    np.testing.assert_array_equal(released.information[span, rest], 0.0)
+
+
+@pytest.mark.parametrize("exchanges", [20, 0])
+@pytest.mark.parametrize("seed", range(40))
+def test_small_bounded_problems(seed, exchanges, monkeypatch):
+    """Against another method, by their conditions of optimality; it also is what is left to do
+    where the exchange of bounds does not end."""
+    monkeypatch.setattr(normal_equations, "_MOST_EXCHANGES", exchanges)
+    rng = np.random.default_rng(seed)
+    k = int(rng.integers(2, 6))
+    A = rng.normal(size=(5, k + 3, k)) * np.exp(3.0 * rng.normal(size=k))
+    if seed % 2:  # nearly the same column twice, or just its opposite
+        A[..., 1] = 1.7 * A[..., 0] + 1e-3 * A[..., 1] if seed % 4 == 1 else -3.0 * A[..., 0]
+    b = rng.normal(size=(5, k + 3))
+    lower = np.where(rng.random(k) < 0.6, 0.0, -np.inf)
+    upper = np.where(rng.random(k) < 0.3, np.exp(rng.normal(size=k)), np.inf)
+    gram = np.swapaxes(A, 1, 2) @ A
+    rhs = np.einsum("fmk,fm->fk", A, b)
+    found = normal_equations.bounded_minimizers(gram, rhs, lower, upper)
+    assert (found >= lower).all()
+    assert (found <= upper).all()
+    for y, own_A, own_b in zip(found, A, b, strict=True):
+        scale = 1.0 / np.linalg.norm(own_A, axis=0)
+        ridged = np.vstack([own_A * scale, np.sqrt(1e-9) * np.eye(k)])
+        target, box = np.concatenate([own_b, np.zeros(k)]), (lower / scale, upper / scale)
+        expected = lsq_linear(ridged, target, box, method="bvls", tol=1e-14).x
+        np.testing.assert_allclose(ridged @ (y / scale), ridged @ expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("delay", [(0, 1), (1, 0)])
+def test_every_joint_has_a_delay_of_its_own(dataset, model, delay):
+    """The same as with efforts of those columns in place of the first ones."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    chosen = []
+    for data, late in zip(dataset.data, delay, strict=True):
+        n = len(data.columns)
+        order = np.r_[np.arange(n), n + late, n + 1 - late]
+        rows = tuple(
+            tuple(replace(rows, b=rows.b[:, [late, 1 - late]]) for rows in blocks)
+            for blocks in data.rows
+        )
+        chosen.append(replace(data, factors=data.factors[:, :, order], rows=rows))
+    moved = replace(dataset, data=tuple(chosen))
+    found = CrossValidation(dataset, unknowns, WEIGHTS, delay=delay)
+    expected = CrossValidation(moved, unknowns, WEIGHTS)
+    np.testing.assert_allclose(found.held_out.sse, expected.held_out.sse, rtol=1e-9)
+    np.testing.assert_allclose(found.fit_all(), expected.fit_all(), rtol=1e-7)
+    physical = held_out_physical(dataset, unknowns, WEIGHTS, delay=delay)
+    np.testing.assert_allclose(
+        physical.sse, held_out_physical(moved, unknowns, WEIGHTS).sse, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_errors_at_delays_are_those_of_refits(dataset, model, joint):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    unknowns = replace(unknowns, lower=np.full(len(unknowns.lower), -np.inf))
+    for now in (0, 1):
+        found = CrossValidation(dataset, unknowns, WEIGHTS, delay=now).errors_at_delays(joint)
+        for delay in (0, 1):
+            other = [delay if j == joint else now for j in range(2)]
+            refit = CrossValidation(dataset, unknowns, WEIGHTS, delay=other).held_out.sse[:, joint]
+            np.testing.assert_allclose(found[delay], refit, rtol=1e-6)
+
+
+def test_normal_equations_that_are_none_are_refused():
+    for wrong in (np.nan, np.inf):
+        matrix = np.eye(3)
+        matrix[1, 1] = wrong
+        with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+            normal_equations.cholesky(matrix)
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        normal_equations.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    assert normal_equations.solved(np.zeros((0, 0)), np.zeros(0)).shape == (0,)

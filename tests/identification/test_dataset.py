@@ -1,0 +1,469 @@
+"""Reduction of logs: factors against dense columns, delays, noise floor and bandwidth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, multisine, pendulum_log
+
+from geodrake import load_model
+from geodrake.effects import (
+    CoulombFriction,
+    CoupledFriction,
+    CoupledRotorInertia,
+    EffortDelay,
+    EffortScale,
+    FittedEffect,
+    JointSpring,
+    LoadDependentFriction,
+    Payload,
+)
+from geodrake.errors import LogError
+from geodrake.identification.logs import reduce
+from geodrake.identification.logs.coherent_bandwidth import (
+    coherent_bandwidth,
+    effort_ratio,
+    prepare_for_model,
+)
+from geodrake.identification.logs.log_slices import INERTIA, Layout
+from geodrake.identification.logs.noise import noise_floor
+from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
+from geodrake.identification.logs.shared_rows import SharedRows
+from geodrake.logs.folds import validation_blocks
+from geodrake.logs.motion import JointLog
+from geodrake.logs.preparation import prepare_logs
+from geodrake.robot.regressor import inverse_dynamics_regressor
+
+EFFECTS = (
+    CoulombFriction("shoulder"),
+    CoupledFriction(JOINTS, -1),
+    Payload("lower_link"),
+    JointSpring("elbow", exponent=3, center=0.1),
+    CoupledRotorInertia(JOINTS),
+    LoadDependentFriction("elbow"),
+)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(PENDULUM)
+
+
+@pytest.fixture(scope="module")
+def trajectories():
+    """Two logs; the first has a gap."""
+    log = pendulum_log(1)
+    keep = (log.time < 15.0) | (log.time > 15.4)
+    gap = JointLog("gap", JOINTS, log.time[keep], log.position[keep], log.effort[keep])
+    return prepare_logs([gap, pendulum_log(2, seconds=25.0)], bandwidth=8.0)
+
+
+@pytest.fixture(scope="module")
+def folds(trajectories):
+    return validation_blocks(trajectories, blocks=3)
+
+
+@pytest.fixture(scope="module")
+def dataset(model, trajectories, folds):
+    return reduce_logs(model, trajectories, folds, effects=EFFECTS)
+
+
+def unfiltered(model, segment, width):
+    """Columns (N, 2, p) of the bodies and of EFFECTS without the payload, formula by formula."""
+    q, v, vd = segment.position, segment.velocity, segment.acceleration
+    bodies = inverse_dynamics_regressor(model.plant, q, v, vd)
+    load = bodies @ model.phi.ravel()
+    sign = np.tanh(v / width)
+    w = v[:, 0] - v[:, 1]
+    sign_w = np.tanh(w / np.hypot(*width))
+    n, zero = len(q), np.zeros(len(q))
+    columns = [
+        (sign[:, 0], zero),
+        (sign_w, -sign_w),
+        (w, -w),
+        (zero, (q[:, 1] - 0.1) ** 3),
+        (zero, np.ones(n)),
+        (zero, np.abs(load[:, 1]) * sign[:, 1]),
+    ]
+    coupled = (vd[:, 1], vd[:, 0])
+    columns.insert(5, coupled)
+    return np.concatenate([bodies, np.stack([np.stack(c, 1) for c in columns], 2)], axis=2)
+
+
+def decimated(low_pass, signal):
+    """Plain convolution, and every so manieth of its values."""
+    return np.convolve(signal, low_pass.kernel, mode="valid")[:: low_pass.decimation]
+
+
+def dense_rows(model, trajectories, fold, joint):
+    """Rows [A | b] of a fold and joint, computed directly from its definition."""
+    speeds = [np.abs(s[:].velocity).max(0) for t in trajectories for s in t.segments]
+    peak = np.max(speeds, axis=0)
+    noise = np.max([t.speed_noise for t in trajectories], axis=0)
+    width = np.maximum(0.002 * peak, 3.0 * noise)
+    rows = []
+    for block in fold.blocks:
+        trajectory = trajectories[block.trajectory]
+        segment, low_pass = trajectory.segments[block.segment][:], trajectory.filter
+        columns = unfiltered(model, segment, width)[:, joint]
+        signals = np.column_stack([columns, segment.effort[:, joint]])
+        still = np.abs(segment.velocity[:, joint]) < 0.01 * peak[joint]
+        moving = decimated(low_pass, still.astype(float)) <= 0.3
+        kept = np.stack([decimated(low_pass, s) for s in signals.T], 1)
+        part = slice(block.start, block.stop)
+        rows.append(kept[part][moving[part]])
+    return np.concatenate(rows)
+
+
+def test_factors_are_those_of_the_dense_columns(model, trajectories, folds, dataset):
+    for j in range(2):
+        data = dataset.data[j]
+        for f, fold in enumerate(folds):
+            rows = dense_rows(model, trajectories, fold, j)
+            used = rows[:, [*data.columns, -1]]
+            assert data.samples[f] == len(rows)
+            assert len(rows) > 10
+            scale = np.linalg.norm(used, axis=0)
+            np.testing.assert_allclose(
+                data.grams[f] / np.outer(scale, scale),
+                used.T @ used / np.outer(scale, scale),
+                atol=1e-9,
+            )
+
+
+def test_columns_left_out_are_zero(model, trajectories, folds, dataset):
+    for j, data in enumerate(dataset.data):
+        rows = dense_rows(model, trajectories, folds[0], j)[:, :-1]
+        out = np.setdiff1d(np.arange(rows.shape[1]), data.columns)
+        assert np.abs(rows[:, out]).max() < 1e-12
+        assert (data.local(out) == -1).all()
+        np.testing.assert_array_equal(data.local(data.columns), np.arange(len(data.columns)))
+
+
+def test_products_of_columns_that_a_joint_does_not_see_are_zero(dataset):
+    for data in dataset.data:
+        n, full = len(data.columns), data.grams
+        left, right = np.array([0, -1, n - 1, 2]), np.array([-1, 1, n])
+        found = data.products(left, right)
+        for i, row in enumerate(left):
+            for k, column in enumerate(right):
+                expected = np.zeros(len(full)) if -1 in (row, column) else full[:, row, column]
+                np.testing.assert_array_equal(found[i, k], expected)
+
+
+def test_parameters_of_a_joint_are_at_their_columns(dataset):
+    """A link and its payload have the same columns: what they say adds up."""
+    rng = np.random.default_rng(0)
+    wide = int(max(data.columns[-1] for data in dataset.data)) + 1
+    columns = np.concatenate([rng.permutation(wide), dataset.effect_columns(EFFECTS[-1])])
+    columns = np.concatenate([columns, np.arange(10)])
+    x = rng.normal(size=(len(dataset.folds), len(columns)))
+    for data in dataset.data:
+        expected = [x[:, columns == column].sum(axis=1) for column in data.columns]
+        np.testing.assert_allclose(data.parameters(columns, x), np.transpose(expected))
+
+
+def test_reach_is_what_joints_see(dataset):
+    assert dataset.reach.shape == (len(dataset.joints), len(dataset.column_power))
+    for reach, data in zip(dataset.reach, dataset.data, strict=True):
+        np.testing.assert_array_equal(np.flatnonzero(reach), data.columns)
+
+
+def test_rows_kept_are_those_behind_the_factors(dataset):
+    for data in dataset.data:
+        for factor, blocks in zip(data.factors, data.rows, strict=True):
+            A = np.concatenate([rows.A for rows in blocks])
+            b = np.concatenate([rows.b for rows in blocks])
+            stacked = np.hstack([A, b])
+            np.testing.assert_allclose(factor.T @ factor, stacked.T @ stacked, rtol=1e-9, atol=1e-9)
+            assert all((np.diff(rows.time) > 0).all() for rows in blocks)
+
+
+def test_payload_has_the_columns_of_its_link(dataset):
+    index = dataset.bodies.index("lower_link")
+    expected = 10 * index + np.arange(10)
+    np.testing.assert_array_equal(dataset.effect_columns(Payload("lower_link")), expected)
+
+
+def test_effort_deviation_is_that_of_the_rows(dataset):
+    for j, data in enumerate(dataset.data):
+        efforts = np.concatenate([rows.b[:, 0] for blocks in data.rows for rows in blocks])
+        assert dataset.effort_std[j] == pytest.approx(efforts.std())
+
+
+@pytest.mark.parametrize("chunk", [300, 1111])
+def test_chunks_change_nothing(model, trajectories, folds, dataset, chunk, monkeypatch):
+    monkeypatch.setattr(reduce, "CHUNK", chunk)
+    pieces = reduce_logs(model, trajectories, folds, effects=EFFECTS)
+    np.testing.assert_array_equal(pieces.samples, dataset.samples)
+    np.testing.assert_allclose(pieces.effort_std, dataset.effort_std)
+    for one, other in zip(pieces.data, dataset.data, strict=True):
+        scale = np.sqrt(np.diag(other.grams.sum(0)))
+        np.testing.assert_allclose(
+            one.grams / np.outer(scale, scale), other.grams / np.outer(scale, scale), atol=1e-10
+        )
+        for few, many in zip(one.rows, other.rows, strict=True):
+            for a, b in zip(few, many, strict=True):
+                np.testing.assert_allclose(a.A, b.A, atol=1e-9)
+                np.testing.assert_array_equal(a.time, b.time)
+
+
+def test_delays_advance_the_effort(model):
+    """Efforts that are sinusoids of time show by how much they were moved."""
+    log = pendulum_log(3, noise=(0.0, 0.0))
+    rate = np.array([3.0, 5.0])
+    log = replace(log, effort=np.sin(rate * log.time[:, None]))
+    trajectories = prepare_logs([log], bandwidth=10.0)
+    late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
+    dataset = reduce_logs(
+        late, trajectories, validation_blocks(trajectories), effects=(), delays=(0.0, 0.012, -0.02)
+    )
+    for j, data in enumerate(dataset.data):
+        for rows in (rows for blocks in data.rows for rows in blocks):
+            for d, delay in enumerate((0.007, 0.019, -0.013)):
+                truth = np.sin(rate[j] * (rows.time + delay))
+                np.testing.assert_allclose(rows.b[:, d], truth, atol=2e-3)
+
+
+def test_every_joint_has_delays_of_its_own(model):
+    log = pendulum_log(3, noise=(0.0, 0.0))
+    rate = np.array([3.0, 5.0])
+    log = replace(log, effort=np.sin(rate * log.time[:, None]))
+    trajectories = prepare_logs([log], bandwidth=10.0)
+    late = replace(model, effects=(FittedEffect(EffortDelay(0.007, "elbow"), np.empty(0)),))
+    folds, delays = validation_blocks(trajectories), (0.0, [0.012, -0.02])
+    dataset = reduce_logs(late, trajectories, folds, effects=(), delays=delays)
+    np.testing.assert_array_equal(dataset.delays, [[0.0, 0.0], [0.012, -0.02]])
+    for j, advance in enumerate(((0.0, 0.012), (0.007, -0.013))):
+        for rows in (rows for blocks in dataset.data[j].rows for rows in blocks):
+            truth = np.sin(rate[j] * (rows.time[:, None] + advance))
+            np.testing.assert_allclose(rows.b, truth, atol=2e-3)
+
+
+def test_joint_at_rest_has_no_rows_of_that_time(model):
+    """Dry friction of a joint that rests may be anything: those samples say nothing."""
+    time = np.arange(8000) / 200.0
+    q = multisine(time, np.random.default_rng(4))[0]
+    q[:, 1] *= np.clip(np.abs(time - 20.0) - 5.0, 0.0, 1.0) ** 3  # the elbow rests from 15 to 25 s
+    log = replace(pendulum_log(4), time=time, position=q)
+    trajectories = prepare_logs([log], bandwidth=8.0)
+    dataset = reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
+    shoulder, elbow = (
+        np.concatenate([rows.time for blocks in data.rows for rows in blocks])
+        for data in dataset.data
+    )
+    assert not ((elbow > 15.5) & (elbow < 24.5)).any()
+    assert ((shoulder > 15.5) & (shoulder < 24.5)).sum() > 80
+
+
+@pytest.mark.parametrize("value", [0.0, 3.3])
+def test_effort_that_never_changes_is_refused(model, value):
+    log = pendulum_log(5, seconds=20.0)
+    flat = replace(log, effort=np.column_stack([log.effort[:, 0], np.full(len(log), value)]))
+    trajectories = prepare_logs([flat], bandwidth=8.0)
+    with pytest.raises(
+        LogError, match=rf"effort of elbow never changes in the log: it is {value:g} "
+    ):
+        reduce_logs(model, trajectories, validation_blocks(trajectories), effects=())
+
+
+def test_joint_that_does_not_move_has_no_peak_speed():
+    log = pendulum_log(6, seconds=20.0)
+    position = log.position.copy()
+    position[:, 1] = 0.3 + 1e-5 * np.random.default_rng(0).normal(size=len(log))
+    trajectories = prepare_logs([replace(log, position=position)], bandwidth=8.0)
+    shoulder, elbow = peak_speeds(trajectories)
+    assert shoulder > 0.5
+    assert elbow == 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("bandwidth", [4.0, 15.0])
+def test_noise_floor_of_white_noise(seed, bandwidth):
+    """Known noise under much larger efforts, some of which no model has."""
+
+    def hidden(q, v, vd, load):
+        return 0.5 * np.tanh(v / 0.2) + 0.3 * np.sin(3.0 * q)
+
+    logs = [pendulum_log(10 + seed, hidden), pendulum_log(20 + seed, hidden)]
+    trajectories = prepare_logs(logs, bandwidth=bandwidth)
+    expected = NOISE * trajectories[0].filter.noise_gain
+    np.testing.assert_allclose(noise_floor(trajectories), expected, rtol=0.1)
+
+
+def test_noise_floor_behind_dry_friction(model):
+    """Jumps of dry friction reach beyond the bandwidth: a fitted model takes them away."""
+    trajectories = prepare_logs(
+        [pendulum_log(11, lambda q, v, vd, load: 0.5 * np.sign(v))], bandwidth=8.0
+    )
+    fitted = tuple(FittedEffect(CoulombFriction(j), np.array([0.5])) for j in model.joints)
+    expected = NOISE * trajectories[0].filter.noise_gain
+    without = noise_floor(trajectories)
+    found = noise_floor(trajectories, replace(model, effects=fitted), sign_width=1e-3)
+    assert np.all(found > 0.9 * expected)
+    # The instants of reversal are known to a sample only, so a third of the excess stays.
+    assert np.all(found - expected < 0.35 * (without - expected))
+
+
+def test_noise_floor_is_that_of_the_filtered_noise():
+    """The RMS of noise that went through the filter, not that of the raw samples."""
+    quiet, noisy = (
+        prepare_logs([pendulum_log(7, noise=noise)], bandwidth=8.0)[0]
+        for noise in ((0.0, 0.0), NOISE)
+    )
+    difference = noisy.segments[0][:].effort - quiet.segments[0][:].effort
+    rms = np.sqrt(np.mean(noisy.filter.apply(difference) ** 2, axis=0))
+    np.testing.assert_allclose(noise_floor([noisy]), rms, rtol=0.15)
+
+
+@pytest.mark.parametrize("tacho", [None, 1e-3])
+def test_noise_floor_of_noise_in_the_motion(model, tacho):
+    """Encoders and tachometers alone: accelerations carry their noise into what is predicted."""
+    rng = np.random.default_rng(5)
+    log = pendulum_log(8, noise=(0.0, 0.0), reach=0.2)
+    speed = multisine(log.time, np.random.default_rng(8), reach=0.2)[1]
+    noisy = replace(
+        log,
+        position=log.position + 1e-4 * rng.normal(size=log.position.shape),
+        velocity=None if tacho is None else speed + tacho * rng.normal(size=speed.shape),
+    )
+    trajectories = prepare_logs([noisy], bandwidth=8.0)
+    segment, low_pass = trajectories[0].segments[0][:], trajectories[0].filter
+    predicted = body_effort(segment.position, segment.velocity, segment.acceleration)
+    rms = np.sqrt(np.mean(low_pass.apply(predicted - segment.effort) ** 2, axis=0))
+    np.testing.assert_allclose(noise_floor(trajectories, model), rms, rtol=0.1)
+    assert np.all(noise_floor(trajectories) < 0.1 * rms)
+
+
+def shaken(amplitude, *, at=18.0, seconds=60.0):
+    """A log whose elbow vibrates behind its motor, without the motor's effort."""
+    log = pendulum_log(8, seconds=seconds, rate=400.0)
+    position = log.position.copy()
+    position[:, 1] += amplitude * np.sin(2 * np.pi * at * log.time)
+    return replace(log, position=position)
+
+
+def test_vibration_that_efforts_do_not_know_lowers_the_bandwidth(model):
+    trajectories = prepare_logs([shaken(5e-3)], bandwidth=30.0)
+    limit = coherent_bandwidth(model, trajectories)
+    assert 1.0 < limit < 18.0
+    (prepared,), words = prepare_for_model(model, [shaken(5e-3)])
+    assert prepared.filter.bandwidth < 18.0
+    assert coherent_bandwidth(model, [prepared]) is None
+    assert words is None or "bandwidth" in words
+
+
+def test_efforts_in_other_units_do_not_lower_the_bandwidth(model):
+    log = shaken(0.0)
+    (prepared,), _ = prepare_for_model(model, [replace(log, effort=1e-3 * log.effort)])
+    assert prepared.filter.bandwidth >= prepare_logs([log])[0].filter.bandwidth
+
+
+def test_clean_log_keeps_its_bandwidth(model):
+    log = shaken(0.0)
+    chosen = prepare_logs([log])[0].filter.bandwidth
+    (prepared,), words = prepare_for_model(model, [log])
+    if words is None:
+        assert prepared.filter.bandwidth == chosen
+    else:
+        assert "short" in words
+        assert prepared.filter.bandwidth > chosen
+    assert coherent_bandwidth(model, [prepared]) is None
+
+
+def test_short_log_gets_more_bandwidth(model):
+    log = pendulum_log(9, seconds=15.0, rate=500.0)
+    before = prepare_logs([log])[0]
+    (after,), words = prepare_for_model(model, [log])
+    assert after.filter.bandwidth > 1.2 * before.filter.bandwidth
+    assert sum(after.output_counts) > sum(before.output_counts)
+    assert "as the log is short" in words
+
+
+def test_effort_ratio_of_a_right_model_is_one(model):
+    trajectories = prepare_logs([pendulum_log(11, noise=(0.0, 0.0))], bandwidth=8.0)
+    frequency, ratio = effort_ratio(model, trajectories)
+    moving = (frequency > 0.15) & (frequency < 1.0)
+    np.testing.assert_allclose(ratio[moving], 1.0, rtol=0.02)
+
+
+def test_logs_are_what_they_say(model):
+    """The oracle itself: efforts of the bodies are those of the model."""
+    q, v, vd = multisine(np.linspace(0, 5, 50), np.random.default_rng(0))
+    effort = inverse_dynamics_regressor(model.plant, q, v, vd) @ model.phi.ravel()
+    np.testing.assert_allclose(body_effort(q, v, vd), effort, atol=1e-12)
+
+
+class TestSharedRows:
+    """Reductions that share filtered rows are those that do not."""
+
+    def reductions(self, model, trajectories, folds, shared):
+        heavier = replace(model, phi=1.1 * model.phi)
+        late = replace(model, effects=(FittedEffect(EffortDelay(0.007), np.empty(0)),))
+        scaled = replace(model, effects=(FittedEffect(EFFECTS[0], np.array([0.3])),))
+        scale = EffortScale("elbow")
+        calls = [
+            (model, EFFECTS[:3], (0.0,)),
+            (model, EFFECTS, (0.0, 0.01)),
+            (model, EFFECTS[::-1], (0.0, -0.01)),
+            (heavier, EFFECTS, (0.0,)),
+            (late, EFFECTS, (0.0, 0.01)),
+            (model, (scale, *EFFECTS[:2]), (0.0,)),
+            (scaled, (scale, *EFFECTS[:2]), (0.0,)),
+        ]
+        for which, effects, delays in calls:
+            options = {} if shared is None else {"shared": shared}
+            yield reduce_logs(which, trajectories, folds, effects=effects, delays=delays, **options)
+
+    @pytest.mark.parametrize("room", [0, 3_000, 10**8])
+    def test_change_nothing(self, model, trajectories, folds, room, monkeypatch):
+        monkeypatch.setattr(reduce, "CHUNK", 1111)
+        alone = self.reductions(model, trajectories, folds, None)
+        together = self.reductions(model, trajectories, folds, SharedRows(room))
+        for one, other in zip(alone, together, strict=True):
+            assert one.effects == other.effects
+            np.testing.assert_array_equal(one.samples, other.samples)
+            for a, b in zip(one.data, other.data, strict=True):
+                np.testing.assert_array_equal(a.columns, b.columns)
+                for few, many in zip(a.rows, b.rows, strict=True):
+                    for x, y in zip(few, many, strict=True):
+                        np.testing.assert_array_equal(x.time, y.time)
+                        np.testing.assert_allclose(x.motion, y.motion, atol=1e-9)
+                        np.testing.assert_allclose(x.A, y.A, atol=1e-9)
+                        np.testing.assert_allclose(x.b, y.b, atol=1e-9)
+
+    def test_only_new_columns_are_evaluated(self, model, trajectories, folds, monkeypatch):
+        evaluated, loads, evaluate = [], [], Layout.evaluate
+
+        def counted(self, motion, log, parts, load):
+            evaluated.extend(parts)
+            loads.append(load)
+            return evaluate(self, motion, log, parts, load)
+
+        monkeypatch.setattr(Layout, "evaluate", counted)
+        shared = SharedRows()
+        reduce_logs(model, trajectories, folds, effects=EFFECTS[:3], shared=shared)
+        assert set(evaluated) == {INERTIA, *EFFECTS[:2]}
+        assert all(load is None for load in loads)
+        evaluated.clear()
+        loads.clear()
+        reduce_logs(model, trajectories, folds, effects=EFFECTS, delays=(0.0, 0.02), shared=shared)
+        assert set(evaluated) == {*EFFECTS[3:]}
+        assert all(load is not None for load in loads)
+        evaluated.clear()
+        reduce_logs(model, trajectories, folds[::-1], effects=EFFECTS[2:], shared=shared)
+        assert not evaluated
+
+    def test_room_is_not_exceeded(self):
+        shared = SharedRows(10)
+        shared.keep("a", {0: np.ones((2, 3))})
+        shared.keep("b", {0: np.ones((2, 3))})
+        shared.keep("c", {0: np.ones((2, 1)), 1: np.ones((2, 1))})
+        assert [shared.get(key) is not None for key in "abc"] == [True, False, True]
+
+    def test_room_is_left_for_others(self):
+        shared = SharedRows(10, signals=4)
+        for key in "ab":
+            shared.keep(key, {0: np.ones((1, 3))}, signals=True)
+        shared.keep("c", {0: np.ones((1, 7))})
+        assert [shared.get(key) is not None for key in "abc"] == [True, False, True]

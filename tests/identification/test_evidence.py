@@ -1,0 +1,230 @@
+"""Evidence: effective samples against theory, and false alarms and ties counted by simulation."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from geodrake.identification.logs.evidence import (
+    effective_samples,
+    effective_samples_of_each,
+    false_alarm_probability,
+    fold_agreement,
+    log_likelihood_gain,
+    tie_probability,
+)
+from geodrake.identification.logs.model_errors import ErrorTable, JointError
+
+
+def autoregressive(rng, n, rho):
+    """Stationary AR(1) series of unit variance."""
+    drive = np.sqrt(1 - rho**2) * rng.normal(size=n)
+    drive[0] = rng.normal()
+    return lfilter([1.0], [1.0, -rho], drive)
+
+
+@pytest.mark.parametrize("rho", [0.3, 0.6, 0.8, 0.9])
+def test_effective_samples_of_autoregressive_series(rho):
+    """The mean of an AR(1) series has the variance of n (1 − ρ)/(1 + ρ) independent samples."""
+    rng, n = np.random.default_rng(1), 200_000
+    theory = n * (1 - rho) / (1 + rho)
+    assert effective_samples([autoregressive(rng, n, rho)]) == pytest.approx(theory, rel=0.08)
+
+
+def test_effective_samples_are_those_of_the_mean():
+    """Without theory: as many as the scatter of the means of many series says."""
+    rng, rho, n = np.random.default_rng(2), 0.7, 500
+    series = np.array([autoregressive(rng, n, rho) for _ in range(2000)])
+    found = effective_samples(list(series)) / len(series)
+    assert found == pytest.approx(1.0 / series.mean(1).var(), rel=0.1)
+
+
+def test_white_residuals_keep_all_their_samples():
+    rng = np.random.default_rng(3)
+    blocks = [rng.normal(size=n) for n in (3000, 1000, 7)]
+    assert effective_samples(blocks) == pytest.approx(4007, rel=0.05)
+
+
+def test_effective_samples_do_not_see_across_gaps():
+    """Neighbours in different blocks are not neighbours in time, and order does not matter."""
+    rng = np.random.default_rng(4)
+    blocks = [autoregressive(rng, n, 0.8) for n in (400, 900, 1500)]
+    assert effective_samples(blocks[::-1]) == pytest.approx(effective_samples(blocks))
+    steps = [np.full(1, value) for value in (1.0, 1.0, 1.0)]
+    assert effective_samples(steps) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("factor", [1e-9, 1.0, 1e6])
+def test_effective_samples_have_no_unit(factor):
+    series = autoregressive(np.random.default_rng(5), 1000, 0.6)
+    assert effective_samples([factor * series]) == pytest.approx(effective_samples([series]))
+
+
+def test_effective_samples_of_each_are_those_of_one():
+    rng = np.random.default_rng(5)
+    several = [np.cumsum(rng.normal(size=(n, 4)), axis=0) * [1.0, 1e-6, 0.0, 1e3] for n in (40, 7)]
+    several[0][:, 0] = rng.normal(size=40)
+    found = effective_samples_of_each(several)
+    expected = [effective_samples([block[:, k] for block in several]) for k in range(4)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert found[2] == 47.0
+
+
+def test_effective_samples_of_blocks_of_all_lengths():
+    """By the sum itself: n / (1 + 2 Σ ρ) up to the first ρ below 0.02."""
+    rng = np.random.default_rng(8)
+    blocks = [autoregressive(rng, n, 0.8) for n in (400, *[7] * 30, 1)]
+    products = [sum(b[: len(b) - k] @ b[k:] for b in blocks if k < len(b)) for k in range(400)]
+    correlation = np.array(products[1:]) / products[0]
+    last = int(np.argmax(correlation < 0.02))
+    expected = sum(map(len, blocks)) / (1.0 + 2.0 * correlation[:last].sum())
+    assert effective_samples(blocks) == pytest.approx(expected, rel=1e-9)
+
+
+def test_effective_samples_stay_within_bounds():
+    assert effective_samples([np.zeros(12), np.zeros(5)]) == 17.0
+    assert 1.0 <= effective_samples([np.ones(50)]) < 2.0
+    alternating = np.resize([1.0, -1.0], 100)
+    assert effective_samples([alternating]) == pytest.approx(100.0)
+
+
+def fits_with_irrelevant_regressors(rng, runs, n, k):
+    """Mean squared errors before and after fitting k irrelevant regressors, and held out."""
+    before, after, held_out = np.empty((3, runs))
+    for i in range(runs):
+        A, b = rng.normal(size=(2 * n, k)), rng.normal(size=2 * n)
+        x = np.linalg.lstsq(A[:n], b[:n])[0]
+        before[i], after[i] = np.mean(b[:n] ** 2), np.mean((b[:n] - A[:n] @ x) ** 2)
+        held_out[i] = np.mean((b[n:] - A[n:] @ x) ** 2) / np.mean(b[n:] ** 2)
+    return before, after, held_out
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 10])
+def test_false_alarms_are_as_frequent_as_stated(parameters):
+    """Training gains are the worst case: the stated probability is then the true one."""
+    rng, runs, n = np.random.default_rng(6), 1500, 400
+    before, after, _ = fits_with_irrelevant_regressors(rng, runs, n, parameters)
+    gains = log_likelihood_gain(before, after, np.full(runs, n))
+    stated = np.array([false_alarm_probability(gain, parameters, 1) for gain in gains])
+    for level in (0.3, 0.05):
+        spread = np.sqrt(level * (1 - level) / runs)
+        assert np.mean(stated < level) == pytest.approx(level, abs=4 * spread)
+
+
+def test_false_alarms_on_held_out_data_are_rarer():
+    rng, runs, n = np.random.default_rng(7), 1500, 200
+    _, _, ratio = fits_with_irrelevant_regressors(rng, runs, n, 1)
+    gains = log_likelihood_gain(np.ones(runs), ratio, np.full(runs, n))
+    stated = np.array([false_alarm_probability(gain, 1, 1) for gain in gains])
+    assert np.mean(stated < 0.05) < 0.05
+
+
+def test_best_of_many_is_judged_as_such():
+    """Twenty irrelevant candidates: the best of them looks real no more often than stated."""
+    rng, runs, tried = np.random.default_rng(8), 4000, 20
+    best = rng.chisquare(1, (runs, tried)).max(1)
+    stated = np.array([false_alarm_probability(gain, 1, tried) for gain in best])
+    assert 0.035 < np.mean(stated < 0.05) < 0.06
+
+
+def test_coloured_residuals_raise_no_false_alarms():
+    """A smooth irrelevant regressor and residuals of lag-1 correlation 0.8."""
+    rng, runs, n, rho = np.random.default_rng(9), 1000, 400, 0.8
+    naive, counted = np.empty((2, runs))
+    for i in range(runs):
+        a, b = autoregressive(rng, n, rho), autoregressive(rng, n, rho)
+        residual = b - a * (a @ b) / (a @ a)
+        ratio = np.mean(b**2) / np.mean(residual**2)
+        naive[i] = false_alarm_probability(n * np.log(ratio), 1, 1)
+        effective = effective_samples([residual])
+        counted[i] = false_alarm_probability(effective * np.log(ratio), 1, 1)
+    assert np.mean(naive < 0.05) > 0.25
+    assert np.mean(counted < 0.05) < 0.08
+
+
+def test_false_alarm_probability_has_the_right_limits():
+    assert false_alarm_probability(0.0, 1, 1) == 1.0
+    assert false_alarm_probability(-50.0, 3, 100) == 1.0
+    assert false_alarm_probability(10.0, 1, 10**9) == 1.0
+    assert false_alarm_probability(1e4, 2, 300) < 1e-100
+    gains = [false_alarm_probability(g, 2, 5) for g in (10.0, 20.0, 30.0)]
+    assert gains == sorted(gains, reverse=True)
+
+
+def test_gain_of_a_perfect_fit_is_finite():
+    gain = log_likelihood_gain(np.ones(2), np.array([0.5, 0.0]), np.array([100.0, 100.0]))
+    assert gain[0] == pytest.approx(100.0 * np.log(2.0))
+    assert np.isfinite(gain).all()
+
+
+def test_ties_of_equals_are_evenly_spread():
+    """Paired losses that differ by chance only: the p-value is uniform."""
+    rng, runs = np.random.default_rng(10), 4000
+    pairs = rng.normal(5.0, 1.0, (runs, 1, 8)) + 0.1 * rng.normal(size=(runs, 2, 8))
+    p = np.array([tie_probability(a, b) for a, b in pairs])
+    for level in (0.05, 0.5, 0.95):
+        spread = np.sqrt(level * (1 - level) / runs)
+        assert np.mean(p < level) == pytest.approx(level, abs=4 * spread)
+
+
+def test_ties_are_told_from_differences():
+    rng = np.random.default_rng(11)
+    loss = rng.uniform(1.0, 2.0, 8)
+    assert tie_probability(loss, loss) == 1.0
+    assert tie_probability(loss, loss + 0.1) < 1e-50
+    assert tie_probability(loss + 0.1, loss) > 1 - 1e-9
+    assert tie_probability(loss, loss + rng.uniform(0.05, 0.15, 8)) < 1e-3
+    assert tie_probability(loss, loss + rng.normal(0.0, 0.1, 8)) > 0.01
+    assert tie_probability(np.array([1.0]), np.array([1.2])) in (0.0, 1.0)
+
+
+def test_folds_of_different_size_do_not_hide_a_difference():
+    """All folds fall to a hundredth; that of the fastest motion is nearly all of the loss."""
+    large = np.array([1e-3, 2e-3, 1e-3, 5e-3, 3e-3, 2e-3, 4e-3, 1.0])
+    assert tie_probability(0.01 * large * np.linspace(0.5, 2.0, 8), large) < 1e-4
+    assert tie_probability(large[::-1], large) > 0.05
+
+
+def test_folds_that_hardly_change_count_half():
+    before = np.full(8, 100.0)
+    falls, stays, rises = 50.0, 100.2, 130.0
+    assert fold_agreement(before, np.array([falls] * 5 + [stays] * 3)) == 6.5 / 8
+    assert fold_agreement(before, np.array([falls] * 5 + [rises] * 3)) == 5 / 8
+    # One fold in which much is gone is no agreement.
+    assert fold_agreement(before, np.array([falls] + [stays] * 7)) == 1 / 8
+    assert fold_agreement(before[:2], np.array([falls, stays])) == 0.5
+    assert fold_agreement(np.append(before, 0.0), np.array([falls] * 8 + [0.0])) == 1.0
+    assert fold_agreement(np.zeros(2), np.zeros(2)) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("after", "agreement"),
+    [
+        ([0.9, 0.9, 0.9, 1.1], 0.75),
+        # Most fall; one that stays counts half.
+        ([0.9, 0.9, 0.9, 1.001], 0.875),
+        # Two are halved, each predicted by the others: those that hardly rise do not speak against.
+        ([0.3, 0.3, 1.02, 1.02], 1.0),
+        ([0.3, 0.3, 1.02, 1.2], 0.75),
+        # One may be an accident.
+        ([0.1, 1.02, 1.02, 1.02], 0.25),
+    ],
+)
+def test_agreement_of_folds(after, agreement):
+    assert fold_agreement(np.ones(4), np.array(after)) == agreement
+
+
+@pytest.mark.parametrize(
+    ("over_floor", "is_noise"),
+    [
+        ([1.2] * 7, True),
+        ([1.3] * 7, False),
+        ([1.0] * 6 + [1.5], True),
+        ([1.0] * 6 + [2.0], False),  # 1.2 times on the whole
+    ],
+)
+def test_noise_of_other_joints_covers_nothing_up(over_floor, is_noise):
+    """Seven joints with the same noise, in units of their own efforts."""
+    sizes = np.geomspace(0.1, 100.0, 7)
+    joints = zip("abcdefg", sizes, over_floor, strict=True)
+    table = ErrorTable(tuple(JointError(j, f * 0.01 * s, s, 0.01 * s) for j, s, f in joints))
+    assert table.is_noise == is_noise

@@ -1,0 +1,189 @@
+"""Geodesic least squares: projections against scipy, the two methods, and rejected rows."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import block_diag, expm
+from scipy.optimize import NonlinearConstraint, minimize
+from scipy.spatial.transform import Rotation
+
+from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.identification import geodesic_least_squares, identify
+from geodrake.identification.coordinates import SYMMETRIC_BASIS
+from geodrake.identification.hyperplanes import _lambert, covectors, project
+from geodrake.inertia import (
+    change_frame,
+    from_mass_com_inertia,
+    is_physical,
+    pseudo_inertia,
+)
+from geodrake.inertia.positive_definite import distance
+
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
+)
+ROOTS = np.linalg.cholesky(pseudo_inertia(PRIOR))
+
+
+def data(seed, *, rows=30, noise=0.1):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size))
+    phi = PRIOR * rng.uniform(0.8, 1.25, (2, 1))
+    return A, A @ phi.ravel() + noise * rng.normal(size=rows)
+
+
+def bodies(velocity):
+    """P = L exp(Q) Lᵀ for Q (2, 4, 4)."""
+    return np.array([L @ expm(Q) @ L.T for L, Q in zip(ROOTS, velocity, strict=True)])
+
+
+def test_covectors_are_dual():
+    A, _ = data(0)
+    traces = np.einsum("mbij,bji->m", covectors(A), pseudo_inertia(PRIOR))
+    np.testing.assert_allclose(traces, A @ PRIOR.ravel(), rtol=1e-12)
+
+
+def test_lambert_inverts_up_to_its_branch_point():
+    x = np.concatenate([-1 / np.e + np.geomspace(1e-15, 0.3, 200), np.geomspace(1e-8, 1e8, 50)])
+    W = _lambert(np.append(x, -1 / np.e))
+    np.testing.assert_allclose(W[:-1] * np.exp(W[:-1]), x, rtol=1e-12, atol=1e-14)
+    assert W[-1] == pytest.approx(-1.0, abs=1e-7) and (W >= -1).all()
+
+
+@given(seed=st.integers(0, 10_000), noise=st.floats(0.01, 5.0))
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_projections_are_on_the_plane_and_geodesics_meet_it_at_right_angles(seed, noise):
+    A, b = data(seed, noise=noise)
+    X = covectors(A)
+    found = project(ROOTS, X, b)
+    assert found.exists.any()
+    for i in np.flatnonzero(found.exists):
+        P = bodies(found.velocities[i])
+        assert np.einsum("bij,bji->", P, X[i]) == pytest.approx(b[i], rel=1e-6, abs=1e-6)
+        assert np.linalg.eigvalsh(found.velocities[i]).max() <= 1 + 1e-6
+        # [Lee2019] Eq. (A.2.10): −Q e^(−Q) is a multiple of the normal, in all bodies the same.
+        left = np.array([-Q @ expm(-Q) for Q in found.velocities[i]]).ravel()
+        normal = found.normals[i].ravel()
+        cosine = abs(left @ normal) / np.linalg.norm(left) / np.linalg.norm(normal)
+        assert cosine == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_projection_is_the_nearest_point_by_slsqp():
+    A, b = data(1)
+    X = covectors(A)
+    found = project(ROOTS, X, b)
+    for i in range(4):
+
+        def velocity(y):
+            return np.einsum("bk,kij->bij", y.reshape(2, 10), SYMMETRIC_BASIS)
+
+        plane = NonlinearConstraint(
+            lambda y, i=i: np.einsum("bij,bji->", bodies(velocity(y)), X[i]), b[i], b[i]
+        )
+        other = minimize(
+            lambda y: 0.5 * y @ y, np.zeros(20), jac=lambda y: y, method="SLSQP", constraints=plane
+        )
+        assert found.half_squared_distances[i] == pytest.approx(other.fun, rel=1e-5)
+
+
+def test_rows_without_a_projection_are_found():
+    """One body and its mass: within a factor e, masses up to m e exist, and none below zero."""
+    phi = PRIOR[:1]
+    A = np.repeat(np.eye(10)[:1], 5, axis=0)
+    b = 4.0 * np.array([1e-6, 1.0, np.e * 0.999, np.e * 1.001, -0.1])
+    found = project(np.linalg.cholesky(pseudo_inertia(phi)), covectors(A), b)
+    assert found.exists.tolist() == [True, True, True, False, False]
+    assert (found.velocities[~found.exists] == 0).all()
+    assert found.half_squared_distances[0] == pytest.approx(0.5 * np.log(1e-6) ** 2)
+
+
+def test_both_methods_find_the_same_minimum():
+    A, b = data(2)
+    newton = geodesic_least_squares(A, b, PRIOR, gamma=30.0, tolerance=1e-7)
+    cyclic = geodesic_least_squares(A, b, PRIOR, gamma=30.0, tolerance=1e-7, method="cyclic")
+    assert newton.cost == pytest.approx(cyclic.cost, rel=1e-10)
+    np.testing.assert_allclose(newton.phi, cyclic.phi, atol=1e-7)
+    assert newton.iterations < cyclic.iterations and not newton.rejected
+    assert is_physical(newton.phi).all()
+
+
+def test_the_cost_is_the_source_one_and_stationary():
+    A, b = data(3)
+    gamma = 5.0
+    result = geodesic_least_squares(A, b, PRIOR, gamma=gamma, sigma=0.5)
+    X = covectors(A / 0.5)
+    weights = 2.0 * np.sum((np.swapaxes(ROOTS, 1, 2) @ X @ ROOTS) ** 2, axis=(1, 2, 3))
+
+    def cost(P):
+        near = project(np.linalg.cholesky(P), X, b / 0.5)
+        prior = 0.5 * np.sum(distance(P, pseudo_inertia(PRIOR)) ** 2)
+        return weights @ near.half_squared_distances + gamma * prior
+
+    P = pseudo_inertia(result.phi)
+    assert result.cost == pytest.approx(cost(P), rel=1e-9)
+    L, rng = np.linalg.cholesky(P), np.random.default_rng(0)
+    for _ in range(20):
+        V = np.einsum("bk,kij->bij", rng.normal(size=(2, 10)), SYMMETRIC_BASIS)
+        ends = [
+            cost(np.array([l @ expm(h * v) @ l.T for l, v in zip(L, V, strict=True)]))  # noqa: E741
+            for h in (-1e-4, 1e-4)
+        ]
+        assert min(ends) > result.cost
+        assert abs(ends[1] - ends[0]) / 2e-4 < 1e-3 * result.cost
+
+
+def test_close_to_the_prior_it_is_regularized_least_squares():
+    """[Lee2019] Remark 3.8: with these weights, both agree to second order."""
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(30, 20))
+    b = A @ PRIOR.ravel() + 1e-5 * rng.normal(size=30)
+    change = geodesic_least_squares(A, b, PRIOR, gamma=10.0, tolerance=1e-12).phi - PRIOR
+    other = identify(A, b, PRIOR, regularizer="pullback", gamma=10.0).phi - PRIOR
+    np.testing.assert_allclose(change, other, atol=2e-3 * np.abs(other).max())
+
+
+def test_outliers_are_rejected_and_do_no_harm():
+    A, b = data(5, noise=0.02)
+    clean = geodesic_least_squares(A, b, PRIOR, gamma=1.0)
+    bad = np.append(b, [1e4, -1e4])
+    wild = np.vstack([A, np.eye(20)[0], np.eye(20)[10]])  # masses of ten tons, and below zero
+    result = geodesic_least_squares(wild, bad, PRIOR, gamma=1.0)
+    assert result.rejected == (30, 31)
+    np.testing.assert_allclose(result.phi, clean.phi, atol=1e-8)
+
+
+@given(seed=st.integers(0, 1000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
+@settings(max_examples=5, deadline=None, derandomize=True)
+def test_invariance_under_frames_and_units(seed, length, mass):
+    rng = np.random.default_rng(seed)
+    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
+    changes = []
+    for _ in PRIOR:
+        R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 0.3
+        changes.append((change_frame(np.eye(10), R, p) * units).T)
+    T = block_diag(*changes)
+    A, b = data(seed)
+    first = geodesic_least_squares(A, b, PRIOR, gamma=2.0)
+    moved = (T @ PRIOR.ravel()).reshape(2, 10)
+    other = geodesic_least_squares(A @ np.linalg.inv(T), b, moved, gamma=2.0)
+    back = np.linalg.solve(T, other.phi.ravel()).reshape(2, 10)
+    assert distance(pseudo_inertia(back), pseudo_inertia(first.phi)).max() < 1e-6
+
+
+def test_bad_arguments_are_refused():
+    A, b = data(6)
+    with pytest.raises(ArgumentError, match=r"newton.*cyclic.*gradient"):
+        geodesic_least_squares(A, b, PRIOR, gamma=1.0, method="gradient")
+    with pytest.raises(ArgumentError, match="gamma must be a finite number above 0; it is -1"):
+        geodesic_least_squares(A, b, PRIOR, gamma=-1.0)
+    with pytest.raises(ArgumentError, match="max_iterations must be"):
+        geodesic_least_squares(A, b, PRIOR, gamma=1.0, max_iterations=0)
+    with pytest.raises(ArgumentError, match="A has 21 columns, but 2 bodies of the prior have 20"):
+        geodesic_least_squares(np.hstack([A, A[:, :1]]), b, PRIOR, gamma=1.0)
+    with pytest.raises(ArgumentError, match="None of the 1 rows has a projection"):
+        geodesic_least_squares(np.eye(20)[:1], [-1.0], PRIOR, gamma=1.0)
+    with pytest.raises(ConvergenceError, match="from its minimum after 2 iterations"):
+        geodesic_least_squares(A, b, PRIOR, gamma=1e-3, method="cyclic", max_iterations=2)

@@ -1,0 +1,250 @@
+"""Fits of physical and scalar parameters: exact shortcuts, a second solver, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification import FitProblem, solve_fit
+from geodrake.identification.problem import LinearConstraints, whitened_factor
+from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia, pullback_metric
+
+
+def bodies(n, rng):
+    """Inertial parameters (n, 10) of solid bodies of several sizes."""
+    mass = rng.uniform(0.3, 12.0, n)
+    root = rng.normal(size=(n, 3, 3)) * 0.05 + 0.08 * np.eye(3)
+    second = mass[:, None, None] * root @ np.swapaxes(root, -1, -2)
+    trace = np.trace(second, axis1=-2, axis2=-1)[:, None, None]
+    return from_mass_com_inertia(mass, rng.normal(size=(n, 3)) * 0.1, trace * np.eye(3) - second)
+
+
+def example(seed, *, n=2, scalars=3, gamma=5.0, noise=1.0, rows=40, friction=2.0):
+    """A fit of bodies and scalars; a smaller γ or larger noise drives it to the boundary."""
+    rng = np.random.default_rng(seed)
+    prior = bodies(n, rng)
+    truth = np.append(
+        (prior * rng.uniform(0.8, 1.2, prior.shape)).ravel(), np.full(scalars, friction)
+    )
+    A = rng.normal(size=(rows, 10 * n + scalars)) * 10.0
+    b = A @ truth + noise * rng.normal(size=rows)
+    p = len(truth)
+    information = np.zeros((p, p))
+    for i, metric in enumerate(pullback_metric(prior)):
+        information[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = gamma * metric
+    return FitProblem(
+        factor=whitened_factor(A, b, sigma=noise),
+        inertia_blocks=tuple(range(0, 10 * n, 10)),
+        prior_mean=np.append(prior.ravel(), np.zeros(scalars)),
+        prior_information=information,
+        lower=np.append(np.full(10 * n, -np.inf), np.zeros(scalars)),
+    )
+
+
+def cost(problem, x):
+    change = x - problem.prior_mean
+    value = problem.residual(x) + change @ problem.prior_information @ change
+    for start, (phi, gamma) in problem.entropic.items():
+        ratio = np.linalg.solve(pseudo_inertia(phi), pseudo_inertia(x[start : start + 10]))
+        value += gamma * (np.trace(ratio) - np.log(np.linalg.det(ratio)) - 4.0)
+    return value
+
+
+def entropic(problem, gamma):
+    priors = {s: (problem.prior_mean[s : s + 10], gamma) for s in problem.inertia_blocks}
+    return replace(
+        problem, entropic=priors, prior_information=np.zeros_like(problem.prior_information)
+    )
+
+
+def in_deviations(result, other):
+    return np.abs(result.x - other.x).max(initial=0.0) / result.standard_deviations().min()
+
+
+WELL_INSIDE = {"gamma": 2000.0, "noise": 5.0}
+AT_BOUNDARY = {"gamma": 0.05, "noise": 20.0, "rows": 12}
+
+
+def test_factor_keeps_the_whitened_residual():
+    rng = np.random.default_rng(0)
+    A, b, sigma, x = (
+        rng.normal(size=(50, 4)),
+        rng.normal(size=50),
+        rng.uniform(1, 3, 50),
+        [1, 2, 3, 4],
+    )
+    factor = whitened_factor(A, b, sigma=sigma)
+    errors = (A @ x - b) / sigma
+    assert np.sum((factor @ [*x, -1]) ** 2) == pytest.approx(errors @ errors, rel=1e-12)
+
+
+def test_closed_form_is_the_solution_of_the_normal_equations():
+    problem = example(1, friction=20.0, **WELL_INSIDE)
+    result = solve_fit(problem)
+    R, r = problem.factor[:, :-1], problem.factor[:, -1]
+    normal = R.T @ R + problem.prior_information
+    expected = np.linalg.solve(normal, R.T @ r + problem.prior_information @ problem.prior_mean)
+    assert result.solver == "closed form"
+    np.testing.assert_allclose(result.x, expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(result.information, normal, rtol=1e-10, atol=1e-8)
+    np.testing.assert_allclose(
+        result.standard_deviations(), np.sqrt(np.diag(np.linalg.inv(normal))), rtol=1e-6
+    )
+    assert result.active_blocks == result.active_bounds == ()
+
+
+@pytest.mark.parametrize("friction", [20.0, -20.0])
+def test_shortcuts_agree_with_the_conic_program(friction):
+    problem = example(2, friction=friction, **WELL_INSIDE)
+    quick, conic = solve_fit(problem), solve_fit(problem, shortcuts=False)
+    name = "closed form" if friction > 0 else "bounded least squares"
+    assert (quick.solver, conic.solver) == (name, "clarabel")
+    assert in_deviations(quick, conic) < 1e-6
+    assert quick.active_bounds == conic.active_bounds
+    assert (len(quick.active_bounds) > 0) == (friction < 0)
+    assert quick.residual == pytest.approx(conic.residual, rel=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_boundary_fits_are_physical_and_agree_with_scs(seed):
+    problem = example(seed, friction=-1.0, **AT_BOUNDARY)
+    result, other = solve_fit(problem), solve_fit(problem, solver="scs")
+    phi = result.x[:20].reshape(2, 10)
+    assert result.solver == "clarabel" and result.active_blocks
+    assert is_physical(phi).all() and (result.x >= problem.lower).all()
+    assert cost(problem, result.x) == pytest.approx(cost(problem, other.x), rel=1e-4)
+    assert cost(problem, result.x) <= cost(problem, problem.prior_mean)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_entropic_fits_are_stationary(seed):
+    problem = entropic(example(seed, friction=3.0, **AT_BOUNDARY), 0.5)
+    result = solve_fit(problem)
+    assert not result.active_blocks and not result.active_bounds
+    deviations = result.standard_deviations()
+    for i in range(problem.size):
+        step = np.zeros(problem.size)
+        step[i] = 1e-4 * deviations[i]
+        slope = (cost(problem, result.x + step) - cost(problem, result.x - step)) / 2e-4
+        assert abs(slope) < 1e-3  # where one deviation off costs about 1
+    other = solve_fit(problem, solver="scs")
+    assert cost(problem, other.x) == pytest.approx(cost(problem, result.x), rel=1e-4)
+
+
+def test_boundary_fit_is_optimal_among_feasible_directions():
+    problem = example(4, n=1, scalars=1, **AT_BOUNDARY)
+    x = solve_fit(problem).x
+    rng = np.random.default_rng(4)
+    floor = problem.margin * pseudo_inertia(problem.prior_mean[:10])
+    tried = 0
+    for scale in np.repeat(np.logspace(-4, 0, 9), 60):
+        other = np.append(bodies(1, rng)[0], rng.uniform(0, 4))
+        other = x + scale * (other - x)
+        if np.linalg.eigvalsh(pseudo_inertia(other[:10]) - floor)[0] >= 0:
+            tried += 1
+            assert cost(problem, other) >= cost(problem, x) * (1 - 1e-8)
+    assert tried > 300
+
+
+def test_one_mass_by_hand():
+    # Weighing alone, with the pullback metric at a unit prior: a one-dimensional problem.
+    prior = from_mass_com_inertia(1.0, np.zeros(3), 0.02 * np.eye(3))
+    A = np.eye(11)[[0]][:, :10]
+    problem = FitProblem(
+        factor=whitened_factor(A, [3.0], sigma=0.5),
+        inertia_blocks=(0,),
+        prior_mean=prior,
+        prior_information=pullback_metric(prior),
+    )
+    # min (m − 3)²/0.25 + ½ (m − 1)², for the metric of a mass at its own centre is ½ dm²/m².
+    result = solve_fit(problem)
+    assert result.x[0] == pytest.approx((3.0 / 0.25 + 0.5) / (1 / 0.25 + 0.5), rel=1e-12)
+    np.testing.assert_allclose(result.x[1:], prior[1:], atol=1e-12)
+
+
+def test_no_data_gives_the_prior_back():
+    problem = example(5)
+    empty = replace(problem, factor=np.zeros((1, problem.size + 1)))
+    for problem in (empty, entropic(empty, 1.0)):
+        result = solve_fit(problem)
+        np.testing.assert_allclose(result.x[:20], problem.prior_mean[:20], rtol=1e-4, atol=1e-5)
+        assert np.isinf(result.standard_deviations()[20:]).all()
+
+
+def test_reference_stands_in_for_a_prior_without_mass():
+    problem = example(6, n=1, rows=60)
+    payload = np.append(np.zeros(10), problem.prior_mean[10:])
+    with pytest.raises(ArgumentError, match=r"columns \[0\] have no physical reference"):
+        replace(problem, prior_mean=payload, reference={})
+    size = from_mass_com_inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+    result = solve_fit(replace(problem, prior_mean=payload, reference={0: size}))
+    assert is_physical(result.x[:10])
+
+
+def test_linear_constraints_hold():
+    problem = example(7)
+    row = np.zeros((1, problem.size))
+    row[0, [0, 10]] = 1.0
+    total = 0.7 * problem.prior_mean[[0, 10]].sum()
+    fixed = LinearConstraints(matrix=row, lower=np.array([total]), upper=np.array([total]))
+    result = solve_fit(replace(problem, constraints=fixed))
+    assert (row @ result.x)[0] == pytest.approx(total, rel=1e-8)
+
+
+def test_contradictions_are_errors_with_the_status():
+    problem = example(8)
+    row = np.zeros((1, problem.size))
+    row[0, 0] = 1.0
+    negative = LinearConstraints(matrix=row, lower=np.array([-2.0]), upper=np.array([-1.0]))
+    with pytest.raises(IdentificationError, match="contradict") as caught:
+        solve_fit(replace(problem, constraints=negative))
+    assert caught.value.evidence["status"] == "kInfeasibleConstraints"
+
+
+def rows(*, lower=(0.0,), upper=(1.0,)):
+    return LinearConstraints(matrix=np.ones((1, 23)), lower=np.array(lower), upper=np.array(upper))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"prior_mean": np.zeros(3)}, r"prior_mean must be \(23,\) .* \(3,\)"),
+        ({"factor": np.full((2, 24), np.nan)}, "factor must be .* holds nan"),
+        ({"inertia_blocks": (0, 5)}, "overlap"),
+        ({"inertia_blocks": (0, 20)}, "leave the 23 columns"),
+        ({"lower": np.zeros(23)}, "Bounds are for scalar parameters"),
+        ({"lower": np.zeros(4)}, r"lower must have shape"),
+        ({"upper": np.append(np.full(20, np.inf), [-1, 1, 1])}, r"Parameters \[20\]"),
+        ({"prior_information": np.triu(np.ones((23, 23)))}, "not symmetric"),
+        ({"prior_information": -np.eye(23)}, "negative diagonal"),
+        ({"entropic": {3: (np.zeros(10), 1.0)}}, "no inertia block starts"),
+        ({"margin": 0.0}, "margin must be .* between 0 and 1"),
+        ({"residual_bound": np.nan}, "residual_bound"),
+        ({"constraints": rows(lower=[0.0, 0.0])}, r"constraints.lower must be \(1,\)"),
+        ({"constraints": rows(upper=[-1.0])}, r"constraints \[0\]: 0 and -1"),
+        ({"constraints": rows(lower=[np.nan])}, r"constraints \[0\]: nan and 1"),
+    ],
+)
+def test_bad_problems_are_refused(change, message):
+    with pytest.raises(ArgumentError, match=message):
+        replace(example(9), **change)
+
+
+def test_bad_solver_and_bad_sigma():
+    with pytest.raises(ArgumentError, match="there are clarabel, scs"):
+        solve_fit(example(10, **AT_BOUNDARY), solver="simplex")
+    with pytest.raises(ArgumentError, match="No conic solver 'newton' here"):
+        solve_fit(example(10), solver="newton")  # also where no solver is needed
+    with pytest.raises(ArgumentError, match="sigma has values that are not positive"):
+        whitened_factor(np.eye(2), [1.0, 2.0], sigma=[1.0, 0.0])
+    indefinite = np.zeros((23, 23))
+    indefinite[:2, :2] = [[1.0, 2.0], [2.0, 1.0]]
+    with pytest.raises(ArgumentError, match="not positive semidefinite"):
+        solve_fit(replace(example(10), prior_information=indefinite))
+
+
+def test_a_solve_prints_nothing(capfd):
+    solve_fit(example(11, **AT_BOUNDARY))
+    solve_fit(entropic(example(11, **AT_BOUNDARY), 1.0))
+    assert capfd.readouterr() == ("", "")

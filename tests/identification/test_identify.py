@@ -1,0 +1,349 @@
+"""`identify`: invariance, the two forms, constraints, a human's data, and what is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from measurements import DATA
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification import BodyConstraints, identify
+from geodrake.inertia import (
+    change_frame,
+    from_mass_com_inertia,
+    is_physical,
+    pseudo_inertia,
+    pullback_metric,
+)
+
+REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 2.5, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.05, 0.0, 0.15], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), np.diag([0.03, 0.028, 0.01]), 0.002 * np.eye(3)]),
+)
+
+
+def data(seed, *, rows=24, extra=0, noise=0.3):
+    """Regressor with fewer rows than parameters, and measurements of changed bodies."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    phi = PRIOR * rng.uniform(0.7, 1.4, (3, 1))
+    return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_results_say_what_was_found(regularizer):
+    A, b = data(0, extra=2)
+    sigma = np.random.default_rng(0).uniform(0.2, 0.4, len(b))
+    bounds = [[0.0, 1.5], [-np.inf, np.inf]]
+    result = identify(
+        A, b, PRIOR, regularizer=regularizer, gamma=0.7, sigma=sigma, extra_bounds=bounds
+    )
+    errors = (A @ np.append(result.phi.ravel(), result.extra) - b) / sigma
+    assert result.phi.shape == (3, 10) and result.extra.shape == (2,)
+    assert result.residual == pytest.approx(errors @ errors, rel=1e-9)
+    assert is_physical(result.phi).all() and 0 <= result.extra[0] <= 1.5
+    assert (result.regularizer, result.gamma) == (regularizer, 0.7)
+    assert result.solver and result.solve_time > 0
+
+
+def test_divergences_are_those_of_the_book():
+    A, b = data(1)
+    found = {r: identify(A, b, PRIOR, regularizer=r, gamma=0.5) for r in REGULARIZERS}
+    change = found["euclidean"].phi - PRIOR
+    assert found["euclidean"].divergence == pytest.approx((change**2).sum())
+    change = (found["pullback"].phi - PRIOR).ravel()
+    metric = block_diag(*pullback_metric(PRIOR))
+    assert found["pullback"].divergence == pytest.approx(change @ metric @ change)
+    expected = 0.0
+    for P, P0 in zip(pseudo_inertia(found["entropic"].phi), pseudo_inertia(PRIOR), strict=True):
+        expected -= np.linalg.slogdet(P)[1] - np.linalg.slogdet(P0)[1]
+        expected += np.trace(np.linalg.inv(P0) @ P) - 4
+    assert found["entropic"].divergence == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_scs_finds_the_same(regularizer):
+    A, b = data(2)
+    results = [
+        identify(A, b, PRIOR, regularizer=regularizer, gamma=0.2, solver=solver)
+        for solver in ("clarabel", "scs")
+    ]
+    costs = [r.residual + 0.2 * r.divergence for r in results]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-4)
+    assert results[0].divergence == pytest.approx(results[1].divergence, rel=1e-3)
+
+
+@pytest.mark.parametrize("gamma", [0.3, 1e-5])
+@pytest.mark.parametrize("regularizer", ["pullback", "entropic", "riemannian"])
+@given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
+@settings(max_examples=6, deadline=None, derandomize=True)
+def test_invariance_under_frames_and_units(regularizer, gamma, seed, length, mass):
+    """The same bodies, whatever frame and units their parameters are stated in."""
+    rng = np.random.default_rng(seed)
+    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
+    changes, prior = [], []
+    for phi in PRIOR:
+        R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 0.3
+        changes.append((change_frame(np.eye(10), R, p) * units).T)
+        prior.append(changes[-1] @ phi)
+    T = block_diag(*changes)
+    A, b = data(seed, noise=1.0)
+    first = identify(A, b, PRIOR, regularizer=regularizer, gamma=gamma)
+    other = identify(A @ np.linalg.inv(T), b, prior, regularizer=regularizer, gamma=gamma)
+    back = np.linalg.solve(T, other.phi.ravel()).reshape(PRIOR.shape)
+    root = np.linalg.inv(np.linalg.cholesky(pseudo_inertia(PRIOR)))
+    one, two = (root @ pseudo_inertia(phi) @ root.mT for phi in (first.phi, back))
+    np.testing.assert_allclose(two, one, rtol=0, atol=1e-6 * np.abs(one).max())
+    cost, again = (fit.residual + gamma * fit.divergence for fit in (first, other))
+    assert again == pytest.approx(cost, rel=1e-6, abs=1e-8)
+
+
+def test_the_euclidean_distance_is_not_invariant():
+    A, b = data(3)
+    units = np.tile(np.repeat([1.0, 1e3, 1e6], [1, 3, 6]), 3)
+    first = identify(A, b, PRIOR, regularizer="euclidean", gamma=0.3)
+    other = identify(A / units, b, PRIOR * units.reshape(3, 10), regularizer="euclidean", gamma=0.3)
+    assert not np.allclose(other.phi.ravel() / units, first.phi.ravel(), rtol=0.05)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_point_to_set_is_the_regularized_form_of_its_gamma(regularizer):
+    A, b = data(4)
+    first = identify(A, b, PRIOR, regularizer=regularizer, gamma=3.0)
+    bound = identify(A, b, PRIOR, regularizer=regularizer, residual_bound=first.residual)
+    assert bound.residual == pytest.approx(first.residual, rel=1e-6)
+    assert bound.divergence == pytest.approx(first.divergence, rel=1e-5)
+    assert bound.gamma == pytest.approx(3.0, rel=1e-3)
+    np.testing.assert_allclose(bound.phi, first.phi, atol=1e-4)
+
+
+def test_a_generous_residual_bound_gives_the_prior():
+    A, b = data(5)
+    generous = 2.0 * np.sum((A @ PRIOR.ravel() - b) ** 2)
+    result = identify(A, b, PRIOR, regularizer="entropic", residual_bound=generous)
+    np.testing.assert_allclose(result.phi, PRIOR, atol=1e-3)
+    assert result.divergence < 1e-6
+
+
+def test_total_mass_and_ellipsoids_hold():
+    A, b = data(6)
+    radii = 0.25
+    centre = PRIOR[:, 1:4] / PRIOR[:, :1]
+    Q = np.zeros((3, 4, 4))
+    for q, c in zip(Q, centre, strict=True):
+        q[:3, :3], q[:3, 3], q[3, :3] = -np.eye(3), c, c
+        q[3, 3] = radii**2 - c @ c
+    for regularizer in REGULARIZERS:
+        result = identify(
+            A, b, PRIOR, regularizer=regularizer, gamma=0.1, ellipsoids=Q, total_mass=8.0
+        )
+        assert result.phi[:, 0].sum() == pytest.approx(8.0, rel=1e-7)
+        inside = np.einsum("bij,bji->b", pseudo_inertia(result.phi), Q)
+        assert (inside > -1e-7).all()
+    with pytest.raises(ArgumentError, match=r"bodies \[0, 1, 2\].*use −Q"):
+        identify(A, b, PRIOR, regularizer="pullback", gamma=1.0, ellipsoids=-Q)
+
+
+BAD = {
+    "regularizer": ({"regularizer": "ridge"}, 'one of "euclidean", "pullback", .* is .ridge'),
+    "neither": ({"gamma": None}, "Exactly one of gamma and residual_bound"),
+    "both": ({"residual_bound": 1.0}, "Exactly one of gamma and residual_bound"),
+    "gamma": ({"gamma": 0.0}, "gamma must be .* above 0; it is 0"),
+    "b": ({"b": np.ones(3)}, r"b must be \(24,\) .* \(3,\)"),
+    "words": ({"b": ["1", "two"]}, "b must be .* it is of type"),
+    "ragged": ({"A": [[1.0, 2.0], [3.0]]}, "A must be .* it is"),
+    "solver": ({"solver": "simplex"}, "No conic solver 'simplex' here; there are clarabel"),
+    "no bodies": ({"prior": np.zeros((0, 10))}, "The prior has no bodies"),
+    "nan": ({"b": np.full(24, np.nan)}, r"b must be .* holds nan at \[0\]"),
+    "prior": (
+        {"prior": PRIOR * np.array([[1], [-1], [1]])},
+        r"not physical for bodies \[1\].*eigenvalues -",
+    ),
+    "bodies": ({"prior": np.vstack([PRIOR, PRIOR])}, "30 columns, but 6 bodies of the prior need"),
+    "sigma": ({"sigma": -1.0}, "sigma has values that are not positive"),
+    "sigma shape": ({"sigma": np.ones(3)}, r"sigma must be \(24,\)"),
+    "ellipsoids": ({"ellipsoids": np.eye(4)}, r"ellipsoids must be \(3, 4, 4\)"),
+    "mass": ({"total_mass": -1.0}, "total_mass must be a finite number"),
+    "extra": ({"extra_bounds": [[0, 1]]}, r"extra_bounds must be \(0, 2\)"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_arguments_are_refused(name):
+    A, b = data(7)
+    change, message = BAD[name]
+    arguments = {"A": A, "b": b, "prior": PRIOR, "regularizer": "pullback", "gamma": 1.0}
+    arguments |= change
+    with pytest.raises(ArgumentError, match=message):
+        identify(arguments.pop("A"), arguments.pop("b"), arguments.pop("prior"), **arguments)
+
+
+def test_a_residual_bound_out_of_reach_says_the_least():
+    A, b = data(8, rows=60, noise=1.0)
+    least = np.linalg.lstsq(A, b)[1][0]
+    with pytest.raises(ArgumentError, match="least squared residual") as caught:
+        identify(A, b, PRIOR, regularizer="pullback", residual_bound=0.9 * least)
+    assert caught.value.evidence["minimum"] == pytest.approx(least, rel=1e-9)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_data_that_say_nothing_give_the_prior(regularizer):
+    A, b = np.zeros((24, 30)), np.ones(24)
+    for form in ({"gamma": 1.0}, {"residual_bound": 25.0}):
+        result = identify(A, b, PRIOR, regularizer=regularizer, **form)
+        np.testing.assert_allclose(result.phi, PRIOR, rtol=1e-7, atol=1e-9)
+
+
+def test_ellipsoids_count_by_their_symmetric_part():
+    A, b = data(9)
+    Q = np.array([ball(com, 0.3) for com in PRIOR[:, 1:4] / PRIOR[:, :1]])
+    skew = np.triu(np.full((4, 4), 50.0), 1)
+    options = {"regularizer": "entropic", "gamma": 1.0}
+    expected = identify(A, b, PRIOR, ellipsoids=Q, **options)
+    result = identify(A, b, PRIOR, ellipsoids=Q + skew - skew.T, **options)
+    np.testing.assert_allclose(result.phi, expected.phi, rtol=1e-8, atol=1e-10)
+
+
+def test_a_residual_bound_that_no_physical_body_reaches():
+    A = np.eye(10)[[0, 4, 5, 6]]
+    b = np.array([-1.0, 0.1, 0.1, 0.1])  # a negative mass
+    for regularizer in REGULARIZERS:
+        with pytest.raises(ArgumentError, match="physical bodies inside all") as caught:
+            identify(A, b, PRIOR[:1], regularizer=regularizer, residual_bound=0.01)
+        assert caught.value.evidence["minimum"] == pytest.approx(1.0, rel=1e-4)
+
+
+@pytest.mark.parametrize("regularizer", ["euclidean", "pullback"])
+def test_a_bound_is_met_where_the_conic_solver_gives_up(regularizer, monkeypatch):
+    A, b = data(12, rows=40, extra=1, noise=2.0)
+    options = {"regularizer": regularizer, "total_mass": 7.0, "extra_bounds": [[0.0, 1.5]]}
+    first = identify(A, b, PRIOR, gamma=0.05, **options)
+    both = identify(A, b, PRIOR, residual_bound=first.residual, **options)
+    assert both.solver in ("newton", "clarabel, newton")
+
+    def failing(*_arguments, **_settings):
+        raise IdentificationError("The solver found nothing.")
+
+    monkeypatch.setattr("geodrake.identification.conic_fit.solve_fit", failing)
+    alone = identify(A, b, PRIOR, residual_bound=first.residual, **options)
+    assert alone.solver == "newton"
+    for result in (both, alone):
+        assert result.residual == pytest.approx(first.residual, rel=1e-9)
+        assert result.gamma == pytest.approx(0.05, rel=1e-3)
+        np.testing.assert_allclose(result.phi, first.phi, atol=1e-6)
+
+
+@pytest.mark.parametrize("solver", [None, "newton", "clarabel"])
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_contradictory_constraints_are_named(regularizer, solver):
+    for seed in (7, 8):
+        A, b = data(seed)
+        with pytest.raises(IdentificationError, match="contradict"):
+            identify(
+                A,
+                b,
+                PRIOR,
+                regularizer=regularizer,
+                gamma=1.0,
+                total_mass=1.0,
+                constraints=BodyConstraints(mass_bounds=[[4, 5], [0, 1], [0, 1]]),
+                solver=solver,
+            )
+
+
+@pytest.mark.measurements("data/human_force_plate.npz")
+def test_human_residuals_match_for_all_regularizers():
+    human = np.load(DATA / "human_force_plate.npz")
+    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
+    arguments = (human["A"], human["b"], human["phi_prior"])
+    options = {"sigma": sigma, "ellipsoids": human["Q"]}
+    gamma = 1e-2 * np.sum((human["A"] / sigma[:, None]) ** 2)
+    first = identify(*arguments, regularizer="euclidean", gamma=gamma, **options)
+    assert first.residual == pytest.approx(1331878.41, rel=1e-5)
+    for regularizer in REGULARIZERS:
+        other = identify(
+            *arguments, regularizer=regularizer, residual_bound=first.residual, **options
+        )
+        assert other.residual == pytest.approx(first.residual, rel=1e-6)
+        assert is_physical(other.phi).all()
+        inside = np.einsum("bij,bji->b", pseudo_inertia(other.phi), human["Q"])
+        assert (inside > -1e-6).all()
+
+
+def ball(centre, radius):
+    """Q with [x;1]ᵀ Q [x;1] ≥ 0 inside a ball."""
+    Q = np.zeros((4, 4))
+    Q[:3, :3], Q[:3, 3], Q[3, :3], Q[3, 3] = -np.eye(3), centre, centre, radius**2 - centre @ centre
+    return Q
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_bounds_on_mass_and_centre_of_mass_hold(regularizer):
+    A, b = data(9, noise=2.0)
+    com = PRIOR[:, 1:4] / PRIOR[:, :1]
+    free = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.05)
+    outside = np.abs(free.phi[:, 1:4] / free.phi[:, :1] - com) > 0.01
+    assert outside.any(), "the bounds do nothing: a weak test"
+    bounds = BodyConstraints(
+        mass_bounds=[[3.9, 4.1], [-np.inf, np.inf], [0.5, np.inf]],
+        com_bounds=np.stack([com - 0.01, com + 0.01], -1),
+    )
+    options = {"regularizer": regularizer, "gamma": 0.05, "constraints": bounds}
+    result = identify(A, b, PRIOR, total_mass=7.0, **options)
+    mass = result.phi[:, 0]
+    assert 3.9 - 1e-7 <= mass[0] <= 4.1 + 1e-7 and mass[2] >= 0.5 - 1e-7
+    assert mass.sum() == pytest.approx(7.0, rel=1e-7)
+    assert (np.abs(result.phi[:, 1:4] / mass[:, None] - com) < 0.01 + 1e-6).all()
+    with pytest.raises(ArgumentError, match="total_mass is given twice"):
+        both = BodyConstraints(total_mass=7.0)
+        identify(A, b, PRIOR, regularizer=regularizer, gamma=1.0, total_mass=7.0, constraints=both)
+
+
+CONSTRAINTS = {
+    "mass shape": (
+        {"mass_bounds": [[0, 1]]},
+        r"mass_bounds must be \(3, 2\) .* \(1, 2\)",
+    ),
+    "mass order": ({"mass_bounds": [[2, 1]] * 3}, r"mass_bounds leaves nothing .* at \[\[0\]"),
+    "no mass": ({"mass_bounds": [[-2, -1]] * 3}, r"no positive mass to bodies \[0, 1, 2\]"),
+    "com shape": ({"com_bounds": np.zeros((3, 2))}, r"com_bounds must be \(3, 3, 2\)"),
+    "nan": ({"com_bounds": np.full((3, 3, 2), np.nan)}, "com_bounds leaves nothing"),
+    "mass": ({"total_mass": np.inf}, "total_mass must be a finite number"),
+}
+
+
+@pytest.mark.parametrize("name", CONSTRAINTS)
+def test_bad_constraints_are_refused(name):
+    change, message = CONSTRAINTS[name]
+    with pytest.raises(ArgumentError, match=message):
+        BodyConstraints(**change).rows(PRIOR, 32)
+
+
+def test_an_ellipsoid_without_the_prior_names_the_body():
+    A, b = data(10)
+    com = PRIOR[:, 1:4] / PRIOR[:, :1]
+    Q = np.array([ball(c + np.array([0, 0.5 * (i == 1), 0]), 0.3) for i, c in enumerate(com)])
+    with pytest.raises(ArgumentError, match=r"bodies \[1\] do not contain the prior") as caught:
+        identify(A, b, PRIOR, regularizer="pullback", gamma=1.0, ellipsoids=Q)
+    assert caught.value.evidence["bodies"] == [1]
+    assert caught.value.evidence["trace"][0] == pytest.approx(
+        np.trace(pseudo_inertia(PRIOR[1]) @ Q[1])
+    )
+
+
+def test_an_impossible_prior_comes_with_the_nearest_possible_one():
+    A, b = data(11)
+    bad = PRIOR.copy()
+    bad[1, 4] = 1.0  # Ixx > Iyy + Izz
+    bad[2] = 0.0
+    with pytest.raises(ArgumentError, match=r"not physical for bodies \[1, 2\]") as caught:
+        identify(A, b, bad, regularizer="entropic", gamma=1.0)
+    nearest = caught.value.evidence["nearest"]
+    assert is_physical(nearest).all()
+    np.testing.assert_array_equal(nearest[0], PRIOR[0])
+    np.testing.assert_allclose(nearest[1, :4], PRIOR[1, :4])
+    assert identify(A, b, nearest, regularizer="entropic", gamma=1.0).residual > 0

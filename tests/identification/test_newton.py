@@ -1,0 +1,371 @@
+"""Newton's method for entropic fits: second solvers, invariance, extremes, the two forms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example as with_example
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from measurements import DATA
+from scipy.linalg import block_diag, eigh
+from scipy.spatial.transform import Rotation
+
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification import FitProblem, solve_fit
+from geodrake.identification.identify import identify
+from geodrake.identification.newton import newton_sweep, solve_newton
+from geodrake.identification.newton_path import cold_start, minimize
+from geodrake.identification.newton_program import NewtonProgram
+from geodrake.identification.problem import LinearConstraints, whitened_factor
+from geodrake.inertia import (
+    change_frame,
+    from_mass_com_inertia,
+    is_physical,
+    pseudo_inertia,
+    pseudo_inertia_basis,
+)
+
+PRIOR = from_mass_com_inertia(
+    np.array([4.0, 2.5, 0.8]),
+    np.array([[0.0, 0.02, 0.2], [0.05, 0.0, 0.15], [0.0, 0.0, 0.04]]),
+    np.array([np.diag([0.06, 0.05, 0.02]), np.diag([0.03, 0.028, 0.01]), 0.002 * np.eye(3)]),
+)
+BODIES = tuple(range(0, PRIOR.size, 10))
+
+
+def example(seed, *, gamma=0.5, rows=24, extra=2, scale=1.0, pull=1.0, **changes):
+    """Fewer rows than parameters, and two bounded scalars; pull < 0 asks for negative masses."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    truth = np.append((PRIOR * rng.uniform(0.7, 1.4, (3, 1))).ravel(), np.full(extra, 2.0))
+    b = pull * (A @ truth) + 0.3 * rng.normal(size=rows)
+    p = len(truth)
+    free = np.full(PRIOR.size, np.inf)
+    problem = FitProblem(
+        factor=whitened_factor(scale * A, scale * b),
+        inertia_blocks=BODIES,
+        prior_mean=np.append(PRIOR.ravel(), np.zeros(extra)),
+        prior_information=np.zeros((p, p)),
+        lower=np.append(-free, [0.0, -np.inf][:extra]),
+        upper=np.append(free, [1.5, 4.0][:extra]),
+        entropic={start: (phi, gamma) for start, phi in zip(BODIES, PRIOR, strict=True)},
+    )
+    return replace(problem, **changes)
+
+
+def constrained(problem):
+    """A total mass, and ellipsoids of which some are active."""
+    rows = np.zeros((4, problem.size))
+    for i, start in enumerate(BODIES):
+        centre = PRIOR[i, 1:4] / PRIOR[i, 0]
+        Q = np.zeros((4, 4))
+        Q[:3, :3], Q[:3, 3], Q[3, :3] = -np.eye(3), centre, centre
+        Q[3, 3] = 0.25**2 - centre @ centre
+        rows[i, start : start + 10] = np.einsum("ij,kji->k", Q, pseudo_inertia_basis())
+        rows[3, start] = 1.0
+    lower, upper = np.array([0.0, 0.0, 0.0, 8.0]), np.array([np.inf, np.inf, np.inf, 8.0])
+    return replace(problem, constraints=LinearConstraints(matrix=rows, lower=lower, upper=upper))
+
+
+def divergence(problem, x):
+    """Σ γ Σ (c − log(1 + c)) over the eigenvalues c of P₀⁻¹ (P − P₀), exact where P is near P₀."""
+    value = 0.0
+    for start, (phi, gamma) in problem.entropic.items():
+        change = pseudo_inertia(x[start : start + 10] - phi)
+        c = eigh(change, pseudo_inertia(phi), eigvals_only=True)
+        value += gamma * (c - np.log1p(c)).sum()
+    return value
+
+
+def cost(problem, x):
+    change = x - problem.prior_mean
+    return (
+        problem.residual(x) + change @ problem.prior_information @ change + divergence(problem, x)
+    )
+
+
+def relative_difference(phi, other):
+    """Largest eigenvalue of P(φ)⁻¹ (P(φ′) − P(φ)), which depends on no frame and no unit."""
+    ratio = np.linalg.solve(pseudo_inertia(phi), pseudo_inertia(other))
+    return np.abs(np.linalg.eigvals(ratio) - 1.0).max()
+
+
+def information_difference(result, other):
+    """Largest difference of an entry, relative to its row's and column's diagonal entries."""
+    size = np.sqrt(np.diagonal(other.information))
+    return np.abs((result.information - other.information) / np.outer(size, size)).max()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["plain", "constrained", "with prior information"])
+def test_clarabel_and_scs_find_the_same(seed, kind):
+    problem = example(seed, gamma=0.05 * 10.0**seed, rows=40)
+    if kind == "constrained":
+        problem = constrained(problem)
+    if kind == "with prior information":
+        root = np.random.default_rng(seed).normal(size=(5, problem.size))
+        problem = replace(problem, prior_information=root.T @ root)
+    newton, conic = solve_newton(problem), solve_fit(problem)
+    assert (newton.solver, conic.solver) == ("newton", "clarabel")
+    assert cost(problem, newton.x) == pytest.approx(cost(problem, conic.x), rel=1e-8)
+    assert newton.active_bounds == conic.active_bounds
+    assert newton.active_blocks == conic.active_blocks == ()
+    assert information_difference(newton, conic) < 1e-3
+    scs = solve_fit(problem, solver="scs")
+    assert cost(problem, newton.x) == pytest.approx(cost(problem, scs.x), rel=1e-5)
+
+
+def test_it_is_the_minimum_of_the_program_as_cvxpy_states_it():
+    cp = pytest.importorskip("cvxpy")
+    problem = constrained(example(5, gamma=0.3, rows=40))
+    x = cp.Variable(problem.size)
+    value = cp.sum_squares(problem.factor[:, :-1] @ x - problem.factor[:, -1])
+    limits = [x[30] >= 0, x[30] <= 1.5, x[31] <= 4.0]
+    for start, (phi, gamma) in problem.entropic.items():
+        P = cp.Variable((4, 4), symmetric=True)
+        parts = [x[start + i] * basis for i, basis in enumerate(pseudo_inertia_basis())]
+        limits.append(sum(parts) == P)
+        trace = cp.trace(np.linalg.inv(pseudo_inertia(phi)) @ P)
+        value += gamma * (trace - 4 - cp.log_det(P) + np.linalg.slogdet(pseudo_inertia(phi))[1])
+    rows = problem.constraints
+    limits += [rows.matrix[:3] @ x >= 0, rows.matrix[3] @ x == 8.0]
+    least = cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
+    assert cost(problem, solve_newton(problem).x) == pytest.approx(least, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_slopes_vanish_where_nothing_is_bounded(seed):
+    problem = example(seed, extra=0, gamma=0.2)
+    x = solve_newton(problem).x
+    R, r = problem.factor[:, :-1], problem.factor[:, -1]
+    slope = 2.0 * R.T @ (R @ x - r)
+    for start, phi in zip(BODIES, PRIOR, strict=True):
+        change = np.linalg.inv(pseudo_inertia(phi)) - np.linalg.inv(
+            pseudo_inertia(x[start : start + 10])
+        )
+        slope[start : start + 10] += 0.2 * np.einsum("ij,kji->k", change, pseudo_inertia_basis())
+        scale = np.linalg.cholesky(pseudo_inertia(x[start : start + 10]))
+        # The slope along the symmetric directions L (E + Eᵀ) Lᵀ, in which the body is the unit.
+        for i, j in zip(*np.tril_indices(4), strict=True):
+            step = np.outer(scale[:, i], scale[:, j])
+            phi_step = np.linalg.lstsq(
+                pseudo_inertia_basis().reshape(10, 16).T, (step + step.T).ravel()
+            )[0]
+            assert abs(slope[start : start + 10] @ phi_step) < 1e-8
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    length=st.floats(0.05, 20.0),
+    mass=st.floats(0.05, 20.0),
+    power=st.floats(-4.0, 6.0),
+)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_invariance_under_frames_and_units(seed, length, mass, power):
+    """The same bodies, whatever frame and units their parameters are stated in."""
+    rng = np.random.default_rng(seed)
+    units = mass * np.repeat([1.0, length, length**2], [1, 3, 6])
+    changes, prior = [], []
+    for phi in PRIOR:
+        R, p = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3) * 0.3
+        changes.append((change_frame(np.eye(10), R, p) * units).T)
+        prior.append(changes[-1] @ phi)
+    T = block_diag(*changes)
+    A = rng.normal(size=(24, 30))
+    b = A @ (PRIOR * rng.uniform(0.7, 1.4, (3, 1))).ravel() + 0.3 * rng.normal(size=24)
+    options = {"regularizer": "entropic", "gamma": 10.0**power, "solver": "newton"}
+    first = identify(A, b, PRIOR, **options)
+    other = identify(A @ np.linalg.inv(T), b, prior, **options)
+    back = np.linalg.solve(T, other.phi.ravel()).reshape(3, 10)
+    assert relative_difference(first.phi, back) < 1e-6
+    assert is_physical(first.phi).all() and is_physical(other.phi).all()
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    gamma=st.floats(-12.0, 12.0),
+    scale=st.floats(-4.0, 4.0),
+    rows=st.sampled_from([2, 24, 60]),
+    pull=st.sampled_from([1.0, -5.0, 0.0]),
+)
+@with_example(seed=167, gamma=6.0, scale=0.0, rows=2, pull=1.0)
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_bodies_are_physical_at_every_extreme(seed, gamma, scale, rows, pull):
+    """No γ, no amount of data and no wish for negative masses is too much."""
+    problem = example(seed, gamma=10.0**gamma, scale=10.0**scale, rows=rows, pull=pull)
+    x = solve_newton(problem).x
+    assert is_physical(x[:30].reshape(3, 10)).all()
+    assert (x >= problem.lower).all() and (x <= problem.upper).all()
+    prior = np.append(PRIOR.ravel(), np.clip(0.0, problem.lower[30:], problem.upper[30:]))
+    least = cost(problem, x)
+    left = 1e-7 * least + 1e-12 * 10.0**gamma  # what solve_newton says of its minimum
+    assert np.isfinite(least) and cost(problem, prior) >= least - left
+    rng = np.random.default_rng(seed)
+    for size in np.logspace(-8, -1, 8):
+        other = x + size * (prior - x) * rng.uniform(0.0, 1.0, len(x))
+        if is_physical(other[:30].reshape(3, 10)).all():
+            assert cost(problem, other) >= least - left
+
+
+@pytest.mark.parametrize("gamma", [1e-12, 1e-6, 1.0, 1e6, 1e12])
+def test_the_smallest_gap_at_every_gamma(gamma):
+    program = NewtonProgram.of(example(1, gamma=gamma, rows=60, pull=-5.0))
+    weighted = program.weighted(1.0)
+    minimum = minimize(weighted, cold_start(weighted))
+    assert minimum.gap <= 1e-9 * max(weighted.cost(minimum.point.z), gamma)
+    assert minimum.steps < 40
+
+
+def test_a_huge_gamma_gives_the_prior_and_no_data_too():
+    x = solve_newton(example(2, gamma=1e12)).x
+    assert relative_difference(PRIOR, x[:30].reshape(3, 10)) < 1e-9
+    problem = example(2)
+    empty = replace(problem, factor=np.zeros((1, problem.size + 1)))
+    result = solve_newton(empty)
+    assert relative_difference(PRIOR, result.x[:30].reshape(3, 10)) < 1e-9
+    assert np.isinf(result.standard_deviations()[30:]).all()
+
+
+def test_rank_deficient_scalars_stay_where_they_do_nothing():
+    problem = example(3, rows=60)
+    factor = problem.factor.copy()
+    factor[:, 31] = factor[:, 30]
+    twins = replace(problem, factor=factor, lower=np.array(-np.inf), upper=np.array(np.inf))
+    x = solve_newton(twins).x
+    assert x[30] == pytest.approx(x[31], rel=1e-4)
+    merged = replace(twins, factor=factor @ np.diag(np.append(np.ones(31), [0.0, 1.0])))
+    assert cost(twins, x) == pytest.approx(cost(merged, solve_newton(merged).x), rel=1e-9)
+
+
+def test_a_weighing_by_hand():
+    # One mass alone: the other directions keep P⁰'s, and m − m⁰ − m⁰ log(m/m⁰) is left.
+    prior = from_mass_com_inertia(1.0, np.zeros(3), 0.02 * np.eye(3))
+    gamma, sigma, measured = 0.7, 0.5, 3.0
+    result = identify(
+        np.eye(10)[:1],
+        [measured],
+        [prior],
+        regularizer="entropic",
+        gamma=gamma,
+        sigma=sigma,
+        solver="newton",
+    )
+    m = result.phi[0, 0]
+    assert 2 * (m - measured) / sigma**2 + gamma * (1 - 1 / m) == pytest.approx(0.0, abs=1e-10)
+    np.testing.assert_allclose(result.phi[0, 1:], prior[1:], atol=1e-12)
+    assert (result.solver, result.gamma) == ("newton", gamma)
+    assert result.residual == pytest.approx(((m - measured) / sigma) ** 2)
+
+
+@pytest.mark.parametrize("kind", ["plain", "constrained"])
+@pytest.mark.parametrize("gamma", [1e-4, 0.3, 200.0])
+def test_point_to_set_is_the_regularized_form_of_its_gamma(gamma, kind):
+    problem = example(4, gamma=1.0, rows=60)
+    if kind == "constrained":
+        problem = constrained(problem)
+    root = np.random.default_rng(4).normal(size=(3, problem.size))
+    problem = replace(problem, prior_information=0.1 * root.T @ root)
+    first = newton_sweep(problem, [gamma])[0]
+    bounded = replace(problem, residual_bound=first.residual)
+    result = solve_newton(bounded)
+    assert result.residual == pytest.approx(first.residual, rel=1e-9)
+    assert result.prior_weight == pytest.approx(gamma, rel=1e-5)
+    np.testing.assert_allclose(result.x, first.x, rtol=1e-5, atol=1e-7)
+    conic = solve_fit(bounded)
+    assert conic.prior_weight == pytest.approx(gamma, rel=1e-3)
+    np.testing.assert_allclose(conic.x, result.x, rtol=1e-3, atol=1e-5)
+
+
+def test_the_derivative_of_the_residual():
+    problem = constrained(example(6, gamma=1.0, rows=60))
+    program = NewtonProgram.of(problem)
+
+    def minimum(weight):
+        weighted = program.weighted(weight)
+        return minimize(weighted, cold_start(weighted))
+
+    step = 1e-4
+    numeric = (minimum(np.exp(step)).excess - minimum(np.exp(-step)).excess) / (2 * step)
+    assert minimum(1.0).derivative() == pytest.approx(numeric, rel=1e-5)
+
+
+def test_a_generous_residual_bound_gives_the_prior():
+    problem = example(7, extra=0)
+    bound = 2.0 * problem.residual(PRIOR.ravel())
+    result = solve_newton(replace(problem, residual_bound=bound))
+    assert np.isinf(result.prior_weight)
+    assert relative_difference(PRIOR, result.x.reshape(3, 10)) < 1e-6
+
+
+def test_a_residual_bound_out_of_reach_says_the_least():
+    # A weight of −1 kg: least squares reaches 0, a physical body (0 + 1)² only.
+    b = np.array([-1.0, 0.1, 0.1, 0.1])
+    arguments = (np.eye(10)[[0, 4, 5, 6]], b, PRIOR[:1])
+    options = {"regularizer": "entropic", "solver": "newton"}
+    with pytest.raises(ArgumentError, match="physical bodies inside all constraints") as caught:
+        identify(*arguments, residual_bound=0.99, **options)
+    assert caught.value.evidence["minimum"] == pytest.approx(1.0, rel=1e-6)
+    assert identify(*arguments, residual_bound=1.01, **options).residual == pytest.approx(1.01)
+    problem = example(8, rows=60)
+    with pytest.raises(ArgumentError, match="least squared residual that any parameters"):
+        solve_newton(replace(problem, residual_bound=1e-3))
+
+
+def test_a_sweep_is_what_single_fits_are():
+    problem = constrained(example(9, gamma=1.0, rows=60))
+    weights = np.logspace(4, -4, 9)
+    for order in (weights, weights[::-1]):
+        results = newton_sweep(problem, order)
+        assert [result.prior_weight for result in results] == order.tolist()
+        for weight, result in zip(order, results, strict=True):
+            priors = {s: (phi, weight) for s, (phi, _) in problem.entropic.items()}
+            single = replace(problem, entropic=priors)
+            alone = solve_newton(single)
+            assert cost(single, result.x) == pytest.approx(cost(single, alone.x), rel=1e-10)
+            assert information_difference(result, alone) < 1e-5
+
+
+def test_a_start_saves_steps_and_changes_nothing():
+    problem = constrained(example(10, gamma=1e-3, rows=60))
+    cold = solve_newton(problem)
+    for start in (cold.x, np.append(PRIOR.ravel(), [0.0, 0.0]), 1.01 * cold.x, -cold.x):
+        warm = solve_newton(problem, start=start)
+        np.testing.assert_allclose(warm.x, cold.x, rtol=1e-6, atol=1e-8)
+    with pytest.raises(ArgumentError, match=r"start must be \(32,\)"):
+        solve_newton(problem, start=np.zeros(3))
+
+
+def test_what_newton_refuses():
+    problem = example(11)
+    with pytest.raises(ArgumentError, match=r"entropic or quadratic prior for every.*\[20\]"):
+        priors = {start: problem.entropic[start] for start in BODIES[:2]}
+        solve_newton(replace(problem, entropic=priors))
+    with pytest.raises(ArgumentError, match="weights must be positive; the smallest is -1"):
+        newton_sweep(problem, [1.0, -1.0])
+    with pytest.raises(ArgumentError, match="cannot keep a residual bound"):
+        newton_sweep(replace(problem, residual_bound=1.0), [1.0])
+    row = np.zeros((1, problem.size))
+    row[0, 0] = 1.0
+    negative = LinearConstraints(matrix=row, lower=np.array([-2.0]), upper=np.array([-1.0]))
+    with pytest.raises(IdentificationError, match="contradict"):
+        solve_newton(replace(problem, constraints=negative))
+
+
+@pytest.mark.measurements("data/human_force_plate.npz")
+def test_the_human_as_clarabel_has_it():
+    human = np.load(DATA / "human_force_plate.npz")
+    sigma = np.tile(human["sigma"], len(human["b"]) // 3)
+    arguments = (human["A"], human["b"], human["phi_prior"])
+    options = {"sigma": sigma, "ellipsoids": human["Q"], "regularizer": "entropic"}
+    for gamma in (1e6, 1e2, 1.0):
+        newton = identify(*arguments, gamma=gamma, solver="newton", **options)
+        conic = identify(*arguments, gamma=gamma, **options)
+        costs = [result.residual + gamma * result.divergence for result in (newton, conic)]
+        assert costs[0] == pytest.approx(costs[1], rel=1e-9)
+        assert is_physical(newton.phi).all()
+        inside = np.einsum("bij,bji->b", pseudo_inertia(newton.phi), human["Q"])
+        assert (inside > -1e-9).all()
+    assert (inside < 1e-6).any()
+    bound = identify(*arguments, residual_bound=1331878.41, solver="newton", **options)
+    assert bound.residual == pytest.approx(1331878.41, rel=1e-9)

@@ -1,0 +1,162 @@
+"""Zero-phase filtering, differentiation and the choice of a bandwidth."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.filtering import choose_bandwidth, design_filter, differentiate, resample
+
+PERIOD = 0.002
+BANDWIDTH = 10.0
+PASSBAND = 0.6  # of the bandwidth
+
+
+@pytest.fixture
+def low_pass():
+    return design_filter(PERIOD, BANDWIDTH)
+
+
+@pytest.fixture
+def noise():
+    return np.random.default_rng(3).standard_normal((200_000, 1))
+
+
+def test_kernel_is_symmetric_and_keeps_constants(low_pass):
+    assert np.array_equal(low_pass.kernel, low_pass.kernel[::-1])
+    assert low_pass.kernel.sum() == pytest.approx(1.0)
+    assert np.allclose(low_pass.apply(np.full((1000, 2), 3.0)), 3.0)
+    assert np.allclose(low_pass.smooth(np.full(1000, 3.0)), 3.0)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.0, PASSBAND * BANDWIDTH])
+def test_passband_is_untouched_and_without_lag(low_pass, frequency):
+    time = PERIOD * np.arange(5000)
+    signal = np.sin(2 * np.pi * frequency * time)
+    inner = slice(low_pass.halfwidth, -low_pass.halfwidth)
+    smooth = low_pass.smooth(signal)
+    assert np.abs(smooth - signal)[inner].max() < 1e-3
+    lags = np.correlate(smooth[inner], signal[inner], "full")
+    assert np.argmax(lags) == len(signal[inner]) - 1
+    assert np.abs(low_pass.apply(signal) - signal[low_pass.output_indices(5000)]).max() < 1e-3
+
+
+def test_stopband_is_gone(low_pass):
+    time = PERIOD * np.arange(5000)
+    assert np.abs(low_pass.apply(np.sin(2 * np.pi * 1.5 * BANDWIDTH * time))).max() < 1e-3
+
+
+@pytest.mark.parametrize("frequency", [0.3, 3.0, PASSBAND * BANDWIDTH])
+def test_derivatives_of_sinusoids(low_pass, frequency):
+    time = PERIOD * np.arange(5000)
+    rate = 2 * np.pi * frequency
+    inner = slice(low_pass.halfwidth, -low_pass.halfwidth)
+    position = low_pass.smooth(np.sin(rate * time))
+    velocity = differentiate(position, PERIOD)
+    acceleration = differentiate(velocity, PERIOD)
+    assert np.abs(velocity - rate * np.cos(rate * time))[inner].max() < 1e-3 * rate
+    assert np.abs(acceleration + rate**2 * np.sin(rate * time))[inner].max() < 1e-3 * rate**2
+
+
+def test_second_derivative_passes_no_noise_above_the_bandwidth(low_pass, noise):
+    smooth = low_pass.smooth(noise[:20_000, 0])
+    acceleration = differentiate(differentiate(smooth, PERIOD), PERIOD)
+    spectrum = np.abs(np.fft.rfft(acceleration[200:-200] * np.hanning(19_600))) ** 2
+    frequency = np.fft.rfftfreq(19_600, PERIOD)
+    assert spectrum[frequency > 1.5 * BANDWIDTH].sum() < 1e-4 * spectrum.sum()
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.13, 0.17, 0.19, 0.22, 0.25])
+def test_filtered_white_noise_is_white_after_decimation(noise, share):
+    low_pass = design_filter(PERIOD, share / PERIOD)
+    filtered = low_pass.apply(noise)[:, 0]
+    assert np.std(filtered) == pytest.approx(low_pass.noise_gain, rel=0.05)
+    assert abs(np.corrcoef(filtered[1:], filtered[:-1])[0, 1]) < 0.15
+    rate = 1 / low_pass.output_period
+    assert 2 * low_pass.bandwidth - 1e-9 <= rate <= 2.1 * low_pass.bandwidth
+
+
+def test_window_of_an_output(low_pass):
+    """An impulse is seen by just the outputs within the filter's half width."""
+    n, at = 1500, 700
+    seen = low_pass.apply(np.eye(n)[at])
+    near = np.abs(low_pass.output_indices(n) - at) <= low_pass.halfwidth
+    assert np.all(seen[~near] == 0.0)
+    assert np.allclose(
+        seen[near],
+        low_pass.kernel[low_pass.halfwidth :][np.abs(low_pass.output_indices(n) - at)[near]],
+    )
+
+
+@given(n=st.integers(0, 1500), size=st.integers(1, 900), bandwidth=st.floats(8.0, 120.0))
+def test_chunks_are_the_whole(n, size, bandwidth):
+    low_pass = design_filter(PERIOD, bandwidth)
+    columns = np.random.default_rng(n).standard_normal((n, 3))
+    whole = low_pass.apply(columns)
+    assert len(whole) == low_pass.output_count(n) == len(low_pass.output_indices(n))
+    parts = [np.empty((0, 3))]
+    for rows, outputs in low_pass.chunks(n, size):
+        assert rows.stop - rows.start <= max(size, 2 * low_pass.halfwidth + 1)
+        parts.append(low_pass.apply(columns[rows]))
+        assert len(parts[-1]) == outputs
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, -1.0, 126.0, np.nan])
+def test_bandwidth_out_of_range(bandwidth):
+    with pytest.raises(ArgumentError, match="500 Hz"):
+        design_filter(PERIOD, bandwidth)
+
+
+@pytest.mark.parametrize("period", [0.0, -0.1, np.nan])
+def test_period_out_of_range(period):
+    with pytest.raises(ArgumentError, match="above zero"):
+        design_filter(period, 1.0)
+
+
+def test_derivatives_of_too_little():
+    with pytest.raises(ArgumentError, match="6 samples; got 5"):
+        differentiate(np.zeros(5), PERIOD)
+
+
+def test_resampled_efforts_do_not_overshoot():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.choice([0.01, 0.012, 0.03], 300, p=[0.7, 0.28, 0.02]))
+    step = (time > 1.5).astype(float)[:, None]
+    grid = np.arange(time[0], time[-1], 0.01)
+    smooth, sharp = resample(time, np.sin(3 * time)[:, None], step, grid)
+    assert np.abs(smooth[:, 0] - np.sin(3 * grid)).max() < 1e-4
+    assert sharp.min() == 0.0
+    assert sharp.max() == 1.0
+
+
+def _motion(highest, noise, period=0.001, seconds=40.0):
+    time = period * np.arange(int(seconds / period))
+    rng = np.random.default_rng(1)
+    rates = 2 * np.pi * highest * np.arange(1, 6) / 5
+    waves = np.sin(rates[:, None] * time + rng.uniform(0, 6, (3, 5, 1))) / rates[:, None]
+    return waves.sum(1).T + noise * rng.standard_normal((len(time), 3))
+
+
+@pytest.mark.parametrize("highest", [0.4, 2.0, 7.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4])
+def test_bandwidth_holds_the_motion(highest, noise):
+    chosen = choose_bandwidth([(_motion(highest, noise), 0.001)])
+    assert 3.0 * highest < chosen < 12.0 * highest
+
+
+def test_joints_at_rest_do_not_count_for_the_bandwidth():
+    moving = _motion(2.0, 1e-6)
+    still = np.hstack([moving, np.ones((len(moving), 1))])
+    assert choose_bandwidth([(still, 0.001)]) == choose_bandwidth([(moving, 0.001)])
+
+
+def test_bandwidth_stays_below_a_quarter_of_the_rate():
+    slow = _motion(7.0, 1e-5)[::25]
+    assert choose_bandwidth([(slow, 0.025)]) == pytest.approx(10.0)
+
+
+def test_bandwidth_of_too_little():
+    with pytest.raises(LogError, match="32 samples"):
+        choose_bandwidth([(np.zeros((20, 1)), 0.01)])

@@ -1,0 +1,313 @@
+"""Logs and motions, their preparation, and the folds that validation uses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from measurements import DATA
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.files import read_log
+from geodrake.logs.filtering import design_filter
+from geodrake.logs.folds import validation_blocks
+from geodrake.logs.motion import JointLog, Motion, Trajectory, match_joints
+from geodrake.logs.preparation import prepare_log, prepare_logs
+from geodrake.logs.smoothing import Piece, Stretch
+from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
+
+JOINTS = ("shoulder", "elbow")
+RATES = 2 * np.pi * np.array([0.3, 0.5])
+
+
+def _make_log(time, **changes):
+    """Two joints on sinusoids; the effort is its own time stamp, so that it can be traced."""
+    log = JointLog(
+        "made",
+        JOINTS,
+        time,
+        np.sin(RATES * time[:, None]),
+        np.stack([time, time], 1),
+        RATES * np.cos(RATES * time[:, None]),
+    )
+    return replace(log, **changes)
+
+
+def _uniform(seconds=30.0, period=0.01):
+    return period * np.arange(round(seconds / period))
+
+
+def _error(segment):
+    """Largest relative errors of position, velocity and acceleration."""
+    phase = RATES * segment.time[:, None]
+    return [
+        np.abs((measured - truth) / scale).max()
+        for measured, truth, scale in (
+            (segment.position, np.sin(phase), 1.0),
+            (segment.velocity, RATES * np.cos(phase), RATES),
+            (segment.acceleration, -(RATES**2) * np.sin(phase), RATES**2),
+        )
+    ]
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_jittered_stamps_give_smooth_uniform_signals(measured):
+    steps = np.random.default_rng(0).choice([0.01, 0.012, 0.03], 2500, p=[0.7, 0.29, 0.01])
+    log = _make_log(np.cumsum(steps))
+    segment = prepare_log(log if measured else replace(log, velocity=None)).segments[0][:]
+    assert segment.period == pytest.approx(0.01)
+    assert np.allclose(np.diff(segment.time), 0.01)
+    assert max(_error(segment)) < 1e-3
+    assert np.allclose(segment.effort, segment.time[:, None])
+
+
+def test_any_joint_order():
+    log = _make_log(_uniform())
+    turned = log.select(("elbow", "shoulder"))
+    assert np.array_equal(turned.position, log.position[:, ::-1])
+    back = match_joints(turned, JOINTS)
+    assert back.joints == JOINTS
+    assert np.array_equal(back.velocity, log.velocity)
+
+
+def test_joints_that_do_not_match():
+    log = _make_log(_uniform())
+    with pytest.raises(LogError, match=r"model has no joint 'elbow'.*nearest: 'elbow_joint'"):
+        match_joints(log, ("shoulder", "elbow_joint"))
+    with pytest.raises(LogError, match=r"no joint 'wrist'"):
+        match_joints(log, (*JOINTS, "wrist"))
+    with pytest.raises(ArgumentError, match="same joints"):
+        prepare_logs([log, log.select(("elbow",))])
+
+
+@pytest.mark.parametrize("hole", ["gap", "position", "effort", "velocity", "time"])
+def test_holes_split_instead_of_being_bridged(hole):
+    log = _make_log(_uniform(40.0))
+    if hole == "gap":
+        keep = (log.time < 20.0) | (log.time > 20.3)
+        log = _make_log(log.time[keep])
+    else:
+        values = getattr(log, hole).copy()
+        values[2000] = np.nan
+        log = replace(log, **{hole: values})
+    trajectory = prepare_log(log, bandwidth=4.0)
+    low_pass = trajectory.filter
+    assert len(trajectory.segments) == 2
+    assert any("split into 2 pieces" in note for note in trajectory.notes)
+    for segment in (stretch[:] for stretch in trajectory.segments):
+        assert max(_error(segment)) < 1e-3
+        center = segment.time[low_pass.output_indices(len(segment))]
+        reach = low_pass.halfwidth * low_pass.period
+        assert np.all((center + reach < 20.0) | (center - reach > 20.0))
+
+
+def test_pieces_too_short_are_dropped_with_a_note():
+    time = _uniform(40.0)
+    keep = (time < 20.0) | ((time > 21.0) & (time < 21.5)) | (time > 22.0)
+    trajectory = prepare_log(_make_log(time[keep]), bandwidth=4.0)
+    assert len(trajectory.segments) == 2
+    assert "left out 1 of 3 pieces" in trajectory.notes[-1]
+
+
+def _with_standstills(lead, pause, tail, period=0.01):
+    """Smooth strokes of 6 s each, with standstills before, between and after."""
+    stroke = 0.5 * (1 - np.cos(np.pi * np.arange(0, 6, period) / 6)) ** 2 / 2
+    hold = [np.full(round(seconds / period), value) for seconds, value in
+            ((lead, 0.0), (pause, stroke[-1]), (tail, 0.0))]  # fmt: skip
+    q = np.concatenate([hold[0], stroke, hold[1], stroke[::-1], hold[2]])
+    time = period * np.arange(len(q))
+    noise = 1e-5 * np.random.default_rng(0).standard_normal((len(q), 2))
+    return JointLog("strokes", JOINTS, time, np.stack([q, 2 * q], 1) + noise, noise)
+
+
+def test_standstills_at_the_ends_go_and_those_inside_stay():
+    trajectory = prepare_log(_with_standstills(5.0, 3.0, 4.0), bandwidth=4.0)
+    (stretch,) = trajectory.segments
+    segment = stretch[:]
+    reach = trajectory.filter.halfwidth * trajectory.filter.period
+    assert 5.0 - reach - 0.2 < segment.time[0] < 6.0 - reach
+    assert 20.0 + reach - 1.0 < segment.time[-1] < 20.2 + reach
+    assert any("standstill at the start" in note for note in trajectory.notes)
+    assert any("standstill at the end" in note for note in trajectory.notes)
+
+
+def test_still_throughout():
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((1000, 2))
+    log = _make_log(_uniform(10.0), position=noise)
+    with pytest.raises(LogError, match=r"still throughout: in its 10 s") as caught:
+        prepare_log(log)
+    assert "back and forth" in caught.value.advice
+
+
+def test_too_short():
+    with pytest.raises(LogError, match=r"its 3 s give .* samples at a bandwidth of 4") as caught:
+        prepare_log(_make_log(_uniform(3.0)), bandwidth=4.0)
+    assert "Record at least 4.08 s" in caught.value.advice
+    with pytest.raises(LogError, match="8 rows in a row"):
+        prepare_log(_make_log(_uniform(0.05)), bandwidth=4.0)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_time_in_other_units(unit):
+    log = _make_log(_uniform())
+    with pytest.raises(LogError, match="too rarely") as caught:
+        prepare_log(replace(log, time=unit * log.time))
+    assert "It must be in s" in caught.value.advice
+    assert caught.value.evidence["period"] == pytest.approx(0.01 * unit)
+
+
+def test_velocities_that_disagree_are_not_used():
+    log = _make_log(_uniform())
+    trajectory = prepare_log(replace(log, velocity=log.velocity * [1.0, 1.3]), bandwidth=4.0)
+    assert max(_error(trajectory.segments[0][:])) < 1e-3
+    assert any("elbow is 30 % off" in note for note in trajectory.notes)
+
+
+def test_late_velocities_are_moved():
+    log = _make_log(_uniform())
+    late = RATES * np.cos(RATES * (log.time[:, None] - 0.005))
+    trajectory = prepare_log(replace(log, velocity=late), bandwidth=4.0)
+    assert max(_error(trajectory.segments[0][:])) < 1e-3
+    assert any("5 ms late" in note for note in trajectory.notes)
+
+
+def test_logs_share_a_bandwidth():
+    logs = [_make_log(_uniform()), _make_log(_uniform(40.0, 0.004))]
+    first, second = prepare_logs(logs)
+    assert first.filter.bandwidth == pytest.approx(second.filter.bandwidth, rel=0.1)
+    assert any("chosen from the data; efforts decimated 100 →" in note for note in first.notes)
+
+
+def test_preparing_twice_gives_the_same():
+    log = _with_standstills(1.0, 1.0, 1.0)
+    one, other = prepare_log(log).segments[0][:], prepare_log(log).segments[0][:]
+    assert np.array_equal(one.acceleration, other.acceleration)
+
+
+def test_shapes_and_time_are_checked():
+    log = _make_log(_uniform())
+    with pytest.raises(ArgumentError, match=r"effort .* \(3000, 1\).* \(3000, 2\)"):
+        replace(log, effort=log.effort[:, :1])
+    with pytest.raises(ArgumentError, match=r"time of shape \(3000, 1\)"):
+        replace(log, time=log.time[:, None])
+    with pytest.raises(ArgumentError, match="a tuple of joint names"):
+        replace(log, joints="ab")
+    with pytest.raises(LogError, match=r"repeats .*row 3 .* 0.02 s and row 4 .* 0.02 s"):
+        replace(log, time=np.where(np.arange(3000) == 3, 0.02, log.time))
+    with pytest.raises(ArgumentError, match="as many samples"):
+        Motion(np.zeros((3, 2)), np.zeros((3, 2)), np.zeros((2, 2)))
+
+
+def test_motion_slices():
+    motion = Motion(np.arange(6.0)[:, None], np.ones((6, 1)), np.ones((6, 1)), np.arange(6.0))
+    assert len(motion) == 6
+    assert np.array_equal(motion[2:4].q[:, 0], [2, 3])
+    assert np.array_equal(motion[2:4].time, [2, 3])
+
+
+def test_unit_hints():
+    log = _make_log(_uniform())
+    assert position_unit_hint(log) is None
+    assert "degrees" in position_unit_hint(replace(log, position=np.degrees(log.position)))
+    assert effort_unit_hint(log, [30.0, np.inf]) is None
+    assert effort_unit_hint(log, [0.0, np.inf]) is None
+    assert "30 times" in effort_unit_hint(log, [30.0, 1.0])
+    assert "1 %" in effort_unit_hint(log, [9000.0, 3100.0])
+
+
+def _trajectories(*lengths):
+    """One trajectory for each tuple of segment lengths, in filtered samples."""
+    low_pass = design_filter(0.01, 5.0)
+
+    def stretch(start, outputs):
+        n = 2 * low_pass.halfwidth + 1 + (outputs - 1) * low_pass.decimation
+        still = np.zeros((n, 2))
+        piece = Piece(start + 0.01 * np.arange(n), still, None, still, 0.01)
+        return Stretch(piece, 0, n, low_pass, None)
+
+    return [
+        Trajectory(
+            f"log{k}",
+            JOINTS,
+            tuple(map(stretch, range(0, 900, 300), outputs)),
+            low_pass,
+            np.zeros(len(JOINTS)),
+            np.zeros(len(JOINTS)),
+        )
+        for k, outputs in enumerate(lengths)
+    ]
+
+
+@given(
+    lengths=st.lists(
+        st.lists(st.integers(1, 400), min_size=1, max_size=3).filter(lambda n: sum(n) >= 30),
+        min_size=1, max_size=5,
+    ),
+    blocks=st.none() | st.integers(2, 9),
+    gap_seconds=st.none() | st.floats(0.0, 1.0),
+)  # fmt: skip
+def test_folds_share_nothing(lengths, blocks, gap_seconds):
+    folds = validation_blocks(_trajectories(*lengths), blocks=blocks, gap_seconds=gap_seconds)
+    used = [[np.zeros(count, int) for count in trajectory] for trajectory in lengths]
+    for fold in folds:
+        assert len(fold) >= 10
+        for block in fold.blocks:
+            used[block.trajectory][block.segment][block.start : block.stop] += 1
+            assert 0 <= block.start < block.stop <= lengths[block.trajectory][block.segment]
+    assert max(count.max() for trajectory in used for count in trajectory) == 1
+    assert len(folds) == len({fold.name for fold in folds})
+
+
+@pytest.mark.parametrize(("logs", "folds"), [(1, 8), (2, 8), (3, 6), (4, 4), (6, 6)])
+def test_number_of_folds(logs, folds):
+    made = validation_blocks(_trajectories(*[(600,)] * logs))
+    assert len(made) == folds
+    held = sum(map(len, made))
+    assert held == 600 * logs if logs >= 4 else 0.94 * 600 * logs < held < 600 * logs
+
+
+def test_gap_as_asked_for():
+    first, second, third = validation_blocks(_trajectories((300,)), blocks=3, gap_seconds=2.0)
+    assert second.blocks[0].start - first.blocks[0].stop == 20
+    assert third.blocks[0].start - second.blocks[0].stop == 20
+
+
+def test_nothing_to_hold_out():
+    with pytest.raises(LogError, match="15 filtered samples"):
+        validation_blocks(_trajectories((15,)))
+    with pytest.raises(ArgumentError, match="0 trajectories"):
+        validation_blocks([])
+    with pytest.raises(ArgumentError, match="gap_seconds=nan"):
+        validation_blocks(_trajectories((300,)), gap_seconds=np.nan)
+
+
+@pytest.mark.measurements("data/ur10e_*.csv", "data/tx40.csv", "data/double_pendulum_c1_*.csv")
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [
+        ("ur10e_free_a", 3.5, 10),
+        ("ur10e_free_b", 3.5, 10),
+        ("ur10e_free_c", 3.5, 10),
+        ("ur10e_changed", 3.5, 10),
+        ("ur10e_ptp", 3.5, 10),
+        ("tx40", 10, 40),
+        ("double_pendulum_c1_143339", 6, 30),
+        ("double_pendulum_c1_143524", 6, 30),
+        ("double_pendulum_c1_143601", 6, 30),
+        ("double_pendulum_c1_143704", 6, 30),
+    ],
+)
+def test_measured_logs(name, low, high):
+    log = read_log(DATA / f"{name}.csv")
+    trajectory = prepare_log(log)
+    (stretch,) = trajectory.segments
+    segment = stretch[:]
+    assert low < trajectory.filter.bandwidth < high
+    assert len(validation_blocks([trajectory])) == 8
+    position = np.stack([np.interp(segment.time, log.time, column) for column in log.position.T], 1)
+    assert np.abs(segment.position - position).max() < 0.01 * np.ptp(position, axis=0).max()
+    if log.velocity is not None:
+        assert not any("not used" in note for note in trajectory.notes)
+    if name == "tx40":
+        assert 7.4 < segment.time[-1] < 7.9

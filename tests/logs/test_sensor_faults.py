@@ -1,0 +1,226 @@
+"""Faults of sensors are found and nothing else is; logs that are there twice are refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.files import read_log
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.logs.motion import JointLog
+from geodrake.logs.repeated_logs import check_repeated
+from geodrake.logs.sensor_faults import LARGEST, without_faults
+from geodrake.logs.uniform_log import make_uniform
+
+ROOT = Path(__file__).parents[2]
+LOGS = sorted((ROOT.parent / "shared" / "data").glob("*.csv"))
+
+
+def swing(*, seconds=20.0, rate=200.0, velocity=True, seed=0):
+    """A log of two joints that swing, with noise of encoders and efforts."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1 / rate)
+    phase = time[:, None] * np.array([1.7, 2.9]) + seed
+    position = np.round(np.sin(phase) / 1e-4) * 1e-4
+    speed = np.array([1.7, 2.9]) * np.cos(phase)
+    effort = 3 * np.sin(phase) + 0.5 * np.sign(speed) + rng.normal(0, 0.02, phase.shape)
+    return JointLog(
+        f"swing {seed}", ("a", "b"), time, position, effort, speed if velocity else None
+    )
+
+
+def changed(log, quantity, rows, joint, value):
+    array = getattr(log, quantity).copy()
+    array[rows, joint] = value
+    return replace(log, **{quantity: array})
+
+
+@pytest.mark.skipif(not LOGS, reason="public measurements are not beside this clone")
+@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.stem)
+def test_nothing_is_wrong_with_real_logs(path):
+    log = read_log(path)
+    assert without_faults(log) is log
+
+
+def test_nothing_is_wrong_with_the_demo():
+    log = read_log(ROOT / "geodrake" / "demo" / "demo.csv")
+    assert without_faults(log) is log
+
+
+def knocked(log):
+    """Five rows of a blow of 30 times the effort, and the joint thrown by 0.1 rad."""
+    log = changed(log, "effort", slice(1000, 1005), 0, 100.0)
+    return changed(log, "position", slice(1000, 1003), 0, log.position[1000, 0] + 0.05)
+
+
+def in_steps(log):
+    """Encoders of 1 mrad, and efforts that a drive gives as percent, held for ten rows."""
+    effort = np.round(log.effort[(np.arange(len(log)) // 10) * 10], 1)
+    return replace(log, position=np.round(log.position, 3), effort=effort)
+
+
+def resting(log):
+    """A standstill of five seconds amid the log, to which the joint comes smoothly."""
+    time = log.time + np.clip(log.time - 10.0, 0, None) * 0
+    pause = np.clip(time, None, 10.0) + np.clip(time - 15.0, 0, None)
+    ease = np.interp(time, time, pause)
+    return replace(log, position=np.sin(ease[:, None] * [1.7, 2.9]), velocity=None)
+
+
+def saturated(log):
+    return replace(log, effort=np.clip(log.effort, -1.5, 1.5))
+
+
+def switched_off(log):
+    return changed(log, "effort", slice(1000, 2000), 0, 0.0)
+
+
+def with_a_gap(log):
+    return replace(log, time=log.time + 3600.0 * (np.arange(len(log)) > 2000))
+
+
+def spinning(log):
+    """A joint at 200 rad/s for the last tenth of a log, at rest before."""
+    late = np.clip(log.time - 18.0, 0, None)
+    position = np.stack([100.0 * late**2, np.sin(log.time)], 1)
+    return replace(log, position=position, velocity=None)
+
+
+@pytest.mark.parametrize(
+    "happen", [knocked, in_steps, resting, saturated, switched_off, with_a_gap, spinning]
+)
+def test_what_robots_and_drives_do_is_no_fault(happen):
+    log = happen(swing())
+    assert without_faults(log) is log
+
+
+@pytest.mark.parametrize("rows", [[0], [3999], [0, 1, 2], [700, 704], [700, 701, 703, 2000]])
+@pytest.mark.parametrize("value", [50.0, -1e6, 2.0**32 - 1, 1e300])
+def test_spikes_and_only_they_are_left_out(rows, value):
+    log = swing()
+    found = without_faults(changed(log, "position", rows, 1, value))
+    lost = np.flatnonzero(np.isnan(found.position[:, 1]))
+    assert set(rows) <= set(lost)
+    assert len(lost) <= len(rows) + 6  # some rows between two spikes go with them
+    kept = np.isfinite(found.position[:, 1])
+    assert np.array_equal(found.position[kept], log.position[kept])
+    assert found.effort is log.effort
+    (note,) = found.notes
+    assert note.startswith("the position of b jumps and comes back")
+    assert without_faults(found) is found
+
+
+def test_many_spikes_are_found():
+    log = swing()
+    rows = np.arange(7, 4000, 400)
+    found = without_faults(changed(log, "position", rows, 0, 1e4))
+    assert np.array_equal(np.flatnonzero(np.isnan(found.position[:, 0])), rows)
+
+
+@pytest.mark.parametrize("low", [-np.pi, 0.0])
+@pytest.mark.parametrize("velocity", [True, False])
+def test_wraps_are_unwrapped(low, velocity):
+    log = swing(velocity=velocity)
+    turning = replace(log, position=3.0 * log.position)
+    wrapped = replace(log, position=(turning.position - low) % (2 * np.pi) + low)
+    found = without_faults(wrapped)
+    offset = found.position - turning.position
+    np.testing.assert_allclose(offset, offset[:1] + np.zeros_like(offset), atol=1e-9)
+    assert all("unwrapped" in note for note in found.notes)
+
+
+def test_a_frozen_position_is_left_out():
+    log = swing()
+    stuck = changed(log, "position", slice(1000, 1800), 0, log.position[1000, 0])
+    for measured in (stuck, replace(stuck, velocity=None)):
+        found = without_faults(measured)
+        lost = np.flatnonzero(np.isnan(found.position[:, 0]))
+        assert 795 < len(lost) < 805
+        assert abs(lost[0] - 1000) < 3
+    with pytest.raises(LogError, match=r"position of a stays at .* locked"):
+        without_faults(changed(log, "position", slice(0, 3000), 0, 0.0))
+
+
+def test_a_frozen_effort_is_left_out():
+    log = swing()
+    found = without_faults(changed(log, "effort", slice(1000, 1800), 1, 1.234))
+    assert np.array_equal(np.flatnonzero(np.isnan(found.effort[:, 1])), np.arange(1000, 1800))
+    assert "the effort of b stays at 1.234 for 4 s from t = 5.00 s on" in found.notes[0]
+
+
+@pytest.mark.parametrize("quantity", ["position", "velocity", "effort"])
+def test_impossible_values_name_joint_row_and_value(quantity):
+    log = changed(swing(), quantity, slice(2000, None), 1, 3 * LARGEST)
+    with pytest.raises(LogError, match=f"Row 2001 .* 3e\\+09 as the {quantity} of b") as caught:
+        without_faults(log)
+    assert caught.value.evidence["row"] == 2001
+
+
+def test_empty_cells_and_infinities_are_no_faults():
+    log = swing()
+    for value in (np.nan, np.inf, -np.inf):
+        odd = changed(log, "position", slice(100, 3000, 7), 0, value)
+        assert without_faults(odd) is odd
+    nothing = replace(log, position=np.full_like(log.position, np.nan))
+    assert without_faults(nothing) is nothing
+
+
+def test_a_uniform_log_is_one_without_faults():
+    spiked = changed(swing(), "position", [1000], 0, 1e6)
+    uniform = make_uniform(spiked)
+    assert len(uniform.pieces) == 2
+    assert np.nanmax(uniform.log.position) < 2.0
+    assert any("jumps and comes back" in note for note in uniform.notes)
+
+
+def test_logs_that_are_there_twice():
+    log, other = swing(), swing(seed=1)
+    part = replace(
+        log,
+        name="part",
+        time=log.time[500:3000] + 7.0,
+        position=log.position[500:3000],
+        effort=log.effort[500:3000],
+        velocity=None,
+    )
+    check_repeated([log, other])
+    for logs in ([log, other, part], [part, log], [log, replace(log, name="again")]):
+        with pytest.raises(ArgumentError, match="given twice, so it would be validated against"):
+            check_repeated(logs)
+
+
+def test_halves_and_rest_are_not_there_twice():
+    log = swing()
+    half = len(log) // 2
+    ends = [slice(0, half), slice(half, None)]
+    check_repeated(
+        [
+            replace(
+                log,
+                name=str(end),
+                time=log.time[end],
+                position=log.position[end],
+                effort=log.effort[end],
+                velocity=None,
+            )
+            for end in ends
+        ]
+    )
+    rest = replace(log, position=np.zeros_like(log.position), effort=np.ones_like(log.effort))
+    check_repeated([rest, replace(rest, name="the same rest")])
+
+
+@pytest.mark.parametrize("mass", [np.nan, np.inf, 0.0, -1.0, 1e7, 1e300])
+def test_known_payloads_have_a_mass_that_somebody_can_hang_on_a_robot(mass):
+    with pytest.raises(ArgumentError, match="mass"):
+        KnownPayload("hand", mass)
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf, 1e4, -1e300])
+def test_known_payloads_are_near(place):
+    with pytest.raises(ArgumentError, match="centre"):
+        KnownPayload("hand", 1.0, (0.0, place, 0.0))
+    with pytest.raises(ArgumentError, match="inertia"):
+        KnownPayload("hand", 1.0, inertia=((1e300, 0, 0), (0, 1, 0), (0, 0, 1)))

@@ -1,0 +1,278 @@
+"""Bregman projections against closed forms, Drake's solvers, and the Pythagorean inequality."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
+from scipy.optimize import brentq
+
+from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.inertia import (
+    change_frame,
+    change_units,
+    dual,
+    from_pseudo_inertia,
+    pseudo_inertia,
+    pseudo_inertia_basis,
+)
+from geodrake.inertia.ellipsoids import Ellipsoid, realizability_row
+from geodrake.manifolds import (
+    ConstrainedInertia,
+    Free,
+    Interval,
+    PhysicalInertia,
+    Positive,
+    Product,
+)
+from geodrake.manifolds.projections import (
+    Polyhedron,
+    affine_set,
+    bregman_projection,
+    halfspace,
+    slab,
+)
+from geodrake.manifolds.projections.half_space import half_space_projection
+
+SEEDS = st.integers(0, 2**32 - 1)
+EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
+HULL = Ellipsoid(np.array([0.2, -0.1, 0.0]), np.array([14.0, 15.0, 16.0]), np.eye(3))
+CONSTRAINED = ConstrainedInertia(realizability_row(HULL.quadric)[None], np.zeros(1), 0.7)
+PRODUCT = Product((PhysicalInertia(), Positive(2), Free(1)), (2.0, 0.5, 1.0))
+MANIFOLDS = {
+    "positive": Positive(3),
+    "interval": Interval((-1.0, 0.0, 0.0), (1.0, 5.0, 2.0)),
+    "inertia": PhysicalInertia(),
+    "constrained": CONSTRAINED,
+    "product": PRODUCT,
+}
+
+
+def random_inertia(rng, size=()):
+    root = rng.normal(size=(*size, 4, 4))
+    return from_pseudo_inertia(root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(4))
+
+
+def random_point(manifold, rng):
+    if isinstance(manifold, Product):
+        return np.concatenate([random_point(factor, rng) for factor in manifold.manifolds])
+    if isinstance(manifold, PhysicalInertia | ConstrainedInertia):
+        return random_inertia(rng)
+    lower = np.maximum(manifold.lower, -5.0)
+    return rng.uniform(lower + 0.05, np.minimum(manifold.upper, lower + 5.0) - 0.05)
+
+
+def random_set(inside, rng):
+    """A polyhedron of any kind around a point."""
+    k, kind = rng.integers(1, 4), rng.integers(0, 4)
+    A = rng.normal(size=(k, len(inside)))
+    value, width = A @ inside, rng.uniform(0.01, 0.5, (2, k))
+    if kind == 0:
+        return affine_set(A[:2], value[:2])
+    lower, upper = value - width[0], value + width[1]
+    if kind == 1:
+        return Polyhedron(A, lower, np.full(k, np.inf))
+    if kind == 2:
+        return slab(A[0], lower[0], upper[0])
+    lower[0] = upper[0] = value[0]
+    return Polyhedron(np.concatenate([A, A]), np.tile(lower, 2), np.tile(upper, 2))
+
+
+@pytest.mark.parametrize("manifold", MANIFOLDS.values(), ids=MANIFOLDS)
+class TestEverywhere:
+    @EXAMPLES
+    @given(SEEDS)
+    def test_pythagorean_inequality(self, manifold, seed):
+        rng = np.random.default_rng(seed)
+        x, truth = random_point(manifold, rng), random_point(manifold, rng)
+        constraints = random_set(truth, rng)
+        y = bregman_projection(manifold, x, constraints)
+        assert manifold.contains(y)
+        assert constraints.violation(y).max() < 1e-9
+        before, after = manifold.divergence(truth, x), manifold.divergence(truth, y)
+        moved = manifold.divergence(y, x)
+        assert before >= after + moved - 1e-9 * (1 + before)  # [Lee2019] Eq. (2.2.12)
+        stays = bregman_projection(manifold, truth, constraints)
+        np.testing.assert_allclose(stays, truth, atol=1e-12 * np.abs(truth).max())
+
+    @EXAMPLES
+    @given(SEEDS)
+    def test_projection_onto_affine_sets_is_orthogonal(self, manifold, seed):
+        """Where (2.2.12) is an equation."""
+        rng = np.random.default_rng(seed)
+        x, truth = random_point(manifold, rng), random_point(manifold, rng)
+        A = rng.normal(size=(2, manifold.dimension))
+        y = bregman_projection(manifold, x, affine_set(A, A @ truth))
+        sides = manifold.divergence(truth, y) + manifold.divergence(y, x)
+        np.testing.assert_allclose(sides, manifold.divergence(truth, x), rtol=1e-8)
+
+    @EXAMPLES
+    @given(SEEDS)
+    def test_projection_is_the_nearest(self, manifold, seed):
+        rng = np.random.default_rng(seed)
+        x, truth = random_point(manifold, rng), random_point(manifold, rng)
+        constraints = random_set(truth, rng)
+        y = bregman_projection(manifold, x, constraints)
+        toward = y + np.array([1e-3, 1e-2, 0.1, 0.5])[:, None] * (truth - y)
+        least = manifold.divergence(y, x)
+        assert (manifold.divergence(toward, x) >= least * (1 - 1e-9) - 1e-12).all()
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_halfspace_of_inertias_in_closed_form(seed):
+    """P(y)⁻¹ = P(x)⁻¹ − λ X(a), with λ a root."""
+    rng = np.random.default_rng(seed)
+    x, inside, a = random_inertia(rng), random_inertia(rng), rng.normal(size=10)
+    b = a @ inside
+    a, b = (a, b) if a @ x < b else (-a, -b)
+    inverse = np.linalg.inv(pseudo_inertia(x))
+    L = np.linalg.cholesky(pseudo_inertia(x))
+    rates = np.linalg.eigvalsh(L.T @ dual(a) @ L)
+    most = 1 / rates.max() if rates.max() > 0 else np.inf
+
+    def value(multiplier):
+        return (rates / (1 - multiplier * rates)).sum() - b
+
+    low = most * (1 - 1e-15) if np.isfinite(most) else 1e12
+    multiplier = brentq(value, 0.0, low, xtol=1e-300, rtol=1e-15)
+    expected = from_pseudo_inertia(np.linalg.inv(inverse - multiplier * dual(a)))
+    y = bregman_projection(PhysicalInertia(), x, halfspace(a, b))
+    np.testing.assert_allclose(y, expected, atol=1e-9 * np.abs(expected).max(), rtol=0)
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_slab_of_positive_parameters_in_closed_form(seed):
+    """yᵢ = xᵢ / (1 − λ aᵢ xᵢ)."""
+    rng = np.random.default_rng(seed)
+    x, a = rng.uniform(0.1, 3.0, (2, 4))
+    upper = rng.uniform(0.2, 0.9) * (a @ x)
+    multiplier = brentq(lambda t: (a * x / (1 + t * a * x)).sum() - upper, 0, 1e6, rtol=1e-15)
+    y = bregman_projection(Positive(4), x, slab(a, 0.1 * upper, upper))
+    np.testing.assert_allclose(y, x / (1 + multiplier * a * x), rtol=1e-9)
+
+
+@EXAMPLES
+@given(SEEDS)
+def test_half_space_projections_are_those_onto_polyhedra(seed):
+    """Of one body, of all bodies, and of parameters of all kinds together."""
+    rng = np.random.default_rng(seed)
+    factors = (
+        PhysicalInertia(),
+        Positive(1),
+        PhysicalInertia(),
+        Interval((-1.0, 0.0), (1.0, 5.0)),
+        CONSTRAINED,
+    )
+    manifold = Product(factors, (1.0, 1.0, 2.0, 0.5, 1.0))
+    n, x = manifold.dimension, np.concatenate([random_point(factor, rng) for factor in factors])
+    mass, total, skewed, everything = np.zeros((4, n))
+    mass[0] = total[[0, 11]] = 1.0
+    skewed[:10], skewed[11:21] = rng.normal(size=(2, 10))
+    everything[:] = rng.normal(size=n)
+    for a in (mass, total, skewed, everything):
+        limit = a @ x - rng.uniform(0.05, 0.3)
+        y = half_space_projection(manifold, x, a, limit)
+        assert a @ y == pytest.approx(limit, rel=1e-9, abs=1e-9)
+        nearest = bregman_projection(manifold, x, halfspace(-a, -limit))
+        assert manifold.divergence(y, nearest) < 1e-12
+
+
+def test_free_parameters_are_projected_orthogonally():
+    y = bregman_projection(Free(2), np.array([3.0, 4.0]), halfspace([-1.0, -1.0], -1.0))
+    np.testing.assert_allclose(y, [0.0, 1.0], atol=1e-9)
+    square = Polyhedron(np.eye(2), np.zeros(2), np.ones(2))
+    y = bregman_projection(Free(2), np.array([3.0, 0.5]), square)
+    np.testing.assert_allclose(y, [1.0, 0.5], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_polyhedra_of_inertias_against_clarabel(seed):
+    rng = np.random.default_rng(seed)
+    x, inside = random_inertia(rng, (2,))
+    A = rng.normal(size=(4, 10))
+    lower, upper = A @ inside - 0.05, A @ inside + 0.1
+    program = MathematicalProgram()
+    phi = program.NewContinuousVariables(10)
+    basis = pseudo_inertia_basis()
+    P = np.array(
+        [[sum(c * p for c, p in zip(basis[:, i, j], phi, strict=True) if c) for j in range(4)]
+         for i in range(4)]
+    )  # fmt: skip
+    program.AddMaximizeLogDeterminantCost(P)
+    program.AddLinearCost(-PhysicalInertia().gradient(x), 0.0, phi)
+    program.AddLinearConstraint(A, lower, upper, phi)
+    precise = SolverOptions()
+    for tolerance in ("tol_gap_abs", "tol_gap_rel", "tol_feas"):
+        precise.SetOption(ClarabelSolver.id(), tolerance, 1e-12)
+    theirs = ClarabelSolver().Solve(program, None, precise).GetSolution(phi)
+    ours = bregman_projection(PhysicalInertia(), x, Polyhedron(A, lower, upper))
+    divergence = PhysicalInertia().divergence
+    assert divergence(theirs, ours) < 1e-10
+    assert divergence(ours, x) <= divergence(theirs, x) * (1 + 1e-10)
+
+
+@EXAMPLES
+@given(SEEDS, st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))
+def test_projection_knows_no_frame_and_no_units(seed, metre, kilogram):
+    rng = np.random.default_rng(seed)
+    R, p = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.uniform(-1, 1, 3)
+
+    def seen(phi):
+        return change_units(change_frame(phi, R, p), metre=metre, kilogram=kilogram)
+
+    x, inside = from_pseudo_inertia(np.eye(4) + 0.1 * pseudo_inertia(random_inertia(rng, (2,))))
+    A, matrix = rng.normal(size=(2, 10)), seen(np.eye(10)).T
+    lower, upper = A @ inside - 0.01, A @ inside + 0.01
+    y = bregman_projection(PhysicalInertia(), x, Polyhedron(A, lower, upper))
+    turned = Polyhedron(A @ np.linalg.inv(matrix), lower, upper)
+    back = np.linalg.solve(matrix, bregman_projection(PhysicalInertia(), seen(x), turned))
+    np.testing.assert_allclose(back, y, atol=1e-8 * np.abs(y).max())
+
+
+def test_rows_that_barely_bind():
+    """Where an interior-point method alone is only as precise as the root of its gap."""
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        x, inside = random_inertia(rng, (2,))
+        a, other = rng.normal(size=(2, 10))
+        a *= np.sign(a @ inside - a @ x)
+        y = bregman_projection(PhysicalInertia(), x, halfspace(a, a @ inside))
+        both = Polyhedron(np.stack([a, other]), [a @ inside, other @ y], [np.inf, np.inf])
+        again = bregman_projection(PhysicalInertia(), x, both)
+        np.testing.assert_allclose(again, y, atol=1e-9 * np.abs(y).max())
+
+
+class TestBadInput:
+    X = random_inertia(np.random.default_rng(0))
+
+    @pytest.mark.parametrize(
+        "constraints",
+        [
+            halfspace(-np.eye(10)[0], 1.0),  # a mass below −1
+            affine_set(np.eye(10)[0], 0.0),  # a mass of zero: on the edge only
+            Polyhedron(np.eye(10)[[0, 0]], [2.0, -np.inf], [np.inf, 1.0]),  # an empty polyhedron
+        ],
+    )
+    def test_nothing_to_project_onto(self, constraints):
+        with pytest.raises(ConvergenceError, match=r"No projection.*signs and units") as caught:
+            bregman_projection(PhysicalInertia(), self.X, constraints)
+        assert caught.value.evidence["violation"].max() > 0
+
+    def test_contradictory_equations(self):
+        rows = np.stack([np.eye(10)[0], 2 * np.eye(10)[0]])
+        with pytest.raises(ArgumentError, match="contradict"):
+            bregman_projection(PhysicalInertia(), self.X, affine_set(rows, [1.0, 3.0]))
+        y = bregman_projection(PhysicalInertia(), self.X, affine_set(rows, [1.0, 2.0]))
+        assert y[0] == pytest.approx(1.0)
+
+    def test_shapes_and_places(self):
+        with pytest.raises(ArgumentError, match="10 coordinates"):
+            bregman_projection(PhysicalInertia(), self.X, halfspace([1.0], 0.0))
+        with pytest.raises(ArgumentError, match="not inside"):
+            bregman_projection(PhysicalInertia(), -self.X, halfspace(np.eye(10)[0], 0.0))
+        with pytest.raises(ArgumentError, match="lower must be"):
+            Polyhedron(np.eye(2), np.zeros(3), np.ones(3))
+        with pytest.raises(ArgumentError, match="do not exceed"):
+            slab([1.0], 2.0, 1.0)

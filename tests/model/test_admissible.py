@@ -1,0 +1,138 @@
+"""Models that geodrake fits are admissible, at whatever edge they end; others are told why not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pendulum_logs import PENDULUM, friction, pendulum_log
+
+from geodrake import load_model
+from geodrake.diagnosis import add
+from geodrake.effects import CoulombFriction, EffortDelay, FittedEffect, Payload
+from geodrake.errors import ModelError
+from geodrake.identification.models import IdentificationSettings, identify_model
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.model.admissible import check_model
+from geodrake.model.saved_model import save_model
+
+RUBBING = friction((0.3, 0.2), (0.1, 0.05))
+DRIVEN = friction((-0.5, -0.3), (-0.2, -0.1))  # against all bounds
+
+
+def load_dependent(q, v, vd, load):
+    return 0.1 * np.abs(load) * np.sign(v) - 0.4 * load
+
+
+def heavy(q, v, vd, load):
+    return 0.8 * load + 0.4 * np.sin(q)
+
+
+def late(q, v, vd, load):
+    return np.roll(load, 6, axis=0) - load
+
+
+def log(seed, hidden):
+    return pendulum_log(seed, hidden, seconds=16.0, rate=100.0)
+
+
+def comes_back(model, path):
+    """Saved, loaded and saved again, a model is the same."""
+    save_model(model, path)
+    again = load_model(path)
+    for name in ("phi", "information", "effort_noise"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+    assert [f.effect for f in again.effects] == [f.effect for f in model.effects]
+    for before, after in zip(model.effects, again.effects, strict=True):
+        np.testing.assert_array_equal(after.parameters, before.parameters)
+    text = path.read_bytes()
+    save_model(again, path)
+    assert path.read_bytes() == text
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        "viscous_friction",
+        "asymmetric_friction",
+        "stribeck_friction",
+        "load_dependent_friction",
+        "coupled_friction",
+        "friction_drift",
+        "hysteresis",
+        "effort_scale",
+        "effort_delay",
+        "joint_spring",
+        "torque_ripple",
+        "rotor_inertia",
+        "joint_elasticity",
+        "payload",
+        "gravity_tilt",
+        "aerodynamic_drag",
+        "wrong_inertia",
+    ],
+)
+@pytest.mark.parametrize("hidden", [DRIVEN, heavy])
+def test_fits_come_back_from_any_edge(effect, hidden, tmp_path):
+    model = load_model(PENDULUM)
+    first = add("coulomb_friction", model, [log(1, hidden)]).model
+    comes_back(first, tmp_path / "first.yaml")
+    comes_back(add(effect, first, [log(2, hidden)]).model, tmp_path / "second.yaml")
+
+
+@pytest.mark.parametrize("regularizer", ["euclidean", "pullback", "entropic", "riemannian"])
+@pytest.mark.parametrize("hidden", [RUBBING, DRIVEN, heavy, load_dependent, late])
+def test_identified_models_come_back(regularizer, hidden, tmp_path):
+    settings = IdentificationSettings(regularizer=regularizer, gamma=0.01)
+    found = identify_model(load_model(PENDULUM), [log(3, hidden)], settings)
+    comes_back(found.model, tmp_path / "model.yaml")
+
+
+@pytest.fixture
+def model():
+    return load_model(PENDULUM)
+
+
+def with_effect(model, effect, *values, deviations=None):
+    return replace(model, effects=(FittedEffect(effect, np.array(values), deviations),))
+
+
+def refused(model):
+    with pytest.raises(ModelError) as caught:
+        check_model(model)
+    return str(caught.value)
+
+
+def test_what_rounding_does_is_admitted(model):
+    p = model.phi.size
+    root = np.random.default_rng(4).normal(size=(3, p)) * np.logspace(-6, 6, p)
+    matrix = root.T @ root  # of rank 3, so that eigenvalues are zero up to rounding
+    check_model(replace(model, information=matrix * (1 + 1e-10 * np.triu(np.ones((p, p))))))
+    check_model(with_effect(model, CoulombFriction("elbow"), -1e-12))
+    check_model(with_effect(model, CoulombFriction("elbow"), 0.0, deviations=np.array([np.inf])))
+    check_model(with_effect(model, EffortDelay(0.1)))
+    point = from_mass_com_inertia(1.0, np.array([0.0, 0.0, 0.3]), np.zeros((3, 3)))
+    check_model(with_effect(model, Payload("lower_link"), *point))
+
+
+def test_units_do_not_matter_to_the_information(model):
+    p = model.phi.size
+    matrix = np.eye(p)
+    matrix[2, 5] = matrix[5, 2] = 1.5
+    for size in (1e-12, 1.0, 1e12):
+        scale = np.logspace(0, np.log10(size), p)
+        words = refused(replace(model, information=matrix * np.outer(scale, scale)))
+        assert "semidefinite" in words
+
+
+def test_messages_have_the_field_and_the_value(model):
+    assert "coulomb_friction at elbow have coulomb = -0.5, outside [0, inf]" in refused(
+        with_effect(model, CoulombFriction("elbow"), -0.5)
+    )
+    phi = model.phi.copy()
+    phi[1, 0] = -2.0
+    assert "inertial_parameters of 'lower_link' have a mass of -2 kg" in refused(
+        replace(model, phi=phi)
+    )
+    assert "effort_noise of 'elbow' is nan" in refused(
+        replace(model, effort_noise=np.array([0.1, np.nan]))
+    )

@@ -1,0 +1,174 @@
+"""A robot model: the effort it needs, against Drake and against written-out formulas."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake import load_model
+from geodrake.effects import (
+    CoulombFriction,
+    CoupledFriction,
+    EffortDelay,
+    EffortOffset,
+    FittedEffect,
+    JointSpring,
+    LoadDependentFriction,
+    Payload,
+    RotorInertia,
+    ViscousFriction,
+)
+from geodrake.errors import ArgumentError
+from geodrake.inertia import from_mass_com_inertia, inertial_parameters
+from geodrake.logs.motion import Motion
+from geodrake.robot.regressor import inverse_dynamics_regressor
+
+MODELS = Path(__file__).parents[2] / "models"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_model(MODELS / "arm6.urdf")
+
+
+@pytest.fixture(scope="module")
+def motion(arm):
+    rng = np.random.default_rng(1)
+    n = len(arm.joints)
+    return Motion(*(scale * rng.normal(size=(20, n)) for scale in (1.0, 2.0, 5.0)))
+
+
+def drake_effort(model, motion):
+    """Inverse dynamics of Drake's plant with the model's bodies, sample by sample."""
+    plant, context = model.plant, model.create_context()
+    rows = []
+    for q, v, vd in zip(motion.q, motion.v, motion.vd, strict=True):
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        forces = MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        rows.append(plant.CalcInverseDynamics(context, vd, forces))
+    return np.array(rows)
+
+
+def fitted(effect, *values):
+    return FittedEffect(effect, np.array(values, float))
+
+
+def test_rigid_bodies_need_what_drake_says(arm, motion):
+    np.testing.assert_allclose(arm.effort(motion), drake_effort(arm, motion), rtol=0, atol=1e-10)
+
+
+def test_payload_is_a_heavier_link(arm, motion):
+    phi = from_mass_com_inertia(2.5, [0.05, -0.02, 0.1], 0.01 * np.eye(3))
+    loaded = replace(arm, effects=(fitted(Payload(arm.bodies[-1]), *phi),))
+    np.testing.assert_allclose(loaded.effort(motion), drake_effort(loaded, motion), atol=1e-9)
+    np.testing.assert_allclose(loaded.total_phi[-1], arm.phi[-1] + phi)
+    np.testing.assert_array_equal(loaded.phi, arm.phi)
+    context = loaded.create_context()
+    np.testing.assert_allclose(inertial_parameters(loaded.plant, context), loaded.total_phi)
+
+
+def test_effects_add_to_the_effort_needed(arm, motion):
+    """Every formula is written out; the load is that of the rigid bodies with the payload."""
+    joints = arm.joints
+    phi = from_mass_com_inertia(1.5, [0.0, 0.1, 0.0], 0.004 * np.eye(3))
+    model = replace(
+        arm,
+        effects=(
+            fitted(Payload(arm.bodies[-1]), *phi),
+            fitted(CoulombFriction(joints[0]), 3.0),
+            fitted(ViscousFriction(joints[1]), 2.0),
+            fitted(CoupledFriction((joints[4], joints[5]), -1), 0.7, 0.3),
+            fitted(JointSpring(joints[2], exponent=3, center=0.2), 4.0, -0.5),
+            fitted(RotorInertia(joints[3]), 0.6),
+            fitted(EffortOffset(joints[0]), -1.0),
+            fitted(LoadDependentFriction(joints[1]), 0.1),
+            fitted(EffortDelay(0.004)),
+        ),
+    )
+    q, v, vd = motion.q, motion.v, motion.vd
+    load = drake_effort(model, motion)
+    expected = load.copy()
+    expected[:, 0] += 3.0 * np.sign(v[:, 0]) - 1.0
+    expected[:, 1] += 2.0 * v[:, 1] + 0.1 * np.abs(load[:, 1]) * np.sign(v[:, 1])
+    expected[:, 2] += 4.0 * (q[:, 2] - 0.2) ** 3 - 0.5
+    expected[:, 3] += 0.6 * vd[:, 3]
+    w = v[:, 4] - v[:, 5]
+    expected[:, 4] += 0.7 * np.sign(w) + 0.3 * w
+    expected[:, 5] -= 0.7 * np.sign(w) + 0.3 * w
+    np.testing.assert_allclose(model.effort(motion), expected, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(model.delays, 0.004)
+
+
+def test_direction_is_smooth_where_it_is_not_known(arm):
+    v = np.zeros((3, 6))
+    v[:, 0] = -1e-3, 0.0, 1e-3
+    still = Motion(np.zeros((3, 6)), v, np.zeros((3, 6)))
+    model = replace(arm, effects=(fitted(CoulombFriction(arm.joints[0]), 5.0),))
+    friction = model.effort(still, sign_width=1e-3) - arm.effort(still)
+    np.testing.assert_allclose(friction[:, 0], 5.0 * np.tanh([-1.0, 0.0, 1.0]), atol=1e-12)
+
+
+def test_numbers_of_the_file_become_effects(tmp_path):
+    text = (MODELS / "double_pendulum.urdf").read_text()
+    shoulder = '<limit lower="-6.2832" upper="6.2832" effort="6" velocity="20"/>'
+    text = text.replace(shoulder, shoulder + '<dynamics damping="0.3" friction="0.2"/>', 1)
+    path = tmp_path / "pendulum.urdf"
+    path.write_text(text)
+    stated = {f.effect: f.parameters.tolist() for f in load_model(path).effects}
+    assert stated == {ViscousFriction("shoulder"): [0.3], CoulombFriction("shoulder"): [0.2]}
+
+
+def test_pairs_follow_the_tree(arm):
+    assert arm.joint_pairs == tuple(zip(arm.joints, arm.joints[1:], strict=False))
+
+
+def test_last_bodies_carry_no_other(arm):
+    assert arm.last_bodies == (arm.bodies[-1],)
+
+
+def test_floating_base_has_no_single_positions():
+    floating = load_model(MODELS / "double_pendulum.urdf", floating=True)
+    assert set(floating.single_joints) == {"shoulder", "elbow"}
+    with pytest.raises(ArgumentError, match=r"several degrees.*Weld the base"):
+        floating.positions(np.zeros((3, len(floating.joints))))
+
+
+def test_floating_base_needs_what_drake_says():
+    model = load_model(MODELS / "double_pendulum.urdf", floating=True)
+    rng = np.random.default_rng(2)
+    q = rng.normal(size=(8, model.plant.num_positions()))
+    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+    n = len(model.joints)
+    motion = Motion(q, rng.normal(size=(8, n)), rng.normal(size=(8, n)))
+    np.testing.assert_allclose(model.effort(motion), drake_effort(model, motion), atol=1e-10)
+
+
+def test_position_order_is_drakes(arm):
+    by_joint = np.arange(12.0).reshape(2, 6)
+    np.testing.assert_array_equal(arm.positions(by_joint), by_joint)
+    for i, name in enumerate(arm.joints):
+        assert arm.plant.GetJointByName(name).velocity_start() == i
+
+
+def test_motion_with_a_load_that_is_known(arm, motion):
+    seen, load = arm.motion(motion), drake_effort(arm, motion)
+    known = arm.motion(motion, load=2.0 * load)
+    np.testing.assert_allclose(seen.load, load, atol=1e-9)
+    np.testing.assert_array_equal(known.load, 2.0 * load)
+    regressor = inverse_dynamics_regressor(arm.tree, motion.q, motion.v, motion.vd)
+    for body, name in enumerate(arm.bodies):
+        columns = known.body_columns(name)
+        np.testing.assert_allclose(columns, regressor[:, :, 10 * body : 10 * body + 10])
+    assert arm.motion(motion[:0]).load.shape == (0, 6)
+
+
+def test_delays_of_joints_and_of_all_add_up(arm):
+    assert not arm.delays.any()
+    late = [EffortDelay(0.01, "elbow_pitch"), EffortDelay(0.002), EffortDelay(-0.001)]
+    effects = tuple(FittedEffect(effect, np.empty(0)) for effect in late)
+    expected = np.where(np.array(arm.joints) == "elbow_pitch", 0.011, 0.001)
+    np.testing.assert_allclose(replace(arm, effects=effects).delays, expected)

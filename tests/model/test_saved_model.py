@@ -1,0 +1,289 @@
+"""Saved models: they come back as they were, and say so when something around them changed."""
+
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake import load_model
+from geodrake.boundary.whole_files import write_whole
+from geodrake.effects import (
+    AsymmetricFriction,
+    CoulombFriction,
+    CoupledFriction,
+    CoupledRotorInertia,
+    EffortDelay,
+    EffortOffset,
+    FittedEffect,
+    JointEffect,
+    JointSpring,
+    LoadDependentFriction,
+    NonlinearViscousFriction,
+    Parameter,
+    Payload,
+    RotorInertia,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geodrake.errors import ModelError, OutputError
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs.motion import Motion
+from geodrake.model.saved_model import is_saved_model, save_model
+
+MODELS = Path(__file__).parents[2] / "models"
+
+
+def every_effect(model):
+    """One effect of every kind of the catalogue, shapes that are not the default included."""
+    a, b, c, d, e, f = model.joints
+    return (
+        ViscousFriction(a),
+        CoulombFriction(a),
+        AsymmetricFriction(b),
+        StribeckFriction(b, stribeck_velocity=0.123456789),
+        NonlinearViscousFriction(c, exponent=2.5),
+        LoadDependentFriction(c),
+        CoupledFriction((e, f), -1),
+        CoupledRotorInertia((d, e)),
+        EffortOffset(d),
+        JointSpring(d, exponent=3, center=0.1),
+        JointSpring(e, center=-1 / 3),
+        RotorInertia(f),
+        EffortDelay(0.0123),
+        EffortDelay(-0.004, b),
+        Payload(model.bodies[-1]),
+    )
+
+
+@pytest.fixture
+def fitted(tmp_path):
+    """A model with all kinds of effects, whose base file lies in a folder of its own."""
+    base = tmp_path / "robot" / "arm6.urdf"
+    base.parent.mkdir()
+    shutil.copy(MODELS / "arm6.urdf", base)
+    model, rng = load_model(base), np.random.default_rng(3)
+    effects = []
+    for effect in every_effect(model):
+        k = len(effect.parameters)
+        values = rng.uniform(0.1, 1.0, k)
+        if isinstance(effect, Payload):
+            values = from_mass_com_inertia(1 / 3, rng.normal(size=3), 0.01 * np.eye(3))
+        effects.append(FittedEffect(effect, values, rng.uniform(size=k)))
+    p = model.phi.size + sum(len(e.parameters) for e in effects)
+    root = rng.normal(size=(p, p))
+    fading = np.array([0.0, 0.01, 1 / 3, 0.0, 0.0, 0.0])
+    return replace(model, fading_speed=fading).with_fit(
+        model.phi * rng.uniform(1.0, 1.1, (len(model.bodies), 1)),
+        effects,
+        information=root @ root.T,
+        effort_noise=rng.uniform(size=len(model.joints)),
+    )
+
+
+@pytest.fixture
+def saved(fitted, tmp_path):
+    path = tmp_path / "fitted.yaml"
+    save_model(fitted, path)
+    return path
+
+
+def test_comes_back_exactly(fitted, saved):
+    again = load_model(saved)
+    assert [f.effect for f in again.effects] == [f.effect for f in fitted.effects]
+    for before, after in zip(fitted.effects, again.effects, strict=True):
+        np.testing.assert_array_equal(after.parameters, before.parameters)
+        np.testing.assert_array_equal(after.deviations, before.deviations)
+    for name in ("phi", "total_phi", "information", "effort_noise", "fading_speed"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(fitted, name))
+    np.testing.assert_array_equal(again.delays, fitted.delays)
+    assert fitted.delays.any()
+    assert again.notes == fitted.notes
+
+
+def test_predicts_exactly_the_same(fitted, saved):
+    rng = np.random.default_rng(4)
+    motion = Motion(*rng.normal(size=(3, 50, 6)))
+    np.testing.assert_array_equal(load_model(saved).effort(motion), fitted.effort(motion))
+
+
+def test_shapes_keep_their_types(saved):
+    """A sign or an exponent that is not to be fitted is a whole number."""
+    shapes = {f.effect.name: f.effect.shape for f in load_model(saved).effects}
+    assert isinstance(shapes["coupled_friction"]["sign"], int)
+    assert isinstance(shapes["joint_spring"]["exponent"], int)
+
+
+def test_saving_again_changes_nothing(saved, tmp_path):
+    again = tmp_path / "again.yaml"
+    save_model(load_model(saved), again)
+    assert again.read_text() == saved.read_text()
+
+
+def test_unfitted_model_stays_unfitted(tmp_path):
+    path = tmp_path / "pendulum.yaml"
+    save_model(load_model(MODELS / "double_pendulum.urdf"), path)
+    again = load_model(path)
+    assert again.information is None
+    assert again.effort_noise is None
+    assert again.fading_speed is None
+    assert again.effects == ()
+
+
+def test_floating_base_is_remembered(tmp_path):
+    path = tmp_path / "free.yaml"
+    save_model(load_model(MODELS / "double_pendulum.urdf", floating=True), path)
+    assert load_model(path).plant.num_velocities() == 8
+
+
+def test_moves_together_with_its_base(saved, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    shutil.copytree(tmp_path / "robot", elsewhere / "robot")
+    shutil.move(saved, elsewhere / saved.name)
+    assert len(load_model(elsewhere / saved.name).effects) == 15
+
+
+def test_works_from_any_directory(saved, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert len(load_model(saved.name).effects) == 15
+
+
+def test_saved_through_a_link_to_a_folder(fitted, tmp_path):
+    real, link = tmp_path / "a" / "b", tmp_path / "link"
+    real.mkdir(parents=True)
+    link.symlink_to(real)
+    save_model(fitted, link / "model.yaml")
+    assert len(load_model(link / "model.yaml").effects) == 15
+
+
+def test_base_that_moved_is_named(saved, tmp_path):
+    (tmp_path / "robot").rename(tmp_path / "attic")
+    with pytest.raises(ModelError, match=r"robot/arm6\.urdf.*Move it back") as error:
+        load_model(saved)
+    assert error.value.evidence["base"] == tmp_path / "robot" / "arm6.urdf"
+
+
+def test_base_that_changed_is_noted(fitted, saved):
+    fitted.path.write_text(fitted.path.read_text() + "<!-- touched -->\n")
+    assert load_model(saved).notes[-1] == "arm6.urdf has changed since the model was saved."
+
+
+def test_base_of_another_robot_is_refused(fitted, saved):
+    shutil.copy(MODELS / "arm7.urdf", fitted.path)
+    with pytest.raises(ModelError, match=r"does not fit its base model.*Fit and save"):
+        load_model(saved)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("floating: false", "floating: [", "is no geodrake model"),
+        ("floating: false", "floating: maybe", "is no geodrake model"),
+        ("floating: false", "colour: red", "is no geodrake model"),
+        ("name: viscous_friction", "name: viscous_fiction", "viscous_friction"),
+        ("sign: -1", "sign: -2", "sign 1 or −1"),
+        ("exponent: 2.5", "exponent: heavy", "is no geodrake model"),
+    ],
+)
+def test_corrupted_file_is_refused(saved, old, new, words):
+    text = saved.read_text()
+    assert old in text
+    saved.write_text(text.replace(old, new, 1))
+    with pytest.raises(ModelError, match=words):
+        load_model(saved)
+
+
+def test_joint_that_is_not_there_is_refused(saved):
+    saved.write_text(saved.read_text().replace("[base_yaw]", "[base_jaw]", 1))
+    with pytest.raises(ModelError, match="base_jaw"):
+        load_model(saved)
+
+
+def test_cut_off_file_is_refused(saved):
+    text = saved.read_text()
+    for share in (0.2, 0.5, 0.9):
+        saved.write_text(text[: int(share * len(text))])
+        with pytest.raises(ModelError):
+            load_model(saved)
+
+
+def test_missing_parameters_are_refused(fitted, saved):
+    short = replace(fitted, effects=fitted.effects[1:])
+    save_model(short, saved)  # whose information matrix has one row too many
+    with pytest.raises(ModelError, match="information matrix"):
+        load_model(saved)
+
+
+def test_own_effect_is_given_as_extra(tmp_path):
+    from dataclasses import dataclass
+
+    @dataclass(frozen=True)
+    class Hose(JointEffect):
+        name = "hose"
+        parameters = (Parameter("cosine", "N·m"),)
+        order: int = 2
+
+        def columns(self, joint):
+            return [np.cos(self.order * joint.q)]
+
+    model = load_model(MODELS / "double_pendulum.urdf")
+    model = replace(model, effects=(FittedEffect(Hose("elbow", 3), np.array([0.25])),))
+    path = tmp_path / "hose.yaml"
+    save_model(model, path)
+    motion = Motion(*np.random.default_rng(5).normal(size=(3, 10, 2)))
+    again = load_model(path, extra=[Hose])
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+    with pytest.raises(ModelError, match="hose"):
+        load_model(path)
+
+
+def test_only_saved_models_count_as_such(saved, tmp_path):
+    other = tmp_path / "directives.yaml"
+    other.write_text("directives:\n- add_model: {name: a, file: package://a/b.urdf}\n")
+    assert is_saved_model(saved)
+    assert not is_saved_model(other)
+    assert not is_saved_model(tmp_path / "nothing.yaml")
+
+
+def test_unwritable_target_leaves_nothing_behind(fitted, tmp_path):
+    (tmp_path / "folder.yaml").mkdir()
+    for target in (tmp_path / "no" / "such" / "model.yaml", tmp_path / "folder.yaml"):
+        with pytest.raises(OutputError, match="Choose another place"):
+            save_model(fitted, target)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder.yaml", "robot"]
+
+
+def test_interrupted_write_keeps_the_old_file(tmp_path, monkeypatch):
+    target = tmp_path / "model.yaml"
+    target.write_text("old")
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", interrupt)
+    monkeypatch.setattr(Path, "replace", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(target, "new")
+    assert target.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["model.yaml"]
+
+
+@pytest.mark.parametrize("speed", ["-0.1", ".nan"])
+def test_impossible_fading_speed_is_refused(saved, speed):
+    text = saved.read_text()
+    joint = load_model(saved).joints[1]
+    saved.write_text(text.replace(f"{joint}: 0.01\n", f"{joint}: {speed}\n"))
+    with pytest.raises(ModelError, match="fading_speed"):
+        load_model(saved)
+
+
+def test_an_effect_of_the_users_own_asks_for_its_file(saved):
+    text = saved.read_text()
+    saved.write_text(text.replace("name: viscous_friction", "name: hanging_hose", 1))
+    words = r"has the effect 'hanging_hose', which geodrake does not know.*--effects FILE\.py"
+    with pytest.raises(ModelError, match=words) as error:
+        load_model(saved)
+    assert "does not fit" not in str(error.value)

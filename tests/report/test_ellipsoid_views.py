@@ -1,0 +1,186 @@
+"""Bodies drawn as ellipsoids: the right ones, in the right place, marked where they should be."""
+
+import base64
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from pydrake.geometry import Meshcat
+
+from geodrake.errors import ArgumentError
+from geodrake.inertia import change_frame, from_pseudo_inertia, pseudo_inertia
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.inertia.ellipsoids import Ellipsoid
+from geodrake.model.saved_model import load_model
+from geodrake.report.ellipsoid_figure import ellipsoid_figure, figure_bytes
+from geodrake.report.ellipsoids import (
+    BOUNDARY,
+    LEAST_THICKNESS,
+    TRUTH,
+    EllipsoidSet,
+    placed,
+    skeleton,
+)
+from geodrake.report.meshcat_ellipsoids import MeshcatEllipsoids, ellipsoid_page
+
+ARM = Path(__file__).parents[2] / "models" / "arm6.urdf"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(ARM)
+
+
+@pytest.fixture
+def context(model):
+    context = model.plant.CreateDefaultContext()
+    angles = np.random.default_rng(0).uniform(-1, 1, model.plant.num_positions())
+    model.plant.SetPositions(context, angles)
+    return context
+
+
+def flattened(phi, body):
+    """Bodies of which one is next to flat."""
+    values, axes = np.linalg.eigh(pseudo_inertia(phi[body]))
+    values[0] *= 1e-9
+    flat = phi.copy()
+    flat[body] = from_pseudo_inertia(axes * values @ axes.T)
+    return flat
+
+
+def test_placed_ellipsoids_weigh_and_turn_like_the_bodies(model, context):
+    bodies = placed(model.plant, context, model.phi)
+    solid = Ellipsoid(bodies.center, bodies.semi_axes, bodies.rotation)
+    in_world = solid.uniform_body(model.phi[:, 0])
+    for body, phi, found in zip(lumped_bodies(model.plant), model.phi, in_world, strict=True):
+        X_WB = model.plant.EvalBodyPoseInWorld(context, model.plant.get_body(body.body_index))
+        expected = change_frame(phi, X_WB.rotation().matrix(), X_WB.translation())
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_points_are_on_the_surface(model, context):
+    bodies = placed(model.plant, context, model.phi)
+    points = bodies.points(12)
+    assert points.shape == (len(model.bodies), 7, 13, 3)
+    local = np.einsum("bji,bklj->bkli", bodies.rotation, points - bodies.center[:, None, None])
+    scaled = np.linalg.norm(local / bodies.semi_axes[:, None, None], axis=-1)
+    np.testing.assert_allclose(scaled, 1.0, rtol=1e-12)
+
+
+def test_flat_bodies_stay_visible(model, context):
+    bodies = placed(model.plant, context, flattened(model.phi, 1))
+    assert bodies.semi_axes.min() == LEAST_THICKNESS
+
+
+def test_the_skeleton_goes_from_joint_to_joint(model, context):
+    lines = skeleton(model.plant, context)
+    ends = lines.reshape(-1, 3)
+    for body in lumped_bodies(model.plant):
+        origin = model.plant.EvalBodyPoseInWorld(context, model.plant.get_body(body.body_index))
+        assert np.linalg.norm(ends - origin.translation(), axis=1).min() < 1e-9
+    assert np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1).min() > 1e-6
+
+
+def test_the_figure_has_a_panel_for_each_set_and_marks_the_boundary(model):
+    sets = [
+        EllipsoidSet.of("prior", model.phi),
+        EllipsoidSet.of("euclidean", flattened(model.phi, 2), at_boundary=[2]),
+        EllipsoidSet.of("pullback", model.phi),
+        EllipsoidSet.of("truth", 1.1 * model.phi, color=TRUTH),
+    ]
+    figure = ellipsoid_figure(model.plant, sets)
+    assert len(figure.axes) == len(sets)
+    titles = {text.get_text() for text in figure.texts}
+    assert {one.name for one in sets} < titles
+    (legend,) = figure.legends
+    words = [text.get_text() for text in legend.get_texts()]
+    assert words == [*(one.name for one in sets), "at the boundary of what a body can be", "robot"]
+    plain = ellipsoid_figure(model.plant, sets[:1]).legends[0]
+    assert "at the boundary of what a body can be" not in [t.get_text() for t in plain.get_texts()]
+
+    pixels = np.asarray(Image.open(io.BytesIO(figure_bytes(figure))).convert("RGB")).astype(int)
+    redness = pixels[..., 0] - np.maximum(pixels[..., 1], pixels[..., 2])
+    height, width = redness.shape
+    above = redness[int(0.09 * height) : height // 2]
+    assert (above[:, width // 3 : 2 * width // 3] > 80).sum() > 50  # the second panel
+    assert (above[:, : width // 3] > 80).sum() == 0
+    assert figure_bytes(figure) == figure_bytes(ellipsoid_figure(model.plant, sets))
+
+
+@pytest.mark.parametrize(("kind", "start"), [("pdf", b"%PDF"), ("svg", b"<?xml")])
+def test_the_figure_in_other_formats(model, kind, start):
+    figure = ellipsoid_figure(model.plant, [EllipsoidSet.of("prior", model.phi)])
+    assert figure_bytes(figure, kind).startswith(start)
+
+
+def test_nothing_to_draw(model, context):
+    with pytest.raises(ArgumentError, match="nothing to draw"):
+        ellipsoid_figure(model.plant, [])
+    with pytest.raises(ArgumentError, match=r"shape \(nb, 10\)"):
+        EllipsoidSet.of("wrong", model.phi[0])
+    with pytest.raises(ArgumentError, match="2 bodies; the plant has"):
+        placed(model.plant, context, model.phi[:2])
+    with pytest.raises(ArgumentError, match="No body has"):
+        placed(model.plant, context, -model.phi)
+
+
+def transform(meshcat, path):
+    """The 4×4 matrix that MeshCat was last told: doubles of nine bytes each, by columns."""
+    packed = np.frombuffer(meshcat._GetPackedTransform(path)[-16 * 9 :], np.uint8).reshape(16, 9)
+    return packed[:, 1:].copy().view(">f8").reshape(4, 4).T
+
+
+def test_ellipsoids_move_with_the_robot_in_meshcat(model, context):
+    meshcat = Meshcat()
+    sets = [
+        EllipsoidSet.of("prior", model.phi),
+        EllipsoidSet.of("left/right", model.phi, at_boundary=[1]),
+    ]
+    drawn = MeshcatEllipsoids(meshcat, model.plant, sets, path="bodies", spacing=0.5)
+    drawn.update(context)
+    bodies = placed(model.plant, context, model.phi)
+    for name, shift in (("prior", 0.0), ("left%2Fright", 0.5)):
+        for k, body in enumerate(model.bodies):
+            X_WE = transform(meshcat, f"bodies/{name}/{body}")
+            np.testing.assert_allclose(X_WE[:3, :3], bodies.rotation[k], atol=1e-12)
+            np.testing.assert_allclose(X_WE[:3, 3], bodies.center[k] + [0.0, shift, 0.0])
+    with pytest.raises(ArgumentError):
+        MeshcatEllipsoids(meshcat, model.plant, [EllipsoidSet.of("few", model.phi[:1])])
+
+
+def test_a_motion_can_be_recorded(model, context):
+    meshcat = Meshcat()
+    meshcat.StartRecording()
+    drawn = MeshcatEllipsoids(meshcat, model.plant, [EllipsoidSet.of("prior", model.phi)])
+    for time in (0.0, 0.5, 1.0):
+        model.plant.SetPositions(context, np.full(model.plant.num_positions(), time))
+        drawn.update(context, time)
+    before = commands(meshcat.StaticHtml())
+    meshcat.PublishRecording()
+    after = commands(meshcat.StaticHtml())
+    assert b"set_animation" not in before
+    assert b"set_animation" in after
+    assert after.count(f"/drake/ellipsoids/prior/{model.bodies[-1]}".encode()) > before.count(
+        f"/drake/ellipsoids/prior/{model.bodies[-1]}".encode()
+    )
+
+
+def commands(page):
+    """What a page of MeshCat tells its viewer."""
+    return b"".join(base64.b64decode(text) for text in re.findall(r"base64,([\w+/=]+)", page))
+
+
+def test_the_page_is_one_file_with_a_legend(model):
+    sets = [
+        EllipsoidSet.of("prior <1>", model.phi),
+        EllipsoidSet.of("euclidean", model.phi, at_boundary=[0]),
+    ]
+    page = ellipsoid_page(model.plant, sets)
+    assert "prior &lt;1&gt;" in page
+    assert "at the boundary of what a body can be" in page
+    assert BOUNDARY in page
+    assert 'src="http' not in page
+    assert page.rstrip().endswith("</html>")

@@ -1,0 +1,28 @@
+"""Numbers of JSON are finite, or null with the reason beside it."""
+
+import json
+
+import numpy as np
+
+from geodrake.report.json_output import number_or, to_json
+
+
+def test_a_number_that_is_none_is_null_with_a_reason():
+    result = {"a/b": [1.0, np.nan], "c~": {"x": np.array([np.inf, 2.0])}, "d": None, "e": "nan"}
+    found = json.loads(to_json(result), parse_constant=lambda name: 1 / 0)
+    assert found["a/b"] == [1.0, None]
+    assert found["c~"] == {"x": [None, 2.0]}
+    assert found["nulls"] == {
+        "/a~1b/1": "was not determined",
+        "/c~0/x/0": "is infinite",
+        "/d": "does not apply here",
+    }
+
+
+def test_a_reason_that_is_known_is_told():
+    found = json.loads(to_json({"x": number_or(np.inf, "nobody looked"), "y": number_or(1.0, "")}))
+    assert found == {"x": None, "y": 1.0, "nulls": {"/x": "nobody looked"}}
+
+
+def test_nothing_is_said_where_all_numbers_are_finite():
+    assert json.loads(to_json({"a": [np.float64(1.5), 2, True, "x"]})) == {"a": [1.5, 2, True, "x"]}

@@ -1,0 +1,471 @@
+"""Figures and reports: complete, self-contained, and safe whatever joints are called."""
+
+import dataclasses
+import math
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from geodrake import load_model
+from geodrake.diagnosis.results import Candidate, Diagnosis, Explanation, Step
+from geodrake.errors import OutputError
+from geodrake.identification.logs.model_errors import (
+    Comparison,
+    ErrorTable,
+    Failing,
+    JointError,
+    Series,
+)
+from geodrake.report import (
+    Units,
+    candidate_figure,
+    comparison_figures,
+    effort_figure,
+    joint_error_figure,
+    render_comparison,
+    render_diagnosis,
+    render_explanation,
+    report_figures,
+    residual_figure,
+    save_figures,
+    step_figure,
+    step_stages,
+)
+from geodrake.report.numbers import chance, number, percent, shortened, with_deviation
+from geodrake.report.style import png
+from geodrake.report.words import (
+    addition_verdict,
+    effect_label,
+    failing_words,
+    listed,
+    places_label,
+)
+
+NAMES = {"title": "arm: explain", "model_name": "arm.urdf", "log_names": ["a.csv", "b.csv"]}
+EVIL = "<script>alert('$x_{1')</script>&\"$"
+FIELDS = ("time", "position", "velocity", "acceleration", "measured", "predicted")
+BLOCKS = (("a 0.00–4.00 s", 0.0), ("a 5.00–9.00 s", 5.0), ("b 2.00–6.00 s", 2.0))
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures are made and not drawn, which takes most of a report's time."""
+    monkeypatch.setattr("geodrake.report.page.png", lambda figure: b"PNG")
+
+
+def joint_names(count):
+    return tuple(f"joint_{i}" for i in range(count))
+
+
+def errors(joints, share):
+    return ErrorTable(
+        tuple(JointError(j, share * (1 + i % 5), 5.0 * (1 + i), 0.02) for i, j in enumerate(joints))
+    )
+
+
+def comparison(joints, share):
+    rng = np.random.default_rng(3)
+    series = []
+    for joint in joints:
+        for block, start in BLOCKS:
+            time = start + np.arange(40) / 10.0
+            motion = rng.normal(size=(3, 40))
+            measured = 5.0 * np.sin(time)
+            predicted = measured + share * rng.normal(size=40)
+            series.append(Series(joint, block, time, *motion, measured, predicted))
+    failing = (Failing(joints[0], "at speeds below 0.05 rad/s", 0.3, 0.1, 0.6, 0.2),)
+    return Comparison(errors(joints, share), failing, tuple(series), ("left out 1.5 s",))
+
+
+def step(effect, where, parameters, deviations, **more):
+    joints = more.pop("joints", where)
+    return Step(
+        **{
+            "effect": effect,
+            "where": where,
+            "error_before": 0.4,
+            "error_after": 0.1,
+            "parameters": parameters,
+            "deviations": deviations,
+            "indistinguishable_from": ("stribeck_friction",),
+            "false_alarm_probability": 1e-30,
+            "agreement": 0.75,
+            "rms_before": dict.fromkeys(joints, 1.0),
+            "rms_after": dict.fromkeys(joints, 0.2),
+            **more,
+        }
+    )
+
+
+def friction(joints):
+    return step(
+        "coulomb_friction",
+        joints,
+        {joint: {"coulomb": 3.084} for joint in joints},
+        {joint: {"coulomb": 0.012} for joint in joints},
+    )
+
+
+def model_of(joints, prismatic=()):
+    """As much of a RobotModel as reports look at: its joints' kinds, effects, and no bodies."""
+    tree = SimpleNamespace(mobilizers=())
+    return SimpleNamespace(sliding_joints=tuple(prismatic), joints=joints, effects=(), tree=tree)
+
+
+def explanation(joints, steps=None, *, verdict="unexplained", prismatic=()):
+    steps = (friction(joints),) if steps is None else steps
+    before = comparison(joints, 1.0)
+    after = comparison(joints, 0.2) if steps else before
+    return Explanation(
+        verdict,
+        steps,
+        before.errors,
+        errors(joints, 0.9),
+        after.errors,
+        model_of(joints, prismatic),
+        before,
+        after,
+        ("a: bandwidth 4 Hz chosen from the data",),
+    )
+
+
+def diagnosis(joints, candidates=True):
+    before = comparison(joints, 1.0)
+    found = (
+        Candidate("coulomb_friction + viscous_friction", joints, 0.4, 0.05, 200.0, 1e-40, True),
+        Candidate("asymmetric_friction", joints, 0.4, 0.051, 190.0, 1e-38, True),
+        Candidate("payload", ("hand",), 0.4, 0.3, 20.0, 1e-3, False),
+    )
+    return Diagnosis(
+        "explained" if candidates else "unexplained",
+        found if candidates else (),
+        before.errors,
+        errors(joints, 0.9),
+        before,
+        (),
+    )
+
+
+class Reader(HTMLParser):
+    """Collects text, tags and what is loaded; checks that tags close in order."""
+
+    EMPTY = ("meta", "img", "link")
+
+    def __init__(self, html):
+        super().__init__()
+        self.open, self.tags, self.sources, self.text = [], [], [], []
+        self.feed(html)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in self.EMPTY:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def check_self_contained(html):
+    page = Reader(html)
+    assert not page.open
+    assert not re.search(r"https?://|@import|url\(", html)
+    assert not {"script", "link", "iframe", "object"} & set(page.tags)
+    assert page.sources
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert len(html) < 3_000_000
+    return " ".join("".join(page.text).replace("\N{NO-BREAK SPACE}", " ").split())
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("count", [1, 6, 30])
+def test_pages_hold_all_joints(count):
+    joints = joint_names(count)
+    pages = (
+        render_explanation(explanation(joints), **NAMES),
+        render_diagnosis(diagnosis(joints), **NAMES),
+        render_comparison(comparison(joints, 1.0), **NAMES),
+    )
+    for html in pages:
+        text = check_self_contained(html)
+        assert all(re.search(rf"\b{joint}\b", text) for joint in joints)
+        assert "arm.urdf against a.csv, b.csv" in text
+        assert "errs most at speeds below 0.05 rad/s" in text
+        assert "geodrake" in text
+        assert "How errors were measured" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_an_explanation_says_what_was_found():
+    joints = joint_names(3)
+    text = check_self_contained(render_explanation(explanation(joints), **NAMES))
+    assert "Missing: Coulomb friction (all 3 joints)." in text
+    assert "explained in part" in text
+    assert "3.084 ± 0.012" in text
+    assert "Coulomb, N·m" in text
+    assert "75 %" in text
+    assert "Stribeck friction" in text
+    assert "< 10⁻⁶" in text
+    assert "a: bandwidth 4 Hz" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_names_are_escaped():
+    joints = (EVIL, "elbow")
+    shown = dataclasses.replace(explanation(joints), notes=("<b>note</b>",))
+    for html in (
+        render_explanation(shown, title=EVIL, model_name="<i>", log_names=["<img src=x>"]),
+        render_diagnosis(diagnosis(joints), **NAMES),
+        render_comparison(comparison(joints, 1.0), **NAMES),
+    ):
+        text = check_self_contained(html)
+        assert "<script" not in html
+        assert EVIL in text
+
+
+def test_effects_without_a_class_and_without_deviations():
+    joints = joint_names(2)
+    steps = (
+        step(
+            "wrong_inertia",
+            ("forearm",),
+            {"forearm": {"mass": 2.5, "distance_from_prior": 1.25}},
+            {},
+            joints=joints,
+        ),
+        step("effort_delay", (), {"all joints": {"delay": 0.0162}}, {}, joints=joints),
+        step(
+            "my_hose", joints[:1], {joints[0]: {"cosine": 1.5}}, {joints[0]: {"cosine": math.nan}}
+        ),
+        step(
+            "payload", ("hand",), {"hand": {"mass": 3.0, "com_x": 0.033}}, {"hand": {"mass": 0.1}}
+        ),
+    )
+    shown = explanation(joints, steps)
+    text = check_self_contained(render_explanation(shown, **NAMES))  # draws such names, too
+    for words in ("wrong inertia", "delay, ms", "16.2", "the whole robot", "my hose", "1.5"):
+        assert words in text
+    for words in ("3.00 ± 0.10", "CoM x, m", "mass, kg", "0.033", "1.25"):
+        assert words in text
+    assert "nan" not in text
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [("adequate", "The model is adequate"), ("unexplained", "that no known effect explains")],
+)
+@pytest.mark.usefixtures("undrawn")
+def test_an_explanation_without_steps(verdict, words):
+    shown = explanation(joint_names(2), (), verdict=verdict)
+    text = check_self_contained(render_explanation(shown, **NAMES))
+    assert words in text
+    assert "Parameters found" not in text
+    assert set(report_figures(shown)) == {"efforts", "residuals_before", "joint_errors"}
+    assert len(step_figure(shown).axes[0].get_yticks()) == 1
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_steps_without_evidence_are_not_called_missing():
+    joints = joint_names(3)
+    doubtful = step("rotor_inertia", joints, {}, {}, false_alarm_probability=0.6)
+    useless = step("joint_spring", joints, {}, {}, error_after=0.5)
+    text = check_self_contained(
+        render_explanation(explanation(joints, (doubtful, useless)), **NAMES)
+    )
+    assert "Missing:" not in text
+    assert "Added without convincing evidence: rotor inertia and joint spring" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_diagnosis_tells_ties_and_silence():
+    joints = joint_names(3)
+    text = check_self_contained(render_diagnosis(diagnosis(joints), **NAMES))
+    assert "Missing: Coulomb friction + viscous friction (all 3 joints)." in text
+    assert "cannot distinguish it from asymmetric friction." in text
+    assert "geodrake excite MODEL --tell-apart coulomb_friction,asymmetric_friction." in text
+    silent = diagnosis(joints, candidates=False)
+    text = check_self_contained(render_diagnosis(silent, **NAMES))
+    assert "no known effect explains" in text
+    assert candidate_figure(silent).axes
+
+
+def test_figures_have_the_axes_they_should():
+    joints = joint_names(3)
+    shown = explanation(joints)
+    figures = report_figures(shown)
+    axes = {name: len(figure.axes) for name, figure in figures.items()}
+    assert axes == {
+        "steps": 1,
+        "joint_errors": 1,
+        "efforts": 6,
+        "residuals_before": 9,
+        "residuals_after": 9,
+    }
+    bars = figures["joint_errors"].axes[0].patches
+    assert len(bars) == 2 * len(joints)
+    labels = [label.get_text() for label in figures["steps"].axes[0].get_yticklabels()]
+    assert labels[0] == "the model as it stands"
+    assert labels[-1] == "+ Coulomb friction, all 3 joints"
+    assert len(candidate_figure(diagnosis(joints)).axes[0].patches) == 3
+
+
+def test_many_joints_are_limited_to_the_worst():
+    joints = joint_names(30)
+    many = comparison(joints, 1.0)
+    figure = effort_figure(many, most=4)
+    assert len(figure.axes) == 8
+    assert "The 4 joints of largest nrms, of 30." in figure.get_supxlabel()
+    worst = sorted(many.errors.joints, key=lambda joint: -joint.nrms)[:4]
+    titles = {ax.get_title(loc="left") for ax in figure.axes} - {""}
+    assert titles == {joint.joint for joint in worst}
+    assert len(residual_figure(many).axes) == 24
+    bars = joint_error_figure(many.errors, step_stages(explanation(joints)), most=5)
+    assert len(bars.axes[0].get_xticks()) == 5
+
+
+def test_gaps_stay_gaps_and_logs_keep_their_own_time():
+    one = comparison(("elbow",), 1.0)
+    missing = [dataclasses.replace(s, **{f: getattr(s, f)[np.arange(40) != 17] for f in FIELDS})
+               for s in one.series]  # fmt: skip
+    figure = effort_figure(dataclasses.replace(one, series=tuple(missing)))
+    x, y = figure.axes[0].lines[0].get_data()
+    assert np.isnan(y).sum() == 2 * len(BLOCKS)
+    assert (np.diff(x[np.isfinite(x)]) > 0).all()
+    png(figure)
+    labels = [label.get_text() for label in figure.axes[-1].get_xticklabels()]
+    assert labels == ["0", "2", "4", "6", "8", "2", "4"]
+
+
+def test_a_block_without_motion_is_left_out():
+    one = comparison(("elbow",), 1.0)
+    first, *others = one.series
+    empty = dataclasses.replace(first, **{f: getattr(first, f)[:0] for f in FIELDS})
+    figure = effort_figure(dataclasses.replace(one, series=(empty, *others)))
+    assert np.isfinite(figure.axes[0].lines[0].get_data()[1]).sum() == 40 * len(others)
+    png(figure)
+
+
+def test_perfect_models_and_nan_positions_can_be_drawn():
+    one = comparison(("elbow",), 1.0)
+    perfect = dataclasses.replace(
+        one,
+        errors=ErrorTable((JointError("elbow", 0.0, 1.0, 0.0),)),
+        failing=(),
+        series=tuple(
+            dataclasses.replace(s, predicted=s.measured, position=np.full(40, np.nan))
+            for s in one.series
+        ),
+    )
+    check_self_contained(render_comparison(perfect, **NAMES))
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_units_of_prismatic_joints():
+    shown = explanation(("slide", "elbow"), prismatic=("slide",))
+    text = check_self_contained(render_explanation(shown, **NAMES))
+    assert "3.084 ± 0.012 N " in text
+    assert "3.084 ± 0.012 N·m" in text
+    units = Units.of(shown.model)
+    assert units.effort(["slide"]) == "N"
+    assert units.effort(["slide", "elbow"]) == "N·m or N"
+    assert units.parameter("viscous_friction", "viscous", "slide") == "N·s/m"
+    assert units.parameter("rotor_inertia", "inertia", "slide") == "kg"
+    assert units.parameter("load_dependent_friction", "load_factor", "elbow") == ""
+
+
+def test_units_of_a_model():
+    model = load_model(Path(__file__).parents[2] / "models" / "double_pendulum.urdf")
+    assert Units.of(model).effort(model.joints) == "N·m"
+
+
+@pytest.mark.parametrize("joints", [("elbow",), joint_names(30), (EVIL,)])
+def test_figures_can_be_drawn(joints):
+    text = check_self_contained(render_explanation(explanation(joints), **NAMES))
+    assert "sensor noise" in text
+
+
+def test_reports_are_reproducible():
+    shown = explanation(("elbow",))
+    assert render_explanation(shown, **NAMES) == render_explanation(shown, **NAMES)
+
+
+def test_figures_are_saved(tmp_path):
+    figures = comparison_figures(comparison(("elbow",), 1.0))
+    paths = save_figures(figures, tmp_path / "new")
+    assert sorted(p.name for p in (tmp_path / "new").iterdir()) == sorted(p.name for p in paths)
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="Cannot write"):
+        save_figures(figures, tmp_path / "file")
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [
+        (3.0839, 0.0412, "3.08 ± 0.04"),
+        (3.0839, 0.0121, "3.084 ± 0.012"),
+        (21.015, 0.459, "21.0 ± 0.5"),
+        (-0.1635, 0.00299, "−0.164 ± 0.003"),
+        (0.0764, 0.0996, "0.08 ± 0.10"),
+        (12345.0, 678.0, "12300 ± 700"),
+        (3.2e-6, 1.4e-7, "(3.20 ± 0.14)·10⁻⁶"),
+        (0.0, 0.1, "0.00 ± 0.10"),
+        (2.5, math.nan, "2.50"),
+        (2.5, 0.0, "2.50"),
+        (math.nan, 1.0, "–"),
+    ],
+)
+def test_values_with_deviations(value, deviation, text):
+    assert with_deviation(value, deviation) == text
+
+
+def test_numbers_in_words():
+    assert [number(v) for v in (0.0381, 92.24, 1234.0, 1e-7, -2.5e9, math.inf, 9.999)] == [
+        "0.0381", "92.2", "1230", "1.00·10⁻⁷", "−2.50·10⁹", "–", "10.0",
+    ]  # fmt: skip
+    assert [percent(v) for v in (0.5, 0.998, 0.99981, 0.012, 0.0001, 1.0, 0.0, -0.03)] == [
+        "50 %", "99.8 %", "> 99.9 %", "1.2 %", "< 0.1 %", "100 %", "0 %", "−3 %",
+    ]  # fmt: skip
+    assert [chance(v) for v in (1e-200, 0.0123, 1.0)] == ["< 10⁻⁶", "0.012", "1.0"]
+    assert shortened("a_very_long_joint_name", 9) == "a_ve…name"
+    assert effect_label("load_dependent_friction") == "load-dependent friction"
+    assert [listed(list(names), "or") for names in ("a", "ab", "abc")] == [
+        "a",
+        "a or b",
+        "a, b or c",
+    ]
+    assert places_label(("a", "b"), ("a", "b")) == "a and b"
+    assert places_label(("a", "b", "d", "e"), tuple("abcde"), most=3) == "4 joints"
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_where_only_noise_is_left_no_better_model_is_promised():
+    text = render_explanation(explanation(joint_names(3), verdict="explained"), **NAMES)
+    assert "only sensor noise is left. Sensor noise alone would make" in text
+    assert "a better model could" not in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_an_added_effect_that_makes_things_worse_is_said_to():
+    joints = joint_names(3)
+    useless = step("joint_spring", joints, {}, {}, error_before=0.565, error_after=0.569)
+    added = explanation(joints, (useless,))
+    added = dataclasses.replace(added, end=errors(joints, 1.01))
+    words = "though it does not lower the held-out error (nrms 0.565 -> 0.569)"
+    assert words in addition_verdict(added, Units())
+    text = render_explanation(added, **NAMES)
+    assert "none of the squared error is gone" in text
+    assert "explained in part" not in text
+
+
+def test_where_a_joint_fails_has_its_unit_and_three_digits():
+    case = Failing("slide", "at speeds below 0.05 m/s", 1.67, 1.0, 0.6, 0.2, "N")
+    assert "RMS 1.67 N there, 1.00 otherwise" in failing_words(case)
+    assert "RMS 167 N·m there" in failing_words(dataclasses.replace(case, rms=167.0, unit="N·m"))

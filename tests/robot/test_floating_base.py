@@ -1,0 +1,282 @@
+"""Base wrenches against Drake, Pinocchio, momentum and rollouts with a known contact force."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from known_robots import HUMANOIDS, assert_close, description, moving_joints, plant_of
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    MultibodyForces,
+    RevoluteJoint,
+    SpatialInertia,
+)
+from pydrake.systems.analysis import Simulator
+from random_plants import JOINTS, random_motion, random_plant
+
+from geodrake.errors import ArgumentError
+from geodrake.inertia import inertial_parameters
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.robot.base_parameters import base_parameters, structural_base_parameters
+from geodrake.robot.floating_base import (
+    base_wrench_regressor,
+    body_poses,
+    move_wrench,
+    zero_moment_point,
+)
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.plant import load_plant
+
+MODELS = Path(__file__).parents[2] / "models"
+
+moving = sorted(set(JOINTS) - {"weld", "weld, reversed"})
+
+
+def wrench(plant, q, v, vd, **frame):
+    return base_wrench_regressor(plant, q, v, vd, **frame) @ inertial_parameters(plant).ravel()
+
+
+@pytest.mark.parametrize("name", [*HUMANOIDS, "robots/tiago_description/robots/tiago.urdf"])
+def test_wrench_on_a_floating_base_is_drakes(name):
+    plant = plant_of(description(name), floating=True)
+    rng = np.random.default_rng(0)
+    q, v, vd = random_motion(plant, rng, 3)
+    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+    X_WP = np.broadcast_to(np.eye(4), (3, 4, 4)).copy()
+    X_WP[:, :3, 3] = q[:, 4:7]  # about the base's origin, expressed in the world
+    ours, context = wrench(plant, q, v, vd, X_WP=X_WP), plant.CreateDefaultContext()
+    for i in range(3):
+        plant.SetPositions(context, q[i])
+        plant.SetVelocities(context, v[i])
+        tau = plant.CalcInverseDynamics(context, vd[i], MultibodyForces(plant))
+        assert_close(ours[i], (tau - plant.CalcGravityGeneralizedForces(context))[:6])
+
+
+@pytest.mark.parametrize("name", HUMANOIDS)
+def test_wrench_in_the_base_is_pinocchios(name):
+    pinocchio = pytest.importorskip("pinocchio")
+    text = description(name)
+    plant = plant_of(text, floating=True)
+    model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
+    data, (q, v, vd) = model.createData(), random_motion(plant, np.random.default_rng(1), 3)
+    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+    (root,) = plant.GetFloatingBaseBodies()
+    base = [body.body_index for body in lumped_bodies(plant)].index(root)
+    ours = wrench(plant, q, v, vd, X_WP=body_poses(plant, q)[:, base])
+    joints = moving_joints(plant)
+    velocities = [joint.velocity_start() for joint in joints]
+    pins = [model.joints[model.getJointId(joint.name())].idx_v for joint in joints]
+    for i in range(3):
+        R = pinocchio.Quaternion(*q[i, :4]).matrix()
+        w, t, wd, td = (R.T @ x for x in (v[i, :3], v[i, 3:6], vd[i, :3], vd[i, 3:6]))
+        qs, vs, vds = (np.zeros(n) for n in (model.nq, model.nv, model.nv))
+        qs[:7] = *q[i, 4:7], *q[i, 1:4], q[i, 0]
+        vs[:6], vds[:6] = (*t, *w), (*(td - np.cross(w, t)), *wd)
+        qs[np.add(pins, 1)] = q[i, np.add(velocities, 1)]
+        vs[pins], vds[pins] = v[i, velocities], vd[i, velocities]
+        tau = pinocchio.rnea(model, data, qs, vs, vds)
+        assert_close(ours[i], np.r_[tau[3:6], tau[:3]])
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.lists(st.sampled_from(moving), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
+def test_wrench_is_the_rate_of_momentum_less_gravity(kinds, seed):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, kinds)
+    q, v, vd = random_motion(plant, rng, 1)
+    ours = wrench(plant, q, v, vd)[0]
+    context, step = plant.CreateDefaultContext(), 1e-5
+
+    def at(time):
+        """Momentum (n, f) about the world's origin, moving on from the sample."""
+        plant.SetPositions(context, q[0])
+        qd = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
+        plant.SetPositions(context, q[0] + time * qd)
+        # Second order in time: the velocity's map to q̇ changes on the way, too.
+        middle = plant.MapVelocityToQDot(context, v[0] + 0.5 * time * vd[0])
+        plant.SetPositions(context, q[0] + 0.5 * time * (qd + middle))
+        plant.SetVelocities(context, v[0] + time * vd[0])
+        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
+        return np.r_[momentum.rotational(), momentum.translational()]
+
+    rate = (at(step) - at(-step)) / (2 * step)
+    plant.SetPositions(context, q[0])
+    weight = plant.CalcTotalMass(context) * plant.gravity_field().gravity_vector()
+    com = plant.CalcCenterOfMassPositionInWorld(context)
+    expected = rate - np.r_[np.cross(com, weight), weight]
+    np.testing.assert_allclose(ours, expected, atol=2e-6 * np.abs(expected).max())
+
+
+@settings(max_examples=30, deadline=None, derandomize=True)
+@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=7), st.integers(0, 2**32 - 1))
+def test_poses_are_drakes(kinds, seed):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, kinds)
+    q = rng.uniform(-2, 2, (2, plant.num_positions()))
+    poses, context = body_poses(plant, q), plant.CreateDefaultContext()
+    for i, positions in enumerate(q):
+        plant.SetPositions(context, positions)
+        for b, body in enumerate(lumped_bodies(plant)):
+            X_WB = plant.EvalBodyPoseInWorld(context, plant.get_body(body.body_index))
+            np.testing.assert_allclose(poses[i, b], X_WB.GetAsMatrix4(), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "kinds", [["revolute"] * 4, ["prismatic", "revolute", "ball", "universal"]]
+)
+def test_base_wrench_tells_what_all_efforts_tell(kinds):
+    """[Lee2019] Remark 3.1, for a tree with a floating base."""
+    rng = np.random.default_rng(2)
+    plant = random_plant(rng, ["rpy floating", *kinds], chain=True)
+    motion = random_motion(plant, rng, 120)
+    from_wrench = base_parameters(base_wrench_regressor(plant, *motion))
+    everything = structural_base_parameters(plant)
+    assert from_wrench.rank == everything.rank
+    np.testing.assert_array_equal(from_wrench.independent, everything.independent)
+    np.testing.assert_allclose(from_wrench.matrix, everything.matrix, atol=1e-9)
+
+
+def test_a_force_plate_below_one_foot_tells_seven_parameters_a_joint():
+    """Atlas on its left foot, as in [Lee2019] §4.6.3; its model there has a joint less."""
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModelsFromString(description("reference/atlas_v5.urdf"), "urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("l_foot"))
+    plant.Finalize()
+    motion = random_motion(plant, np.random.default_rng(0), 150)
+    assert base_parameters(base_wrench_regressor(plant, *motion)).rank == 7 * 30
+
+
+def test_known_contact_force_in_a_rollout():
+    """A free robot is pushed at a link while Drake simulates it; damping must not matter."""
+    loaded = load_plant(MODELS / "arm6.urdf", floating=True).plant
+    hand = loaded.GetBodyByName("flange")
+    push, where = np.array([3.0, -8.0, 40.0]), np.array([0.05, 0.02, 0.1])
+    force = ExternallyAppliedSpatialForce()
+    force.body_index, force.p_BoBq_B = hand.index(), where
+    force.F_Bq_W = SpatialForce(np.array([1.0, 2.0, -3.0]), push)
+    simulator = Simulator(loaded)
+    context = simulator.get_mutable_context()
+    loaded.get_applied_spatial_force_input_port().FixValue(context, [force])
+    loaded.get_actuation_input_port().FixValue(context, np.zeros(loaded.num_actuators()))
+    rng = np.random.default_rng(0)
+    loaded.SetVelocities(context, rng.uniform(-1, 1, loaded.num_velocities()))
+    samples, contact = [], []
+
+    def watch(root):
+        state = root.get_continuous_state_vector().CopyToVector()
+        rate = loaded.EvalTimeDerivatives(root).get_vector().CopyToVector()
+        nq = loaded.num_positions()
+        samples.append((state[:nq], state[nq:], rate[nq:]))
+        X_WB = loaded.EvalBodyPoseInWorld(root, hand)
+        moment = force.F_Bq_W.rotational() + np.cross(X_WB.multiply(where), push)
+        contact.append(np.r_[moment, push])
+
+    simulator.set_monitor(watch)
+    simulator.AdvanceTo(0.3)
+    q, v, vd = (np.array(x) for x in zip(*samples, strict=True))
+    assert len(q) > 10
+    assert_close(wrench(loaded, q, v, vd), np.array(contact))
+
+
+def test_parameters_from_a_force_plate_below_an_arm():
+    plant = load_plant(MODELS / "arm6.urdf").plant
+    rng, phi = np.random.default_rng(3), inertial_parameters(plant)
+    plate = RigidTransform(RollPitchYaw(0.1, -0.2, 0.3), [0.2, 0.1, -0.4])
+    motion = random_motion(plant, rng, 100)
+    regressor = base_wrench_regressor(plant, *motion, X_WP=plate)
+    measured = (regressor @ phi.ravel()).ravel()
+    base = base_parameters(regressor)
+    found = np.linalg.lstsq(base.regressor(regressor).reshape(-1, base.rank), measured)[0]
+    np.testing.assert_allclose(found, base.values(phi), rtol=1e-9, atol=1e-11)
+    # More than the efforts tell, and all that they tell, too.
+    joint = structural_base_parameters(plant)
+    assert base.rank > joint.rank
+    assert np.linalg.matrix_rank(np.vstack([base.matrix, joint.matrix]), 1e-8) == base.rank
+
+
+def test_moved_wrenches_are_those_about_the_other_frame():
+    plant = load_plant(MODELS / "arm6.urdf").plant
+    motion = random_motion(plant, np.random.default_rng(4), 5)
+    X_WP = RigidTransform(RollPitchYaw(1, 2, 3), [0.3, -0.1, 0.2])
+    X_WQ = RigidTransform(RollPitchYaw(-1, 0.5, 2), [-0.5, 0.4, 1.0])
+    about_P, about_Q = (wrench(plant, *motion, X_WP=X) for X in (X_WP, X_WQ))
+    np.testing.assert_allclose(move_wrench(about_P, X_WQ.inverse() @ X_WP), about_Q, atol=1e-9)
+    F_P = SpatialForce(about_P[0, :3], about_P[0, 3:])
+    shifted = F_P.Shift(np.array([0.1, 0.2, 0.3]))  # Drake, from Po to Qo
+    ours = move_wrench(about_P, RigidTransform([-0.1, -0.2, -0.3]))[0]
+    np.testing.assert_allclose(ours, np.r_[shifted.rotational(), shifted.translational()])
+
+
+def test_zero_moment_point_at_rest_is_below_the_centre_of_mass():
+    plant = plant_of(description("reference/atlas_v5.urdf"), floating=True)
+    context, rng = plant.CreateDefaultContext(), np.random.default_rng(5)
+    q = rng.uniform(-1, 1, (4, plant.num_positions()))
+    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+    still = np.zeros((4, plant.num_velocities()))
+    point = zero_moment_point(wrench(plant, q, still, still), height=-1.0)
+    for i in range(4):
+        plant.SetPositions(context, q[i])
+        com = plant.CalcCenterOfMassPositionInWorld(context)
+        np.testing.assert_allclose(point[i], com[:2], atol=1e-12)
+
+
+@settings(max_examples=50, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1), st.floats(-1, 1))
+def test_zero_moment_point_is_the_centre_of_pressure(seed, height):
+    rng = np.random.default_rng(seed)
+    points = np.c_[rng.uniform(-1, 1, (5, 2)), np.full(5, height)]
+    forces = np.c_[rng.normal(size=(5, 2)), rng.uniform(0.1, 10, 5)]
+    total = np.r_[np.cross(points, forces).sum(0), forces.sum(0)]
+    expected = forces[:, 2] @ points[:, :2] / forces[:, 2].sum()
+    np.testing.assert_allclose(zero_moment_point(total[None], height=height)[0], expected)
+
+
+def test_in_the_air_there_is_no_zero_moment_point():
+    flying = np.array([[1.0, 2, 3, 0, 0, -1], [1.0, 2, 3, 0, 0, 0], [1.0, 2, 3, 0, 0, 5]])
+    np.testing.assert_array_equal(
+        np.isnan(zero_moment_point(flying)), [[True, True], [True, True], [False, False]]
+    )
+    # A sample that was not measured says nothing about the others.
+    lost = np.vstack([flying[2:], np.full((1, 6), np.nan)])
+    np.testing.assert_array_equal(np.isnan(zero_moment_point(lost)), [[False, False], [True, True]])
+
+
+def test_robots_with_gravity_of_their_own():
+    plant = MultibodyPlant(0.0)
+    for name in ("light", "heavy"):
+        instance = plant.AddModelInstance(name)
+        box = SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.2, 0.3)
+        body = plant.AddRigidBody("link", instance, box)
+        frame = plant.AddFrame(
+            FixedOffsetFrame(name, plant.world_frame(), RigidTransform([0.5, 0, 0]), instance)
+        )
+        plant.AddJoint(RevoluteJoint(name, frame, body.body_frame(), [0, 1, 0]))
+        plant.set_gravity_enabled(instance, name == "heavy")
+    plant.Finalize()
+    still = np.zeros((1, 2))
+    needed = wrench(plant, still, still, still)[0]
+    np.testing.assert_allclose(needed, [0, -9.81, 0, 0, 0, 2 * 9.81], atol=1e-12)
+
+
+def test_bad_input():
+    plant = load_plant(MODELS / "arm6.urdf").plant
+    tree, still = KinematicTree.from_plant(plant), np.zeros((3, 6))
+    with pytest.raises(ArgumentError, match=r"v must be \(N, 6\)"):
+        base_wrench_regressor(tree, still, still[:, 1:], still)
+    with pytest.raises(ArgumentError, match=r"pose has the shape \(2, 4, 4\)"):
+        base_wrench_regressor(tree, still, still, still, X_WP=np.zeros((2, 4, 4)))
+    with pytest.raises(ArgumentError, match=r"R Rᵀ is 3 off"):
+        base_wrench_regressor(tree, still, still, still, X_WP=2 * np.eye(4))
+    with pytest.raises(ArgumentError, match=r"\(N, 6\)"):
+        zero_moment_point(np.zeros(6))
+    with pytest.raises(ArgumentError, match=r"\(N, 6\) .* \(3, 5\)"):
+        move_wrench(np.zeros((3, 5)), np.eye(4))
+    with pytest.raises(ArgumentError, match="R Rᵀ is 1 off"):
+        move_wrench(np.zeros((3, 6)), np.zeros((4, 4)))
+    assert base_wrench_regressor(tree, *np.zeros((3, 0, 6))).shape == (0, 6, 60)

@@ -1,0 +1,121 @@
+"""What model files include or name is found, and messages point to where it was read."""
+
+from pathlib import Path
+
+import pytest
+from pydrake.multibody.parsing import PackageMap
+
+from geodrake import load_model
+from geodrake.errors import ModelError
+from geodrake.robot.files.packages import add_packages, named_packages
+
+PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+LINK = """<link name="{}"><inertial><mass>{}</mass></inertial></link>"""
+JOINT = """<joint name="{}" type="{}"><parent>world</parent><child>{}</child>
+<axis><xyz>{}</xyz></axis></joint>"""
+
+
+def sdf(content):
+    return f'<sdf version="1.9"><model name="robot">\n{content}\n</model></sdf>\n'
+
+
+def body(name="a", mass=1.0, axis="0 0 1", kind="revolute"):
+    return LINK.format(name, mass) + "\n" + JOINT.format(f"{name}_joint", kind, name, axis)
+
+
+def including(uri):
+    return sdf(body() + f"\n<include><name>more</name><uri>{uri}</uri></include>")
+
+
+def write(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def package(folder, name):
+    write(folder / "package.xml", f"<package><name>{name}</name></package>")
+    return folder
+
+
+@pytest.mark.parametrize("by", ["path", "folder", "file", "package", "model"])
+def test_sdf_includes(by, tmp_path):
+    package(tmp_path, "p")
+    file = write(tmp_path / "more" / "model.sdf", sdf(body("b")))
+    uri = {
+        "path": "more/model.sdf",
+        "folder": "more",
+        "file": file.as_uri(),
+        "package": "package://p/more/model.sdf",
+        "model": "model://p/more/model.sdf",
+    }[by]
+    model = load_model(write(tmp_path / "robot.sdf", including(uri)))
+    assert set(model.joints) == {"a_joint", "b_joint"}
+
+
+def test_mjcf_includes(tmp_path):
+    inner = """<mujocoinclude><worldbody><body name="b"><joint name="j"/>
+    <inertial pos="0 0 1" mass="2" diaginertia="1 1 1"/></body></worldbody></mujocoinclude>"""
+    write(tmp_path / "parts" / "b.xml", inner)
+    outer = '<mujoco model="m"><include file="parts/b.xml"/></mujoco>'
+    model = load_model(write(tmp_path / "robot.xml", outer))
+    assert (model.joints, model.phi[0, 0]) == (("j",), 2.0)
+
+
+def test_a_file_may_be_included_twice_beside_itself(tmp_path):
+    write(tmp_path / "b.sdf", sdf(body("b")))
+    both = "".join(
+        f"<include><name>{name}</name><uri>b.sdf</uri></include>" for name in ("left", "right")
+    )
+    model = load_model(write(tmp_path / "robot.sdf", sdf(body() + both)))
+    found = {joint.removeprefix("robot::") for joint in model.joints}
+    assert found == {"a_joint", "left_b_joint", "right_b_joint"}
+
+
+def test_directives_that_add_directives_of_a_package(tmp_path):
+    package(tmp_path, "p")
+    write(tmp_path / "arm.urdf", PENDULUM.read_text(encoding="utf-8"))
+    write(
+        tmp_path / "arm.dmd.yaml",
+        "directives:\n- add_model: {name: arm, file: package://p/arm.urdf}\n",
+    )
+    top = "directives:\n- add_directives: {file: package://p/arm.dmd.yaml}\n"
+    assert load_model(write(tmp_path / "top.dmd.yaml", top)).joints == ("shoulder", "elbow")
+
+
+def test_messages_of_drake_have_the_line_of_the_file_it_is_in(tmp_path):
+    broken = PENDULUM.read_text(encoding="utf-8").replace('type="revolute"', 'type="rubber"', 1)
+    urdf = write(tmp_path / "arm.urdf", broken)
+    with pytest.raises(ModelError, match=r"arm\.urdf, line 27: Joint 'shoulder' has unrecog"):
+        load_model(urdf)
+    top = "directives:\n- add_model: {name: arm, file: arm.urdf}\n"
+    with pytest.raises(ModelError, match=r"arm\.urdf, line 27: Joint 'shoulder' has unrecog"):
+        load_model(write(tmp_path / "top.dmd.yaml", top))
+    write(tmp_path / "b.sdf", sdf("\n" + body("b", axis="0 0 many")))
+    with pytest.raises(ModelError, match=r"b\.sdf, line 5: <xyz> has '0 0 many'"):
+        load_model(write(tmp_path / "robot.sdf", including("b.sdf")))
+
+
+def test_only_packages_that_are_named_are_looked_for(tmp_path, monkeypatch):
+    near = package(tmp_path / "near", "near")
+    far = package(tmp_path / "path" / "deep" / "far", "far")
+    package(far / "within", "within")
+    package(tmp_path / "path" / ".hidden", "hidden")
+    write(package(tmp_path / "path" / "marked" / "inner", "inner").parent / "COLCON_IGNORE", "")
+    (tmp_path / "path" / "loop").symlink_to(tmp_path / "path")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{tmp_path / 'path'}:")
+    names = named_packages("package://near/a.stl model://far/b package://far/c 'package://x y/z'")
+    assert names == {"near", "far", "x y"}
+    packages = PackageMap()
+    add_packages(packages, near / "robot.urdf", {*names, "within", "hidden", "inner", "drake"})
+    assert packages.GetPath("near") == str(near)
+    assert packages.GetPath("far") == str(far)
+    assert not any(packages.Contains(name) for name in ("x y", "within", "hidden", "inner"))
+
+
+def test_nearest_package_of_a_name_counts(tmp_path):
+    outer = package(tmp_path / "a", "p")
+    inner = package(outer / "b", "p")
+    packages = PackageMap()
+    add_packages(packages, inner / "robot.urdf", {"p"})
+    assert packages.GetPath("p") == str(inner)

@@ -1,0 +1,498 @@
+"""Loading of model files, repairs of impossible inertias, lumped bodies and their parameters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measurements import REFERENCE
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import (
+    from_mass_com_inertia,
+    inertial_parameters,
+    is_physical,
+    to_mass_com_inertia,
+)
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.model.robot_model import from_loaded_plant
+from geodrake.robot.plant import (
+    effort_limits,
+    joint_names,
+    load_plant,
+    position_limits,
+    set_inertial_parameters,
+    velocity_limits,
+)
+
+MODELS = Path(__file__).parents[2] / "models"
+OWN = ("double_pendulum", "arm6", "arm7")
+GOOD = "ixx='0.1' iyy='0.1' izz='0.1' ixy='0' ixz='0' iyz='0'"
+
+
+def urdf(inertial="", *, joint="", extra=""):
+    """Base, one revolute joint about y, one link `l1` with the given inertial element."""
+    return f"""<robot name="r"><link name="base"/><link name="l1">{inertial}</link>
+    <joint name="j1" type="revolute"><parent link="base"/><child link="l1"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="2" effort="10" velocity="3"/>{joint}</joint>{extra}</robot>"""
+
+
+def inertial(mass=1.0, inertia=GOOD, xyz="0 0 0.1"):
+    return (
+        f"""<inertial><origin xyz="{xyz}"/><mass value="{mass}"/><inertia {inertia}/></inertial>"""
+    )
+
+
+def tensor(xx, yy, zz, xy=0.0):
+    return f"ixx='{xx}' iyy='{yy}' izz='{zz}' ixy='{xy}' ixz='0' iyz='0'"
+
+
+@pytest.fixture
+def load(tmp_path, capfd):
+    """Loads a text under a file name and checks that nothing was printed."""
+
+    def load_text(text, name="robot.urdf", **options):
+        path = tmp_path / name
+        path.write_text(text)
+        try:
+            return load_plant(path, **options)
+        finally:
+            assert capfd.readouterr() == ("", "")
+
+    return load_text
+
+
+def inverse_dynamics(plant, context, seed=0):
+    rng = np.random.default_rng(seed)
+    plant.SetVelocities(context, rng.normal(size=plant.num_velocities()))
+    acceleration = rng.normal(size=plant.num_velocities())
+    forces = MultibodyForces(plant)
+    plant.CalcForceElementsContribution(context, forces)
+    return plant.CalcInverseDynamics(context, acceleration, forces)
+
+
+def random_context(plant, seed=1):
+    context = plant.CreateDefaultContext()
+    rng = np.random.default_rng(seed)
+    q = plant.GetPositions(context)
+    for j in (plant.get_joint(i) for i in plant.GetJointIndices()):
+        if j.num_velocities() == 1:
+            q[j.position_start()] += rng.uniform(-0.5, 0.5)
+    plant.SetPositions(context, q)
+    return context
+
+
+# Our own models
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_own_models_are_physical_and_limited(name, capfd):
+    loaded = load_plant(MODELS / f"{name}.urdf")
+    plant = loaded.plant
+    assert loaded.repairs == () and loaded.notes == ()
+    assert capfd.readouterr() == ("", "")
+    assert is_physical(inertial_parameters(plant), tolerance=1e-4).all()
+    assert np.isfinite(effort_limits(plant)).all() and (effort_limits(plant) > 0).all()
+    assert np.isfinite(velocity_limits(plant)).all()
+    assert np.isfinite(position_limits(plant)).all()
+    assert plant.time_step() == 0.0
+
+
+def test_double_pendulum_has_the_published_numbers():
+    plant = load_plant(MODELS / "double_pendulum.urdf").plant
+    assert joint_names(plant) == ("shoulder", "elbow")
+    phi = inertial_parameters(plant)
+    np.testing.assert_allclose(phi[:, 0], [0.5235, 0.6256])
+    np.testing.assert_allclose(phi[:, 3] / phi[:, 0], [-0.2, -0.2557])
+    np.testing.assert_allclose(phi[:, 5], [0.03189, 0.05087], rtol=1e-5)
+    context = plant.CreateDefaultContext()
+    forces = MultibodyForces(plant)
+    plant.CalcForceElementsContribution(context, forces)
+    hanging = plant.CalcInverseDynamics(context, np.zeros(2), forces)
+    np.testing.assert_allclose(hanging, 0.0, atol=1e-12)
+    plant.SetPositions(context, [np.pi / 2, 0.0])
+    held = -plant.CalcGravityGeneralizedForces(context)
+    shoulder = 9.81 * (0.5235 * 0.2 + 0.6256 * (0.2 + 0.2557))
+    np.testing.assert_allclose(held, [shoulder, 9.81 * 0.6256 * 0.2557], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "body", "position"),
+    [
+        ("double_pendulum", "lower_link", [0, 0, -0.2]),
+        ("arm6", "tool0", [0.59, 0, 0.8]),
+        ("arm7", "link_7", [0, 0, 1.23]),
+    ],
+)
+def test_own_models_forward_kinematics(name, body, position):
+    plant = load_plant(MODELS / f"{name}.urdf").plant
+    pose = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), plant.GetBodyByName(body))
+    np.testing.assert_allclose(pose.translation(), position, atol=1e-12)
+
+
+# Formats
+
+
+def test_urdf_ignores_geometry_mimic_and_transmissions(load):
+    mesh = """<visual><geometry><mesh filename="package://none/a.dae"/></geometry></visual>
+    <collision><geometry><mesh filename="missing.stl"/></geometry></collision>"""
+    extra = """<transmission name="t"><joint name="absent"/><type>SimpleTransmission</type>
+    </transmission>"""
+    loaded = load(urdf(mesh + inertial(), joint="<mimic joint='absent'/>", extra=extra))
+    assert loaded.plant.num_velocities() == 1
+    assert any("mimic" in note and "j1" in note for note in loaded.notes)
+
+
+def test_urdf_reads_limits_damping_and_friction(load):
+    loaded = load(urdf(inertial(), joint="<dynamics damping='0.5' friction='0.3'/>"))
+    plant = loaded.plant
+    assert loaded.file_damping == pytest.approx([0.5])
+    assert loaded.file_friction == pytest.approx([0.3])
+    assert loaded.file_rotor_inertia == pytest.approx([0.0])
+    assert effort_limits(plant) == pytest.approx([10.0])
+    assert velocity_limits(plant) == pytest.approx([3.0])
+    assert np.ravel(position_limits(plant)) == pytest.approx([-1.0, 2.0])
+    assert plant.GetJointByName("j1").default_damping() == 0.0
+    notes = from_loaded_plant(loaded, floating=False).notes
+    assert any("viscous_friction" in note and "j1 0.5" in note for note in notes)
+    assert any("coulomb_friction" in note for note in notes)
+
+
+def test_rotor_inertia_is_read_out_and_removed(load):
+    extra = """<transmission><type>SimpleTransmission</type><joint name="j1"/><actuator name="a">
+    <x:rotor_inertia value="0.001"/><x:gear_ratio value="10"/></actuator></transmission>"""
+    text = urdf(inertial(), extra=extra).replace("<robot", "<robot xmlns:x='http://drake.mit.edu'")
+    loaded = load(text)
+    assert loaded.file_rotor_inertia == pytest.approx([0.1])
+    mass = loaded.plant.CalcMassMatrix(loaded.plant.CreateDefaultContext())
+    assert mass[0, 0] == pytest.approx(0.1 + 0.1**2)
+
+
+SDF = """<sdf version="1.7"><model name="m"><link name="l1"><inertial>
+<pose>0 0 0.1 0 0 1.5707963267948966</pose><mass>{mass}</mass>
+<inertia><ixx>{ixx}</ixx><iyy>0.2</iyy><izz>0.2</izz></inertia></inertial>
+<visual name="v"><geometry><mesh><uri>package://none/a.stl</uri></mesh></geometry></visual>
+<collision name="c"><geometry><mesh><uri>model://none/a.stl</uri></mesh></geometry></collision></link>
+<joint name="j1" type="revolute"><parent>world</parent><child>l1</child><axis><xyz>0 1 0</xyz>
+<limit><effort>7</effort></limit><dynamics><damping>0.2</damping><friction>0.3</friction>
+<spring_stiffness>3</spring_stiffness></dynamics></axis></joint></model></sdf>"""
+
+
+def test_sdf(load):
+    loaded = load(SDF.format(mass=1.0, ixx=0.1), "m.sdf")
+    assert loaded.repairs == ()
+    assert loaded.file_damping == pytest.approx([0.2])
+    assert loaded.file_friction == pytest.approx([0.3])
+    assert effort_limits(loaded.plant) == pytest.approx([7.0])
+    assert any("joint_spring" in note for note in loaded.notes)
+    assert loaded.plant.num_force_elements() == 1
+
+
+def test_sdf_inertia_is_repaired_in_the_frame_of_the_link(load):
+    loaded = load(SDF.format(mass=2.0, ixx=0.5), "m.world")
+    (repair,) = loaded.repairs
+    # The pose turns by a right angle about z: ixx of the file is Iyy of the link.
+    com, inertia = np.array([0.0, 0.0, 0.1]), np.diag([0.2, 0.5, 0.2])
+    np.testing.assert_allclose(repair.before, from_mass_com_inertia(2.0, com, inertia), atol=1e-12)
+    np.testing.assert_allclose(inertial_parameters(loaded.plant)[0], repair.after, rtol=1e-9)
+
+
+def test_sdf_world_that_includes_a_model(load, tmp_path):
+    (tmp_path / "sub.sdf").write_text(SDF.format(mass=1.0, ixx=0.9))
+    text = """<sdf version="1.7"><world name="w"><include><name>one</name><uri>sub.sdf</uri>
+    </include><include><name>two</name><uri>sub.sdf</uri></include></world></sdf>"""
+    loaded = load(text, "w.sdf")
+    assert joint_names(loaded.plant) == ("one_j1", "two_j1")
+    assert [repair.body for repair in loaded.repairs] == ["one::l1", "two::l1"]
+
+
+MJCF = """<mujoco model="m"><compiler meshdir="absent"/><asset><mesh name="x" file="x.stl"/>
+<mesh file="y.obj"/></asset>
+<default><joint damping="0.3" armature="0.2"/><default class="stiff"><joint frictionloss="2"/>
+</default></default><worldbody>
+<body name="a" pos="0 0 1"><joint name="h" type="hinge" axis="0 1 0" class="stiff"/>
+  <geom type="mesh" mesh="x"/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>
+  <body name="b"><joint name="s" type="slide" axis="0 0 1" frictionloss="0.5"/>
+    <joint name="s2" type="slide" axis="1 0 0"/>
+    <geom type="mesh" mesh="y"/>
+    <body><joint name="q" type="ball"/><geom type="sphere" size="0.1" mass="1"/></body>
+  </body></body>
+<body name="f" pos="1 2 3"><freejoint/><geom type="box" size=".1 .1 .1" mass="3"/></body>
+</worldbody><actuator><motor name="m" joint="h" gear="100" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_mjcf(load):
+    loaded = load(MJCF, "m.xml")
+    plant = loaded.plant
+    assert joint_names(plant) == ("h", "s", "s2", "q_wx", "q_wy", "q_wz")
+    assert loaded.file_damping == pytest.approx([0.3] * 6)
+    assert loaded.file_rotor_inertia == pytest.approx([0.2] * 6)
+    assert loaded.file_friction == pytest.approx([2.0, 0.5, 0, 0, 0, 0])
+    assert effort_limits(plant)[0] == pytest.approx(100.0)
+    assert any("meshes" in note and "b" in note for note in loaded.notes)
+    # The bodies without mass get a thousandth of the robot's together.
+    assert {repair.body for repair in loaded.repairs} == {"b", "b_s"}
+    assert inertial_parameters(plant)[:, 0].sum() == pytest.approx(3.0 * 1.001)
+    X_WF = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), plant.GetBodyByName("f"))
+    np.testing.assert_allclose(X_WF.translation(), [1, 2, 3])
+
+
+def test_mjcf_mesh_that_is_there_gives_the_mass(load, tmp_path):
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    faces = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {face}" for face in faces]
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "cube.obj").write_text("\n".join(lines) + "\n")
+    text = """<mujoco model="m"><compiler meshdir="meshes"/><asset><mesh file="cube.obj"/></asset>
+    <worldbody><body name="a"><joint name="h" axis="0 1 0"/><geom type="mesh" mesh="cube"/></body>
+    </worldbody></mujoco>"""
+    loaded = load(text, "m.xml")
+    assert loaded.repairs == () and loaded.notes == ()
+    phi = inertial_parameters(loaded.plant)[0]
+    np.testing.assert_allclose(phi[:4], [1000, 500, 500, 500], rtol=1e-6)
+
+
+def test_mjcf_floating(load):
+    plant = load(MJCF, "m.xml", floating=True).plant
+    assert plant.num_velocities() == 12
+    assert joint_names(plant)[-6:] == ("f_wx", "f_wy", "f_wz", "f_vx", "f_vy", "f_vz")
+    assert lumped_bodies(plant)[-1].name == "f"
+
+
+def test_mjcf_agrees_with_mujoco(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    text = """<mujoco model="m"><worldbody><body name="a"><joint name="h" axis="0 1 0"/>
+    <geom type="capsule" size=".05 .2" pos=".1 0 .2" mass="2"/><body name="b" pos="0 0 .5">
+    <joint name="x" axis="1 0 0"/><joint name="y" axis="0 1 0"/>
+    <inertial pos="0.1 0 0.2" mass="1.5" fullinertia=".02 .03 .04 .001 .002 .003"/>
+    </body></body></worldbody></mujoco>"""
+    path = tmp_path / "m.xml"
+    path.write_text(text)
+    loaded = load_plant(path)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    context = loaded.plant.CreateDefaultContext()
+    data.qpos[:] = [0.3, -0.4, 0.5]
+    loaded.plant.SetPositions(context, data.qpos)
+    mujoco.mj_forward(model, data)
+    (repair,) = loaded.repairs
+    held = -loaded.plant.CalcGravityGeneralizedForces(context)
+    assert repair.body == "b_x"
+    np.testing.assert_allclose(held, data.qfrc_bias, atol=0.01 * np.abs(data.qfrc_bias).max())
+
+
+def test_directives_with_two_instances(load, tmp_path):
+    (tmp_path / "arm.urdf").write_text(urdf(inertial(2.0, tensor(0, 0, 0))))
+    text = """directives:
+- add_model: {name: left, file: arm.urdf}
+- add_model: {name: right, file: "FILE"}
+- add_weld: {parent: world, child: "left::base"}
+""".replace("FILE", (tmp_path / "arm.urdf").as_uri())
+    loaded = load(text, "two.dmd.yaml")
+    assert joint_names(loaded.plant) == ("left_j1", "right_j1")
+    assert [repair.body for repair in loaded.repairs] == ["left::l1", "right::l1"]
+    assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
+
+
+# Roots
+
+
+def test_floating_base(load):
+    text = urdf(inertial()).replace('<link name="base"/>', f'<link name="base">{inertial()}</link>')
+    fixed, free = load(text).plant, load(text, floating=True).plant
+    assert (fixed.num_velocities(), free.num_velocities()) == (1, 7)
+    assert [body.name for body in lumped_bodies(fixed)] == ["l1"]
+    assert [body.name for body in lumped_bodies(free)] == ["base", "l1"]
+
+
+def test_the_root_need_not_come_first_in_the_file(load):
+    text = urdf(inertial())
+    text = text.replace('<link name="base"/>', "").replace(
+        "</robot>", '<link name="base"/></robot>'
+    )
+    (body,) = lumped_bodies(load(text).plant)
+    assert body.name == "l1"
+
+
+def test_world_link_stays_the_world(load):
+    loaded = load(urdf(inertial()).replace('"base"', '"world"'), floating=True)
+    assert loaded.plant.num_velocities() == 1
+    assert any("nothing floats" in note for note in loaded.notes)
+
+
+def test_several_roots_are_each_welded(load):
+    loaded = load(urdf(inertial(), extra=f'<link name="ball">{inertial()}</link>'))
+    assert loaded.plant.num_velocities() == 1
+    assert any("ball" in note for note in loaded.notes)
+
+
+def test_a_joint_that_points_to_the_base_is_read_outwards(load):
+    text = """<sdf version="1.7"><model name="m"><link name="tip"/><link name="root"/>
+    <link name="pad"/>
+    <joint name="a" type="revolute"><parent>tip</parent><child>root</child><axis><xyz>0 0 1</xyz>
+    </axis></joint><joint name="b" type="revolute"><parent>world</parent><child>root</child><axis>
+    <xyz>0 0 1</xyz></axis></joint><joint name="w" type="fixed"><parent>pad</parent>
+    <child>tip</child></joint></model></sdf>"""
+    bodies = lumped_bodies(load(text, "m.sdf").plant)
+    assert {b.name: {m.name for m in b.members} for b in bodies} == {
+        "root": {"root"},
+        "tip": {"tip", "pad"},
+    }
+
+
+# Repairs
+
+
+@pytest.mark.parametrize(
+    ("mass", "inertia", "words"),
+    [
+        (1.0, tensor(0, 0, 0), "no rotational inertia"),
+        (1.0, tensor(1, 1, 5), "exceeds the sum"),
+        (1.0, tensor(1, 1, 2), "no thickness"),
+        (1.0, tensor(1, 1, 1, 2), "negative"),
+        (1.0, tensor("nan", 1, 1), "not a number"),
+        (-1.0, GOOD, "mass of -1 kg"),
+        (0.0, GOOD, "mass of 0 kg"),
+        ("abc", GOOD, "not a number"),
+        (0.0, tensor(0, 0, 0), "mass of 0 kg"),
+    ],
+)
+def test_impossible_inertia_is_repaired_and_named(load, mass, inertia, words):
+    loaded = load(urdf(inertial(mass, inertia)))
+    (repair,) = loaded.repairs
+    assert repair.body == "l1"
+    assert words in repair.problem and str(repair).startswith("l1 has")
+    assert repair.before.shape == repair.after.shape == (10,)
+    phi = inertial_parameters(loaded.plant)[0]
+    np.testing.assert_allclose(phi, repair.after, rtol=1e-9, atol=1e-15)
+    assert is_physical(phi, tolerance=1e-6)
+    if mass == 1.0 and words != "not a number":
+        np.testing.assert_allclose(phi[:4], [1, 0, 0, 0.1], atol=1e-12)
+
+
+def test_repair_changes_only_what_is_too_small(load):
+    (repair,) = load(urdf(inertial(1.0, tensor(1, 1, 5)))).repairs
+    _, _, before = to_mass_com_inertia(repair.before)
+    _, _, after = to_mass_com_inertia(repair.after)
+    # Second moments about the axes: 2.5, 2.5 and -1.5 before; the last alone is raised, to 1e-4.
+    np.testing.assert_allclose(before, np.diag([1, 1, 5]), atol=1e-12)
+    np.testing.assert_allclose(after, np.diag([2.5001, 2.5001, 5]), atol=1e-12)
+
+
+def test_impossible_member_of_a_possible_body_is_no_problem(load):
+    def fixed(name, inertial_text):
+        return f"""<link name="{name}">{inertial_text}</link><joint name="to_{name}" type="fixed">
+        <parent link="l1"/><child link="{name}"/><origin xyz="0 0 0.2" rpy="0.5 0 0"/></joint>"""
+
+    point_mass = fixed("point", inertial(0.5, tensor(0, 0, 0), "0 0 0"))
+    dummy = fixed("dummy", inertial(0.0, GOOD))
+    loaded = load(urdf(inertial(), extra=point_mass + dummy + fixed("tool0", "")))
+    assert loaded.repairs == ()
+    assert any("dummy" in note for note in loaded.notes)
+    (body,) = lumped_bodies(loaded.plant)
+    assert [member.name for member in body.members] == ["l1", "point", "dummy", "tool0"]
+    expected = from_mass_com_inertia(1.0, [0, 0, 0.1], 0.1 * np.eye(3)) + from_mass_com_inertia(
+        0.5, [0, 0, 0.2], np.zeros((3, 3))
+    )
+    np.testing.assert_allclose(inertial_parameters(loaded.plant)[0], expected, atol=1e-12)
+
+
+# Not a robot
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("r.urdf", "<html><body/></html>", "root element is <html>"),
+        ("r.csv", "a,b\n1,2\n", "not valid XML"),
+        ("r.urdf", "", "is empty"),
+        ("r.yaml", "a: b\n", "Drake cannot read"),
+        ("r.yaml", "just words\n", "Drake cannot read"),
+        ("r.yaml", "directives: []\n", "add no model"),
+        ("r.yaml", "directives:\n- add_model: {name: a, file: absent.urdf}\n", "absent.urdf"),
+        ("r.urdf", "<robot name='r'><xacro:include filename='a'/></robot>", "xacro"),
+        ("r.urdf", "<robot name='r'/>", "no links"),
+        ("r.urdf", "<robot name='r'><link name='a'/></robot>", "No joint moves"),
+        ("r.urdf", urdf().replace('child link="l1"', 'child link="l2"'), "l2"),
+        ("r.sdf", "<sdf version='1.7'/>", "Drake cannot read"),
+        ("r.xml", "<mujoco><worldbody><body><joint type='odd'/></body></worldbody></mujoco>", "m"),
+    ],
+)
+def test_not_a_robot(load, name, text, words):
+    with pytest.raises(ModelError, match=words) as error:
+        load(text, name)
+    assert name in str(error.value) and error.value.advice
+    assert "\n" not in str(error.value) or "XML" in str(error.value)
+
+
+def test_missing_file_and_folder(tmp_path):
+    with pytest.raises(ModelError, match="does not exist"):
+        load_plant(tmp_path / "absent.urdf")
+    with pytest.raises(ModelError, match="folder"):
+        load_plant(tmp_path)
+
+
+# Parameters
+
+
+@pytest.mark.parametrize("name", ["arm6", "arm7"])
+def test_writing_what_was_read_changes_nothing(name):
+    plant = load_plant(MODELS / f"{name}.urdf", floating=True).plant
+    context, written = random_context(plant), random_context(plant)
+    set_inertial_parameters(plant, written, inertial_parameters(plant))
+    np.testing.assert_allclose(
+        inverse_dynamics(plant, written), inverse_dynamics(plant, context), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_written_parameters_are_read_back():
+    plant = load_plant(MODELS / "arm6.urdf").plant
+    context = plant.CreateDefaultContext()
+    phi = np.random.default_rng(2).normal(size=(6, 10)) + 3.0
+    set_inertial_parameters(plant, context, phi)
+    np.testing.assert_allclose(inertial_parameters(plant, context), phi, rtol=1e-9)
+    with pytest.raises(ArgumentError, match=r"phi must be \(6, 10\)"):
+        set_inertial_parameters(plant, context, phi[:-1])
+    with pytest.raises(ArgumentError, match="finite"):
+        set_inertial_parameters(plant, context, phi * np.nan)
+
+
+# Public descriptions
+
+
+@pytest.mark.measurements("reference/*.urdf", "reference/iiwa14.sdf")
+@pytest.mark.parametrize(
+    ("name", "nv", "repaired"),
+    [
+        ("ur10e.urdf", 6, set()),
+        ("tx40.urdf", 6, {"link_6"}),
+        ("panda_arm.urdf", 7, set()),
+        ("atlas_v5.urdf", 30, set()),
+        ("iiwa14.sdf", 7, set()),
+    ],
+)
+def test_reference_models(name, nv, repaired, capfd):
+    loaded = load_plant(REFERENCE / name)
+    assert capfd.readouterr() == ("", "")
+    assert loaded.plant.num_velocities() == nv
+    assert {repair.body for repair in loaded.repairs} == repaired
+    assert is_physical(inertial_parameters(loaded.plant), tolerance=1e-6).all()
+    assert np.isfinite(effort_limits(loaded.plant)).all()
+
+
+@pytest.mark.parametrize("floating", [False, True])
+@pytest.mark.parametrize("name", ["ur5_robot", "xarm7", "talos_reduced", "kinova"])
+def test_mass_agrees_with_pinocchio(name, floating, capfd):
+    pin = pytest.importorskip("pinocchio")
+    folder = Path(pin.__file__).parents[4] / "share" / "example-robot-data" / "robots"
+    path = next(folder.rglob(f"{name}.urdf"), None)
+    if path is None:
+        pytest.skip("example-robot-data is not installed")
+    loaded = load_plant(path, floating=floating)
+    assert capfd.readouterr() == ("", "")
+    floats = bool(loaded.plant.GetFloatingBaseBodies())
+    base = (pin.JointModelFreeFlyer(),) if floats else ()
+    model = pin.buildModelFromUrdf(str(path), *base)
+    added = sum(repair.after[0] - repair.before[0] for repair in loaded.repairs)
+    mass = inertial_parameters(loaded.plant)[:, 0].sum() - added
+    assert mass == pytest.approx(sum(body.mass for body in model.inertias[1:]), rel=1e-6)

@@ -1,0 +1,218 @@
+"""The regressor against Drake on random trees of every joint type, and its other forms."""
+
+import weakref
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    MultibodyForces,
+    RevoluteJoint,
+)
+from random_plants import JOINTS, random_body, random_motion, random_plant, random_tree
+
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import inertial_parameters
+from geodrake.robot.joints import joint_motions
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import piece_size
+from geodrake.robot.regressor import (
+    body_regressor,
+    inverse_dynamics,
+    inverse_dynamics_regressor,
+    regressor_pieces,
+)
+
+
+def drake_efforts(plant, q, v, vd):
+    context = plant.CreateDefaultContext()
+    efforts = np.empty_like(v)
+    for i in range(len(q)):
+        plant.SetPositions(context, q[i])
+        plant.SetVelocities(context, v[i])
+        forces = MultibodyForces(plant)
+        gravity = plant.CalcGravityGeneralizedForces(context)
+        efforts[i] = plant.CalcInverseDynamics(context, vd[i], forces) - gravity
+    return efforts
+
+
+def assert_equals_drake(plant, rng):
+    motion = random_motion(plant, rng, 4)
+    efforts = inverse_dynamics_regressor(plant, *motion) @ inertial_parameters(plant).ravel()
+    expected = drake_efforts(plant, *motion)
+    scale = np.abs(expected).max(initial=0.0)
+    np.testing.assert_allclose(efforts, expected, rtol=1e-10, atol=1e-10 * scale)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    kinds = ("revolute", "universal", "weld", "prismatic", "ball")
+    return random_plant(np.random.default_rng(4), kinds, chain=True)
+
+
+@pytest.mark.parametrize("kind", sorted(set(JOINTS) - {"weld", "weld, reversed"}))
+def test_every_joint_type_alone_and_inside_a_chain(kind):
+    rng = np.random.default_rng(0)
+    assert_equals_drake(random_plant(rng, [kind]), rng)
+    if kind != "none":
+        assert_equals_drake(random_plant(rng, ["revolute", kind, "revolute"], chain=True), rng)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.lists(st.sampled_from(sorted(JOINTS)), min_size=1, max_size=8), st.integers(0, 2**32 - 1))
+def test_random_trees(kinds, seed):
+    rng = np.random.default_rng(seed)
+    assert_equals_drake(random_tree(rng, kinds), rng)
+
+
+def test_samples_do_not_mix_across_pieces(arm):
+    tree = KinematicTree.from_plant(arm)
+    count = 2 * piece_size(tree) + 7
+    q, v, vd = random_motion(arm, np.random.default_rng(1), count)
+    whole = inverse_dynamics_regressor(tree, q, v, vd)
+    some = np.r_[0, piece_size(tree) - 1 : piece_size(tree) + 1, count - 8 : count]
+    alone = [inverse_dynamics_regressor(arm, q[[i]], v[[i]], vd[[i]])[0] for i in some]
+    np.testing.assert_allclose(whole[some], alone, rtol=1e-12, atol=1e-12)
+
+
+def test_other_forms_agree(arm):
+    tree = KinematicTree.from_plant(arm)
+    motion = random_motion(arm, np.random.default_rng(2), piece_size(tree) + 100)
+    whole, phi = inverse_dynamics_regressor(arm, *motion), inertial_parameters(arm)
+    np.testing.assert_allclose(inverse_dynamics(tree, *motion, phi), whole @ phi.ravel(), atol=1e-9)
+    for body in range(len(tree.bodies)):
+        columns = whole[:, :, 10 * body : 10 * body + 10]
+        np.testing.assert_array_equal(body_regressor(tree, *motion, body), columns)
+    parts = [piece.transpose(2, 0, 1).copy() for _, piece in regressor_pieces(tree, *motion)]
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+def test_columns_name_the_entries_that_are_not_zero(arm):
+    tree = KinematicTree.from_plant(arm)
+    whole = inverse_dynamics_regressor(arm, *random_motion(arm, np.random.default_rng(3), 20))
+    for dof in range(arm.num_velocities()):
+        zero = np.delete(whole[:, dof], tree.columns(dof), axis=1)
+        assert not zero.any()
+    assert len(tree.columns(0)) == whole.shape[2]
+
+
+def test_power_of_the_effort_is_the_change_of_energy(arm):
+    rng = np.random.default_rng(5)
+    q, v, vd = random_motion(arm, rng, 3)
+    efforts = inverse_dynamics(arm, q, v, vd, inertial_parameters(arm))
+    context, step = arm.CreateDefaultContext(), 1e-6
+
+    def energy(q, v):
+        arm.SetPositions(context, q)
+        arm.SetVelocities(context, v)
+        return arm.CalcKineticEnergy(context) + arm.CalcPotentialEnergy(context)
+
+    for i in range(len(q)):
+        arm.SetPositions(context, q[i])
+        qd = arm.MapVelocityToQDot(context, v[i])
+        after = energy(q[i] + step * qd, v[i] + step * vd[i])
+        before = energy(q[i] - step * qd, v[i] - step * vd[i])
+        assert efforts[i] @ v[i] == pytest.approx((after - before) / (2 * step), rel=1e-5)
+
+
+def test_gravity_can_be_off_for_a_whole_robot_but_not_for_a_part():
+    rng = np.random.default_rng(6)
+
+    def plant_of_two(joined):
+        plant = MultibodyPlant(0.0)
+        instances = [plant.AddModelInstance(name) for name in ("light", "heavy")]
+        light, heavy = (random_body(plant, rng, "link", instance) for instance in instances)
+        world = plant.world_body()
+        plant.AddJoint(RevoluteJoint("a", world.body_frame(), light.body_frame(), [0, 1, 0]))
+        base = light if joined else world
+        plant.AddJoint(RevoluteJoint("b", base.body_frame(), heavy.body_frame(), [1, 0, 0]))
+        plant.set_gravity_enabled(instances[0], False)
+        plant.Finalize()
+        return plant
+
+    assert_equals_drake(plant_of_two(joined=False), rng)
+    with pytest.raises(ModelError, match="one part of a connected robot"):
+        KinematicTree.from_plant(plant_of_two(joined=True))
+
+
+def test_gravity_is_read_at_the_call():
+    rng = np.random.default_rng(7)
+    plant = random_plant(rng, ["revolute", "revolute"])
+    assert_equals_drake(plant, rng)
+    plant.mutable_gravity_field().set_gravity_vector([1.0, 2.0, 3.0])
+    assert_equals_drake(plant, rng)
+
+
+def test_quaternions_of_any_length_mean_their_direction():
+    rng = np.random.default_rng(8)
+    plant = random_plant(rng, ["quaternion floating"])
+    q, v, vd = random_motion(plant, rng, 5)
+    scaled = q * np.r_[np.full(4, 3.0), np.ones(3)]
+    np.testing.assert_allclose(
+        inverse_dynamics_regressor(plant, scaled, v, vd),
+        inverse_dynamics_regressor(plant, q, v, vd),
+        rtol=1e-12,
+        atol=1e-12,
+    )
+
+
+def test_no_samples_and_no_velocities():
+    plant = random_plant(np.random.default_rng(9), ["revolute"])
+    assert inverse_dynamics_regressor(plant, *np.zeros((3, 0, 1))).shape == (0, 1, 10)
+    fixed = random_plant(np.random.default_rng(9), ["weld"])
+    assert inverse_dynamics_regressor(fixed, *np.zeros((3, 5, 0))).shape == (5, 0, 0)
+
+
+@pytest.mark.parametrize("wrong", [0, 1, 2])
+def test_wrong_shapes_are_named(arm, wrong):
+    name = ("q", "v", "vd")[wrong]
+    motion = list(random_motion(arm, np.random.default_rng(0), 3))
+    motion[wrong] = motion[wrong][:, :-1]
+    shape = motion[wrong].shape
+    with pytest.raises(ArgumentError, match=rf"^{name} must .* shape \({shape[0]}, {shape[1]}\)"):
+        inverse_dynamics_regressor(arm, *motion)
+
+
+def test_single_samples_and_numbers_are_refused(arm):
+    q, v, vd = (x[0] for x in random_motion(arm, np.random.default_rng(0), 1))
+    with pytest.raises(ArgumentError, match="must be"):
+        inverse_dynamics_regressor(arm, q, v, vd)
+    with pytest.raises(ArgumentError, match="must be"):
+        inverse_dynamics_regressor(arm, 0.0, v, vd)
+
+
+def test_the_first_sample_that_is_not_finite_is_named(arm):
+    q, v, vd = random_motion(arm, np.random.default_rng(0), 9)
+    v[5, 1], v[7, 0] = np.nan, np.inf
+    with pytest.raises(ArgumentError, match=r"holds nan at \[5, 1\]") as caught:
+        inverse_dynamics_regressor(arm, q, v, vd)
+    assert caught.value.evidence["place"][0] == 5
+
+
+def test_wrong_parameters_and_bodies_are_refused(arm):
+    motion = random_motion(arm, np.random.default_rng(0), 2)
+    with pytest.raises(ArgumentError, match="phi must be"):
+        inverse_dynamics(arm, *motion, np.zeros(10))
+    with pytest.raises(ArgumentError, match="from 0 to 3; it is 99"):
+        body_regressor(arm, *motion, 99)
+
+
+def test_a_plant_must_be_finalized():
+    with pytest.raises(ModelError, match="not finalized"):
+        KinematicTree.from_plant(MultibodyPlant(0.0))
+
+
+def test_an_unsupported_joint_is_named():
+    plant = random_plant(np.random.default_rng(0), ["weld"])
+    with pytest.raises(ModelError, match="'joint0' has the unsupported type WeldJoint"):
+        joint_motions(plant.GetJointByName("joint0"), 1.0)
+
+
+def test_the_tree_does_not_keep_the_plant():
+    plant = random_plant(np.random.default_rng(0), ["revolute", "ball"])
+    tree, gone = KinematicTree.from_plant(plant), weakref.ref(plant)
+    del plant
+    assert gone() is None
+    assert tree.num_velocities == 4

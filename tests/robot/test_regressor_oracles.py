@@ -1,0 +1,122 @@
+"""The regressor against Pinocchio, MuJoCo and Drake on robots that people have."""
+
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from known_robots import (
+    ARMS,
+    HUMANOIDS,
+    PINOCCHIO_ORDER,
+    TIAGO,
+    assert_close,
+    cases,
+    description,
+    moving_joints,
+    plant_of,
+    random_motion,
+)
+from measurements import REFERENCE
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake.inertia import inertial_parameters
+from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+
+
+@pytest.mark.parametrize("name", cases(*ARMS, *HUMANOIDS))
+def test_every_entry_is_pinocchios(name):
+    pinocchio = pytest.importorskip("pinocchio")
+    text = description(name)
+    plant, model = plant_of(text), pinocchio.buildModelFromXML(text)
+    data, (q, v, vd) = model.createData(), random_motion(plant, 5)
+    joints = moving_joints(plant)
+    drake = [joint.velocity_start() for joint in joints]
+    ids = [model.getJointId(joint.name()) for joint in joints]
+    pins = [model.joints[index].idx_v for index in ids]
+    columns = [10 * (index - 1) + k for index in ids for k in PINOCCHIO_ORDER]
+    bodies = np.argsort(np.argsort([int(joint.child_body().index()) for joint in joints]))
+    ours = inverse_dynamics_regressor(plant, q, v, vd).reshape(5, len(joints), -1, 10)
+    for i in range(5):
+        state = tuple(np.zeros(model.nv) for _ in range(3))
+        for theirs, sample in zip(state, (q, v, vd), strict=True):
+            theirs[pins] = sample[i, drake]
+        expected = pinocchio.computeJointTorqueRegressor(model, data, *state)[np.ix_(pins, columns)]
+        assert_close(ours[i][drake][:, bodies].reshape(len(joints), -1), expected)
+
+
+@pytest.mark.parametrize("name", cases(*HUMANOIDS))
+def test_efforts_on_a_floating_base_are_pinocchios(name):
+    pinocchio = pytest.importorskip("pinocchio")
+    text = description(name)
+    plant = plant_of(text, floating=True)
+    model = pinocchio.buildModelFromXML(text, pinocchio.JointModelFreeFlyer())
+    data, (q, v, vd) = model.createData(), random_motion(plant, 3)
+    q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
+    efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
+    joints = moving_joints(plant)
+    ours = [joint.velocity_start() for joint in joints]
+    pins = [model.joints[model.getJointId(joint.name())].idx_v for joint in joints]
+    for i in range(3):
+        R = pinocchio.Quaternion(*q[i, :4]).matrix()
+        w, t, wd, td = (R.T @ x for x in (v[i, :3], v[i, 3:6], vd[i, :3], vd[i, 3:6]))
+        positions, velocities, accelerations = (np.zeros(n) for n in (model.nq, model.nv, model.nv))
+        positions[:7] = *q[i, 4:7], *q[i, 1:4], q[i, 0]
+        velocities[:6], accelerations[:6] = (*t, *w), (*(td - np.cross(w, t)), *wd)
+        positions[np.add(pins, 1)] = q[i, np.add(ours, 1)]
+        velocities[pins], accelerations[pins] = v[i, ours], vd[i, ours]
+        tau = pinocchio.rnea(model, data, positions, velocities, accelerations)
+        assert_close(efforts[i, ours], tau[pins])
+        assert_close(efforts[i, :6], np.concatenate([R @ tau[3:6], R @ tau[:3]]))
+
+
+# MuJoCo refuses the last link of tx40, which has no mass.
+@pytest.mark.parametrize("name", cases(*sorted({*ARMS} - {"reference/tx40.urdf"})))
+def test_efforts_of_arms_are_mujocos(name):
+    mujoco = pytest.importorskip("mujoco")
+    text = description(name)
+    plant, model = plant_of(text), mujoco.MjModel.from_xml_string(text)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data, (q, v, vd) = mujoco.MjData(model), random_motion(plant, 5)
+    efforts = inverse_dynamics(plant, q, v, vd, inertial_parameters(plant))
+    joints = moving_joints(plant)
+    ours = [joint.velocity_start() for joint in joints]
+    theirs = [model.joint(joint.name()).dofadr[0] for joint in joints]
+    for i in range(5):
+        data.qpos[theirs], data.qvel[theirs], data.qacc[theirs] = (
+            q[i, ours],
+            v[i, ours],
+            vd[i, ours],
+        )
+        mujoco.mj_inverse(model, data)
+        assert_close(efforts[i, ours], data.qfrc_inverse[theirs])
+
+
+@pytest.mark.parametrize("floating", [False, True])
+@pytest.mark.parametrize("name", cases(*ARMS, *HUMANOIDS, TIAGO))
+def test_efforts_are_drakes(name, floating):
+    assert_efforts_are_drakes(plant_of(description(name), floating=floating))
+
+
+@pytest.mark.measurements("reference/iiwa14.sdf")
+def test_efforts_of_an_sdf_arm_are_drakes():
+    robot = ElementTree.parse(REFERENCE / "iiwa14.sdf").getroot()
+    for link in robot.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModelsFromString(ElementTree.tostring(robot, encoding="unicode"), "sdf")
+    plant.Finalize()
+    assert_efforts_are_drakes(plant)
+
+
+def assert_efforts_are_drakes(plant):
+    q, v, vd = random_motion(plant, 3)
+    efforts = inverse_dynamics_regressor(plant, q, v, vd) @ inertial_parameters(plant).ravel()
+    context = plant.CreateDefaultContext()
+    for i in range(3):
+        plant.SetPositions(context, q[i])
+        plant.SetVelocities(context, v[i])
+        tau = plant.CalcInverseDynamics(context, vd[i], MultibodyForces(plant))
+        assert_close(efforts[i], tau - plant.CalcGravityGeneralizedForces(context))
