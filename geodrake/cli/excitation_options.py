@@ -160,9 +160,8 @@ class ExciteOptions(_Motion, _Robot, _Search):
         str | None,
         typer.Option(
             metavar="EFFECT,EFFECT[@PLACE]",
-            help="Two effects that logs so far cannot distinguish, such as "
-            "coulomb_friction,load_dependent_friction@elbow: the motion on which their predictions "
-            "differ most, once everything else is refitted.",
+            help="Two effects that logs so far cannot distinguish: the motion on which their "
+            "predictions differ most, once everything else is refitted.",
         ),
     ] = None
     save: Annotated[

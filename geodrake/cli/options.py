@@ -43,9 +43,9 @@ Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_
 EffectNames = Annotated[
     list[Path] | None,
     typer.Option(
-        metavar="NAME,…|FILE.py",
-        help="Effects beside the model's, such as viscous_friction,coulomb_friction or "
-        "payload@BODY; a FILE.py brings effects that may be named. Repeatable.",
+        metavar="NAME[@PLACE],…|FILE.py",
+        help="Effects beside the model's, by the names that README lists, and the joint or body "
+        "where they are; a FILE.py brings effects that may be named. Repeatable.",
     ),
 ]
 
@@ -149,7 +149,7 @@ class RolloutOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class _Addition:
-    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Such as coulomb_friction.")]
+    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Its name, as README lists them.")]
     where: Annotated[
         list[str] | None,
         typer.Option(

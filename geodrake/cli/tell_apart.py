@@ -15,7 +15,7 @@ from geodrake.excitation.rivals import Rival
 from geodrake.model.robot_model import RobotModel
 
 _SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
-_EXAMPLE = "Write coulomb_friction,load_dependent_friction, or with a place after it: …@elbow."
+_FORM = "Write EFFECT,EFFECT, either with a joint or body after it if need be: EFFECT@elbow."
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:
@@ -51,7 +51,7 @@ def rivals_in(text: str) -> tuple[tuple[str, tuple[str, ...]], tuple[str, tuple[
     """
     parts = [part.strip().partition("@") for part in text.split(",")]
     if len(parts) != 2 or not all(name for name, _, _ in parts):
-        raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_EXAMPLE)
+        raise ArgumentError(f"--tell-apart takes two effects; got {text!r}.", advice=_FORM)
     (first, _, there), (second, _, here) = parts
     return (first, tuple(filter(None, there.split("+")))), (
         second,

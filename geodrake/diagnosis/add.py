@@ -44,8 +44,8 @@ def add(
     """Add an effect to a model and refit, whatever the evidence for it.
 
     Args:
-        effect: Name of the effect; "wrong_inertia" lets the inertial parameters go, and contacts
-            are those that the residual shows.
+        effect: Name of the effect; one that says the bodies are wrong lets the inertial
+            parameters go, and one of an episode acts in the windows that the residual shows.
         model: The model as it stands.
         logs: Logs or their files.
         where: Joints or bodies, or the two joints of a pair; by default all joints (a delay is

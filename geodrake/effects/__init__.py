@@ -24,7 +24,7 @@ joint it gets by overriding `rows` (see `CoupledFriction`); what acts on a body 
 `BodyEffect` (see `Payload`). Excitation needs derivatives of the columns; `slopes` gives them, and
 without it they are taken by differences. `Effect` lists all that an effect may declare. An effect
 of the catalogue declares more of it, and is one file of this package, which `catalogue` finds; what
-type checkers know of it, `__init__.pyi`, is written by `lookup.stub`.
+type checkers know of it, `__init__.pyi`, is written by `generated.stub`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-# Written by geodrake.effects.lookup.stub(), as effects are found at run time.
+# Written by geodrake.effects.generated.stub(), as effects are found at run time.
 
 from geodrake.effects.aerodynamic_drag import AerodynamicDrag
 from geodrake.effects.asymmetric_friction import AsymmetricFriction

@@ -15,18 +15,9 @@ from typing import Any
 from geodrake.boundary.arguments import instance, instances
 from geodrake.effects.base import Effect
 from geodrake.effects.parameter import whole_numbers
+from geodrake.effects.place import PLACES
 from geodrake.effects.role import Role
 from geodrake.errors import ArgumentError
-
-PLACE_FIELDS = {
-    "joint": "joint",
-    "joint_pair": "joints",
-    "body": "body",
-    "bodies": "",
-    "robot": "",
-    "log": "joint",
-}
-"""The field that says where an effect is, by what it is bound to."""
 
 
 @cache
@@ -51,28 +42,6 @@ def classes_in(module: ModuleType) -> list[type[Effect]]:
         for value in dict.fromkeys(filter(inspect.isclass, vars(module).values()))
         if issubclass(value, Effect) and value.__module__ == module.__name__
     ]
-
-
-def table_rows() -> list[tuple[str, str, str]]:
-    """Name, needed effort and place of every effect of the catalogue, for the table of README."""
-    return [(effect.name, effect.law, _place_in_words(effect)) for effect in catalogue()]
-
-
-def stub() -> str:
-    """The text of `__init__.pyi`: the package's names, where type checkers find their types."""
-    package = sys.modules[__package__]
-    modules: dict[str, list[str]] = {}
-    for name in sorted(package.__all__):
-        modules.setdefault(getattr(package, name).__module__, []).append(name)
-    lines = [f"from {module} import {', '.join(modules[module])}" for module in sorted(modules)]
-    names = [f'    "{name}",' for name in sorted(package.__all__)]
-    head = "# Written by geodrake.effects.lookup.stub(), as effects are found at run time."
-    return "\n".join([head, "", *lines, "", "__all__ = [", *names, "]", ""])
-
-
-def _place_in_words(effect: type[Effect]) -> str:
-    words = {"joint_pair": "joint pair", "log": "log, or joint"}.get(effect.places, effect.places)
-    return f"{words}, window" if effect.role is Role.EPISODE else words
 
 
 def effect_of(role: Role) -> type[Effect]:
@@ -123,19 +92,10 @@ def make_effect(
     cls = effect_class(name, extra)
     shape = {} if shape is None else dict(instance(shape, "shape", Mapping))
     where = where if isinstance(where, str) else instances(where, "where", str)
-    place = PLACE_FIELDS[cls.places]
-    counts = {"joint_pair": (2,), "log": (0, 1), "robot": (0,), "bodies": (0,)}.get(
-        cls.places, (1,)
-    )
-    if isinstance(where, str) or len(where) not in counts:
-        wanted = {
-            "joint_pair": "two joints",
-            "log": "one joint or none",
-            "robot": "no place, as it is one of the whole robot",
-            "bodies": "no place, as it is one of all bodies",
-        }.get(cls.places, f"one {cls.places}")
-        raise ArgumentError(f"{name} needs {wanted}; it got {where!r}.")
-    known = [field for field in inspect.signature(cls).parameters if field != place]
+    place = PLACES[cls.places]
+    if isinstance(where, str) or len(where) not in place.counts:
+        raise ArgumentError(f"{name} needs {place.wanted}; it got {where!r}.")
+    known = [field for field in inspect.signature(cls).parameters if field != place.field]
     unknown = [key for key in shape if key not in known]
     if unknown:
         raise ArgumentError(
@@ -144,7 +104,7 @@ def make_effect(
         )
     shape = whole_numbers(cls, shape)
     if where:
-        shape[place] = tuple(where) if cls.places == "joint_pair" else where[0]
+        shape[place.field] = tuple(where) if 2 in place.counts else where[0]
     try:
         return cls(**shape)
     except TypeError as error:

@@ -14,7 +14,8 @@ import pytest
 
 import geodrake
 from geodrake.effects import Role, Shape, catalogue
-from geodrake.effects.lookup import effect_of, stub, table_rows
+from geodrake.effects.generated import stub, table_rows
+from geodrake.effects.lookup import effect_of
 from geodrake.effects.shape import when_sliding
 from geodrake.errors import ArgumentError
 
@@ -27,14 +28,10 @@ NAMES = {effect.name for effect in catalogue()}
 CLASSES = {effect.__name__ for effect in catalogue()}
 
 ALLOWED = {
-    "cli/options.py": "help gives names as examples, and the catalogue would make --help slow",
-    "cli/excitation_options.py": "the same",
-    "cli/tell_apart.py": "the same example, where the option cannot be read",
     "robot/files/checks.py": "drake:rotor_inertia is a tag of Drake's",
-    "robot/files/sdf.py": "advice to add one, from below effects/",
     "robot/files/mjcf.py": "contact is a tag of MuJoCo's",
 }
-"""Files that may say the name of an effect, and why."""
+"""Files where the name of an effect is a word of somebody else's."""
 
 
 def docstrings(tree):
@@ -176,7 +173,7 @@ def test_table_of_the_readme_is_that_of_the_classes():
 
 def test_stub_is_that_of_the_classes():
     """It tells type checkers what is found at run time, so that every effect has its own type."""
-    make = "from geodrake.effects.lookup import stub; print(stub(), end='')"
+    make = "from geodrake.effects.generated import stub; print(stub(), end='')"
     written = (EFFECTS / "__init__.pyi").read_text(encoding="utf-8")
     assert written == stub(), f'Write it anew: python -c "{make}" > geodrake/effects/__init__.pyi'
     imported = {

@@ -60,7 +60,7 @@ class SdfText(ModelText):
             if stiffness and np.isfinite(stiffness):
                 self.notes.append(
                     f"{joint.get('name')}: the spring of the file ({stiffness:g} N·m/rad or N/m) "
-                    "is no part of the rigid-body model; add joint_spring for it."
+                    "is no part of the rigid-body model; add it as an effect."
                 )
 
     def _inertia(self, link: Element) -> Array | None:
