@@ -17,13 +17,14 @@ _MOST_EXCHANGES = 20
 """Exchanges of bounds after which another method is taken."""
 
 
-def cholesky(matrix: Array) -> Array:
+def cholesky(matrix: Array, ridge: float = RIDGE) -> Array:
     """The lower Cholesky factor of a symmetric matrix of unit diagonal, with a ridge.
 
     LAPACK is called as it is: such matrices are small, and there are thousands of them.
 
     Args:
         matrix: (n, n) matrix.
+        ridge: What is added to its diagonal.
 
     Returns:
         (n, n) array whose lower triangle is the factor; above it there may be anything.
@@ -32,7 +33,7 @@ def cholesky(matrix: Array) -> Array:
         LinAlgError: The matrix is not positive definite, or not finite.
     """
     ridged = matrix.T.copy(order="F")
-    np.fill_diagonal(ridged, np.diagonal(ridged) + RIDGE)
+    np.fill_diagonal(ridged, np.diagonal(ridged) + ridge)
     factor, failed = dpotrf(ridged, lower=True, clean=False, overwrite_a=True)
     if failed or not np.isfinite(np.diagonal(factor)).all():
         raise np.linalg.LinAlgError("The normal matrix of a fit is not positive definite.")

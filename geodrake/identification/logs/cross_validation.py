@@ -1,7 +1,8 @@
 """Held-out errors: every fold predicted by a fit to the others.
 
 The normal matrices are assembled from the per-fold, per-joint factors of a `Dataset`, so that a
-fit costs one Cholesky factorization and a candidate effect one small Schur complement.
+fit costs one Cholesky factorization and a candidate effect one small Schur complement. Bodies are
+physical in every fit; where the data pull them out, Newton's method keeps them just inside.
 """
 
 from __future__ import annotations
@@ -14,8 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
-from geodrake.identification.logs.unknowns import Unknowns
+from geodrake.identification.logs.unknowns import Unknowns, payload_reference
 from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
+from geodrake.identification.physical_minimizers import (
+    are_physical,
+    inner_bodies,
+    physical_minimizers,
+)
+from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -123,23 +130,67 @@ class CrossValidation:
         unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
         delay: Index of the effort column to fit.
+        start: (F, p) parameters of like fits with physical bodies, to save some steps.
+        physical: Whether bodies are kept physical.
     """
 
     def __init__(
-        self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
+        self,
+        dataset: Dataset,
+        unknowns: Unknowns,
+        weights: Array,
+        *,
+        delay: Delay = 0,
+        start: Array | None = None,
+        physical: bool = True,
     ) -> None:
+        self._physical = physical
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
         gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
         information = unknowns.information
         self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
-        others = zip(self._gram - gram, self._rhs - rhs, strict=True)
-        self._fits = [self._solve(*problem) for problem in others]
+        self._fits = self._physical_fits(self._gram - gram, self._rhs - rhs, start)
         x = np.array([fit.x for fit in self._fits])
         self.held_out = hold_out(dataset, unknowns.columns, x, delay=delay)
 
+    def physical(self, start: Array | None = None) -> CrossValidation:
+        """These fits with physical bodies; themselves if they are so already.
+
+        Args:
+            start: (F, p) parameters of like fits with physical bodies, to save some steps.
+        """
+        if are_physical(self.held_out.x, self.unknowns.inertia_blocks).all():
+            return self
+        return CrossValidation(
+            self.dataset, self.unknowns, self.weights, delay=self.delay, start=start
+        )
+
     def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
         return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
+
+    def _physical_fits(self, gram: Array, rhs: Array, start: Array | None) -> list[_Fit]:
+        """Fits of (F, p, p) normal matrices and (F, p) right sides, their bodies physical."""
+        fits = [self._solve(*problem) for problem in zip(gram, rhs, strict=True)]
+        blocks, unknowns = self.unknowns.inertia_blocks, self.unknowns
+        x = np.array([fit.x for fit in fits])
+        beyond = np.flatnonzero(~are_physical(x, blocks)) if self._physical else ()
+        if not len(beyond):
+            return fits
+        begin = np.broadcast_to(unknowns.mean, x.shape) if start is None else start
+        begin = inner_bodies(begin[beyond], blocks, payload_reference())
+        inertial = np.zeros(len(unknowns.mean), bool)
+        for block in blocks:
+            inertial[block : block + PARAMETERS_PER_BODY] = True
+        begin = np.where(inertial, begin, x[beyond])
+        lower = np.where(inertial, -np.inf, unknowns.lower)
+        upper = np.where(inertial, np.inf, unknowns.upper)
+        found = physical_minimizers(gram[beyond], rhs[beyond], blocks, begin, (lower, upper))
+        for f, x_f, slope, hessian in zip(beyond, found.x, found.slope, found.hessian, strict=True):
+            scale = 1.0 / np.sqrt(np.diag(hessian))
+            factor = cholesky(hessian * scale[:, None] * scale)
+            fits[f] = _Fit(x_f, x_f - scale * solved(factor, scale * slope), factor, scale)
+        return fits
 
     def _solve(self, gram: Array, rhs: Array) -> _Fit:
         """Minimizer within the bounds, and the factor of the unbounded problem."""
@@ -170,7 +221,8 @@ class CrossValidation:
 
     @cached_property
     def _whole(self) -> _Fit:
-        return self._solve(self._gram, self._rhs)
+        near = self.held_out.x.mean(0, keepdims=True)  # physical, as each of them is
+        return self._physical_fits(self._gram[None], self._rhs[None], near)[0]
 
     @cached_property
     def _covariance(self) -> Array:

@@ -264,6 +264,16 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
         if _alike(weights, before):
             break
+    was, unknowns, start = hypothesis.cv, hypothesis.unknowns, None
+    if len(was.held_out.x) == len(dataset.folds):
+        start = unknowns.carried(was.unknowns, was.held_out.x)
+    physical = cv.physical(start)
+    if physical is not cv:
+        cv = physical
+        effective = effective_per_joint(
+            dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
+        )
+        weights = _deserved_weights(dataset, cv.held_out, effective / samples)
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
 
 
@@ -273,7 +283,11 @@ def _refitted(
     """The fits with weights (nv,) that agree with their errors, at effective shares (nv,)."""
     for _ in range(_MOST_REFITS):
         cv = CrossValidation(
-            hypothesis.dataset, hypothesis.unknowns, weights, delay=hypothesis.delay
+            hypothesis.dataset,
+            hypothesis.unknowns,
+            weights,
+            delay=hypothesis.delay,
+            physical=False,
         )
         before, weights = weights, _deserved_weights(hypothesis.dataset, cv.held_out, share)
         if _alike(weights, before):

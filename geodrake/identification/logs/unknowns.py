@@ -90,6 +90,20 @@ class Unknowns:
             shifted(self.starts),
         )
 
+    def carried(self, other: Unknowns, x: Array) -> Array:
+        """Parameters (F, p) of these unknowns that are as others', and means where those have none.
+
+        Args:
+            other: Unknowns of the same bodies.
+            x: (F, q) their parameters.
+        """
+        found = np.tile(self.mean, (len(x), 1))
+        bodies = min([len(self.mean), *self.starts])
+        found[:, :bodies] = x[:, :bodies]
+        for effect in set(self.effects).intersection(other.effects):
+            found[:, self.span(effect)] = x[:, other.span(effect)]
+        return found
+
     def released(self, effect: Effect, information: Array) -> Unknowns:
         """These unknowns with what was known about one effect forgotten.
 
