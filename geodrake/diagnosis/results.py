@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel
 
 Verdict = Literal["adequate", "explained", "unexplained"]
@@ -138,6 +139,8 @@ class Explanation:
         before: Comparison with the model as it stands.
         after: Comparison with held-out predictions of the final model.
         notes: What was done to the logs and noticed about the model.
+        bodies: What the final fit made of the model's bodies, the farthest change first; none
+            where the model stays as it is.
     """
 
     verdict: Verdict
@@ -149,3 +152,4 @@ class Explanation:
     before: Comparison
     after: Comparison
     notes: tuple[str, ...]
+    bodies: tuple[BodyChange, ...] = ()
