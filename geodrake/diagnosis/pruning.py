@@ -19,6 +19,7 @@ from geodrake.diagnosis.search import best_trial
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
     PENALTY,
+    Trial,
     acted_upon,
     asked_of,
     gain_of,
@@ -37,7 +38,7 @@ from geodrake.identification.logs.evidence import (
 )
 from geodrake.identification.logs.hypothesis import CLEARLY_IMPOSSIBLE, Hypothesis
 
-_BY_FAR = 4.0  # times what a criterion asks for
+_BY_FAR = 2.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
 
 
@@ -49,27 +50,41 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
         fixed: Effects that stay (those of the model as it came).
         criteria: When an effect counts.
     """
+    needed = set(fixed)
     while True:
-        weakest: tuple[float, Hypothesis] | None = None
-        for effect in hypothesis.unknowns.effects:
-            kept = effect in fixed or _is_base(hypothesis, effect)
-            own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
-            stands = not is_nothing([effect], own)
-            if not kept and not (stands and _clearly_needed(hypothesis, effect, criteria)):
-                reduced = hypothesis.without([effect])
-                package = Package((effect,), effect.where)
-                trial = try_package(reduced, package, 1)
-                asked = asked_of([effect.name], reduced, criteria)
-                needed = trial.convinces(asked)
-                if not needed:
-                    needed = settled_trial(reduced, hypothesis, package).convinces(asked)
-                needed = needed or _spares_bodies(hypothesis, reduced)
-                needed = needed and stands and stands_out(hypothesis, effect)
-                if not needed and (weakest is None or trial.score < weakest[0]):
-                    weakest = (trial.score, reduced)
-        if weakest is None:
+        offered = [
+            e
+            for e in hypothesis.unknowns.effects
+            if e not in needed and not _is_base(hypothesis, e)
+        ]
+        trials = {effect: _quick_trial(hypothesis, effect) for effect in offered}
+        for effect in sorted(offered, key=lambda e: trials[e].score if trials[e] else -np.inf):
+            reduced = _without_needless(hypothesis, effect, trials[effect], criteria)
+            if reduced is not None:
+                hypothesis = reduced
+                break
+            needed.add(effect)  # without another one, it is all the more
+        else:
             return hypothesis
-        hypothesis = weakest[1]
+
+
+def _without_needless(
+    hypothesis: Hypothesis, effect: Effect, quick: Trial | None, criteria: Criteria
+) -> Hypothesis | None:
+    """The hypothesis without an effect; None if it is needed."""
+    own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
+    stands = not is_nothing([effect], own) and stands_out(hypothesis, effect)
+    if stands and quick is not None and _by_far(quick, criteria):
+        return None
+    reduced = hypothesis.without([effect])
+    package = Package((effect,), effect.where)
+    asked = asked_of([effect.name], reduced, criteria)
+    needed = stands and (
+        try_package(reduced, package, 1).convinces(asked)
+        or settled_trial(reduced, hypothesis, package).convinces(asked)
+        or _spares_bodies(hypothesis, reduced)
+    )
+    return None if needed else reduced
 
 
 def _spares_bodies(hypothesis: Hypothesis, reduced: Hypothesis) -> bool:
@@ -78,22 +93,25 @@ def _spares_bodies(hypothesis: Hypothesis, reduced: Hypothesis) -> bool:
     return bool(np.any(hypothesis.physical() & impossible))
 
 
-def _clearly_needed(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
-    """Whether an effect passes all criteria by far with the weights as they are, which is quick."""
+def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Trial | None:
+    """The evidence for an effect with the weights as they are; None where bounds are in the way."""
     cv, span = hypothesis.cv, hypothesis.unknowns.span(effect)
     without = cv.without_columns(np.arange(span.start, span.stop))
     if without is None:
-        return False
+        return None
     package = Package((effect,), effect.where)
-    reduction, agreement = improvement(
-        (without, cv.held_out), acted_upon(hypothesis.dataset, package)
-    )
-    gain = log_likelihood_gain(without.mse, cv.held_out.mse, hypothesis.effective).sum()
+    seen = acted_upon(hypothesis.dataset, package)
+    reduction, agreement = improvement((without, cv.held_out), seen)
+    gain = float(log_likelihood_gain(without.mse, cv.held_out.mse, hypothesis.effective).sum())
+    return Trial(package, gain, reduction, agreement, 0.0)
+
+
+def _by_far(trial: Trial, criteria: Criteria) -> bool:
+    """Whether an effect passes all criteria by far."""
     return (
-        reduction > _BY_FAR * criteria.reduction
-        and agreement >= max(criteria.agreement, _NEARLY_ALL)
-        and gain > _BY_FAR**2 * PENALTY * package.parameters
-        and stands_out(hypothesis, effect)
+        trial.reduction > _BY_FAR * criteria.reduction
+        and trial.agreement >= max(criteria.agreement, _NEARLY_ALL)
+        and trial.gain > _BY_FAR**2 * PENALTY * trial.package.parameters
     )
 
 
@@ -142,11 +160,10 @@ def reshape(
         shapes = [
             other for other in variants(effect, hypothesis.dataset.effects) if other != effect
         ]
-        if effect not in fixed and shapes:
-            others = [hypothesis.exchanged(effect, [shape]) for shape in shapes]
-            best = max(others, key=lambda other: gain_of(hypothesis, other))
-            if gain_of(hypothesis, best) > least:
-                hypothesis = best
+        packages = [] if effect in fixed else [Package((s,), effect.where) for s in shapes]
+        best = _best_instead(hypothesis, effect, packages)
+        if best is not None and gain_of(hypothesis, best) > least:
+            hypothesis = best
     return hypothesis
 
 

@@ -179,8 +179,7 @@ class _Linearization:
 
     def __init__(self, problem: _Problem, at: _Point) -> None:
         self._problem, self._at = problem, at
-        root_S = np.linalg.cholesky(problem.bodies(at.x))
-        root_Z = np.linalg.cholesky(at.Z)
+        root_S, root_Z = _root(problem.bodies(at.x)), _root(at.Z)
         _, self._d, V = np.linalg.svd(np.swapaxes(root_Z, 2, 3) @ root_S)
         T = root_S @ np.swapaxes(V, 2, 3) / np.sqrt(self._d)[..., None, :]
         self._scaling = np.linalg.inv(T)
@@ -290,6 +289,16 @@ class _Step:
     multipliers: Array
     primal: Array
     dual: Array
+
+
+def _root(matrices: Array) -> Array:
+    """Matrices R (..., 4, 4) with R Rᵀ = those given, but for eigenvalues lost to rounding."""
+    try:
+        return np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrices)
+        least = np.finfo(float).eps * values[..., -1:]
+        return np.asarray(vectors * np.sqrt(np.maximum(values, least))[..., None, :])
 
 
 def _places(blocks: Sequence[int]) -> Indices:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
-from geodrake.identification.logs.unknowns import Unknowns, payload_reference
+from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
 from geodrake.identification.physical_minimizers import (
     are_physical,
@@ -178,7 +178,7 @@ class CrossValidation:
         if not len(beyond):
             return fits
         begin = np.broadcast_to(unknowns.mean, x.shape) if start is None else start
-        begin = inner_bodies(begin[beyond], blocks, payload_reference())
+        begin = inner_bodies(begin[beyond], blocks, self.dataset.payload)
         inertial = np.zeros(len(unknowns.mean), bool)
         for block in blocks:
             inertial[block : block + PARAMETERS_PER_BODY] = True

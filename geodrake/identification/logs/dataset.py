@@ -154,6 +154,7 @@ class Dataset:
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
         bandwidth: Bandwidth of the filter, Hz.
         still: (nv,) share of the samples left out because the joint stands still.
+        payload: (10,) a body in the middle of what the robot may carry.
     """
 
     joints: tuple[str, ...]
@@ -167,6 +168,7 @@ class Dataset:
     noise_floor: Array
     bandwidth: float
     still: Array
+    payload: Array
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:
@@ -192,6 +194,16 @@ class Dataset:
             squares = np.square(data.factors[:, :, : len(data.columns)]).sum((0, 1))
             power[data.columns] += squares / std**2 / data.samples.sum()
         return power
+
+    @cached_property
+    def column_peak(self) -> Array:
+        """(p,) largest value of every column, over the effort's deviation, at any joint."""
+        peak = np.zeros(self._width)
+        for data, std in zip(self.data, self.effort_std, strict=True):
+            blocks = [rows.A for fold in data.rows for rows in fold if len(rows.A)]
+            largest = np.max([np.abs(A).max(axis=0) for A in blocks], axis=0) / std
+            peak[data.columns] = np.maximum(peak[data.columns], largest)
+        return peak
 
     def delay_of_each(self, delay: Delay) -> tuple[int, ...]:
         """Index of the delay of every joint."""

@@ -18,7 +18,6 @@ from geodrake.identification.logs.dataset import Dataset, Delay, is_payload
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     inertial_unknowns,
-    payload_reference,
     pullback_information,
 )
 from geodrake.identification.problem import FitProblem
@@ -103,7 +102,7 @@ def fit_problem(
         prior_information=unknowns.information,
         lower=np.where(scalar, unknowns.lower, -np.inf),
         upper=np.where(scalar, unknowns.upper, np.inf),
-        reference={unknowns.span(e).start: payload_reference() for e in payloads},
+        reference={unknowns.span(e).start: dataset.payload for e in payloads},
     )
 
 
