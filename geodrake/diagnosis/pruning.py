@@ -52,14 +52,11 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
     """
     needed = set(fixed)
     while True:
-        offered = [
-            e
-            for e in hypothesis.unknowns.effects
-            if e not in needed and not _is_base(hypothesis, e)
-        ]
-        trials = {effect: _quick_trial(hypothesis, effect) for effect in offered}
-        for effect in sorted(offered, key=lambda e: trials[e].score if trials[e] else -np.inf):
-            reduced = _without_needless(hypothesis, effect, trials[effect], criteria)
+        offered = [e for e in hypothesis.unknowns.effects if e not in needed]
+        offered = [e for e in offered if not _is_base(hypothesis, e)]
+        trials = [(effect, _quick_trial(hypothesis, effect)) for effect in offered]
+        for effect, quick in sorted(trials, key=lambda tried: tried[1].score if tried[1] else 0.0):
+            reduced = _without_needless(hypothesis, effect, quick, criteria)
             if reduced is not None:
                 hypothesis = reduced
                 break

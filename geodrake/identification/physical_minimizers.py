@@ -294,7 +294,7 @@ class _Step:
 def _root(matrices: Array) -> Array:
     """Matrices R (..., 4, 4) with R Rᵀ = those given, but for eigenvalues lost to rounding."""
     try:
-        return np.linalg.cholesky(matrices)
+        return np.asarray(np.linalg.cholesky(matrices), float)
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(matrices)
         least = np.finfo(float).eps * values[..., -1:]
