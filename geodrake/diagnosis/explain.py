@@ -17,10 +17,10 @@ from geodrake.diagnosis.other_bandwidth import (
     errors_of,
     other_bandwidths,
 )
-from geodrake.diagnosis.results import Explanation, Verdict
+from geodrake.diagnosis.results import Explanation, Step, Verdict
 from geodrake.diagnosis.search_rounds import searched
 from geodrake.diagnosis.stated_mass import stated_mass_notes
-from geodrake.diagnosis.steps import refit_step, steps_of
+from geodrake.diagnosis.steps import refit_step, steps_of, without_step
 from geodrake.diagnosis.stepwise_search import Progress, Trail
 from geodrake.diagnosis.transition_speed import transition_speed_notes
 from geodrake.effects import Effect, Role
@@ -160,8 +160,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     start = trail.start  # as before, and dry friction fades as it was found to
     hidden = with_fixed_inertias(case, trail, fixed, criteria) if tune else FixedInertias(case)
     case = hidden.case
-    after_case, fit, trail = _finished(case, (*hidden.trails, trail), criteria)
-    steps = steps_of(case, trail, fit)
+    after_case, fit, trail, steps = _helpful(case, (*hidden.trails, trail), criteria)
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
     widths, known = after_case.model.sign_widths(0.0), model.sign_widths(0.0)
     changed = bool(steps) or not np.array_equal(widths, known)
@@ -184,6 +183,21 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     )
     end = freed(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)
+
+
+def _helpful(
+    case: Case, trails: Sequence[Trail], criteria: Criteria
+) -> tuple[Case, ModelFit, Trail, tuple[Step, ...]]:
+    """The final fit and the steps to it, less what does not lower its error on held-out data."""
+    while True:
+        after, fit, trail = _finished(case, trails, criteria)
+        steps = steps_of(case, trail, fit)
+        if not steps or steps[-1].error_after < steps[-1].error_before:
+            return after, fit, trail, steps
+        less = without_step(trail, steps[-1])
+        if less is None:
+            return after, fit, trail, steps
+        trails = (less,)
 
 
 def _finished(

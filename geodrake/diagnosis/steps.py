@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,28 @@ class _Group:
         if self.released is not None:
             return hypothesis.release(self.released)
         return hypothesis.with_effects(self.effects)
+
+    def taken_from(self, trail: Trail) -> Trail | None:
+        """A trail that ends without it; None for a payload let go, which is known to be there."""
+        end = trail.end
+        if self.released is not None:
+            return None
+        if self.delay is not None:
+            return replace(trail, end=end.delayed(trail.start.delay))
+        if self.looseness is not None:
+            return replace(trail, end=end.loosened(1.0 / self.looseness))
+        kept = tuple(effect for effect in trail.kept if effect not in self.effects)
+        return replace(trail, end=end.without(self.effects), kept=kept)
+
+
+def without_step(trail: Trail, step: Step) -> Trail | None:
+    """A trail without what a step added; None if that cannot be taken back.
+
+    Args:
+        trail: The search.
+        step: One of its steps.
+    """
+    return next(group for group in _groups(trail) if group.name == step.effect).taken_from(trail)
 
 
 def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:

@@ -114,10 +114,14 @@ def physical_minimizers(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Parameters x (F, p), dual matrices Z (F, n, 4, 4), multipliers λ (F, m) of bounds."""
+    """Parameters x (F, p), dual matrices Z (F, n, 4, 4), slacks and multipliers (F, m) of bounds.
+
+    Slacks are kept beside x, in whose last digits they may be lost.
+    """
 
     x: Array
     Z: Array
+    slack: Array
     multipliers: Array
 
 
@@ -128,6 +132,7 @@ class _Problem:
     gram: Array
     rhs: Array
     places: Indices
+    bounds: tuple[Array, Array]
     bounded: Indices
     sign: Array
     offset: Array
@@ -139,20 +144,22 @@ class _Problem:
         low, high = (np.flatnonzero(np.isfinite(side)) for side in bounds)
         sign = np.concatenate([np.ones(len(low)), -np.ones(len(high))])
         offset = np.concatenate([bounds[0][low], -bounds[1][high]])
-        return cls(gram, rhs, _places(blocks), np.concatenate([low, high]), sign, offset)
+        bounded = np.concatenate([low, high])
+        return cls(gram, rhs, _places(blocks), bounds, bounded, sign, offset)
 
     def first(self, start: Array) -> _Point:
         """A point inside all constraints, with multipliers that suit its cost."""
-        x = start.copy()
-        spread = 1.0 / np.sqrt(np.diagonal(self.gram, axis1=1, axis2=2))[:, self.bounded]
-        inside = np.maximum(self.slack(x), spread)
-        x[:, self.bounded] = self.sign * (inside + self.offset)
+        lower, upper = self.bounds
+        spread = 1.0 / np.sqrt(np.diagonal(self.gram, axis1=1, axis2=2))
+        margin = np.minimum(spread, 0.25 * (upper - lower))
+        x = np.clip(start, lower + margin, upper - margin)
+        inside = np.maximum(self.slack(x), 0.5 * margin[:, self.bounded])
         S, slope = self.bodies(x), self.slope(x)
         factors = [cholesky(G, _RIDGE * np.trace(G)) for G in self.gram]
         far = [g @ solved(L, g) for L, g in zip(factors, slope, strict=True)]
         count = 4 * S.shape[1] + len(self.bounded)
         centre = np.maximum(1.0, 0.1 * np.array(far) / count)[:, None]
-        return _Point(x, centre[..., None, None] * np.linalg.inv(S), centre / self.slack(x))
+        return _Point(x, centre[..., None, None] * np.linalg.inv(S), inside, centre / inside)
 
     def bodies(self, x: Array) -> Array:
         """(F, n, 4, 4) pseudo inertias."""
@@ -183,7 +190,7 @@ class _Linearization:
         _, self._d, V = np.linalg.svd(np.swapaxes(root_Z, 2, 3) @ root_S)
         T = root_S @ np.swapaxes(V, 2, 3) / np.sqrt(self._d)[..., None, :]
         self._scaling = np.linalg.inv(T)
-        self._slack = problem.slack(at.x)
+        self._slack = at.slack
         self._error = problem.slope(at.x) - problem.pushed(at.Z, at.multipliers)
         self._gaps = np.square(self._d).sum((1, 2)) + (self._slack * at.multipliers).sum(1)
         self._count = self._d[0].size + len(problem.bounded)
@@ -214,7 +221,7 @@ class _Linearization:
 
     def next(self) -> _Point:
         """The point after a step: predicted first, then centred and corrected."""
-        at, mean = self._at, self._gaps / self._count
+        problem, at, mean = self._problem, self._at, self._gaps / self._count
         straight = self._direction(np.zeros_like(mean))
         length = self._length(straight)
         share = (self._gaps_after(straight, length) / self._gaps) ** 3
@@ -223,6 +230,7 @@ class _Linearization:
         return _Point(
             at.x + length[:, None] * step.x,
             at.Z + length[:, None, None, None] * step.Z,
+            at.slack + length[:, None] * problem.sign * step.x[:, problem.bounded],
             at.multipliers + length[:, None] * step.multipliers,
         )
 
@@ -272,11 +280,11 @@ class _Linearization:
 
     def minima(self) -> PhysicalMinima:
         """The point as a minimum."""
-        problem, x = self._problem, self._at.x.copy()
+        problem = self._problem
+        x = np.clip(self._at.x, *problem.bounds)
         curvature = np.diagonal(problem.gram, axis1=1, axis2=2)[:, problem.bounded]
-        held = self._at.multipliers > self._slack * curvature
-        at_bound = np.where(held, problem.sign * problem.offset, x[:, problem.bounded])
-        x[:, problem.bounded] = at_bound
+        f, k = np.nonzero(self._at.multipliers > self._slack * curvature)  # held by a bound
+        x[f, problem.bounded[k]] = (problem.sign * problem.offset)[k]
         return PhysicalMinima(x, self._error, self._hessian)
 
 

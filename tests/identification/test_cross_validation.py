@@ -129,8 +129,37 @@ def test_information_of_a_fitted_model_is_kept(dataset, model):
     known = replace(model, effects=fitted, information=root @ root.T)
     unknowns = model_unknowns(dataset, known)
     np.testing.assert_array_equal(unknowns.information, known.information)
-    cv = CrossValidation(dataset, unknowns, WEIGHTS)
+    cv = CrossValidation(dataset, unknowns, WEIGHTS, physical=False)
     np.testing.assert_allclose(cv.held_out.sse, ridge_errors(dataset, unknowns), rtol=1e-5)
+
+
+def negative(dataset):
+    """The dataset with measured efforts of the other sign."""
+    return replace(
+        dataset,
+        data=tuple(
+            replace(
+                data,
+                factors=data.factors * np.r_[np.ones(len(data.columns)), -np.ones(2)],
+                rows=tuple(
+                    tuple(replace(rows, b=-rows.b) for rows in blocks) for blocks in data.rows
+                ),
+            )
+            for data in dataset.data
+        ),
+    )
+
+
+def test_bodies_stay_physical(dataset, model):
+    """Where data pull bodies out, fits are those of Drake's conic solver."""
+    unknowns = model_unknowns(dataset, model, spread=3.0)
+    wild = CrossValidation(negative(dataset), unknowns, WEIGHTS, physical=False)
+    assert not is_physical(wild.held_out.x.reshape(-1, 10)).any()
+    kept = wild.physical()
+    assert is_physical(kept.held_out.x.reshape(-1, 10)).all()
+    assert is_physical(kept.fit_all().reshape(-1, 10)).all()
+    conic = held_out_physical(negative(dataset), unknowns, WEIGHTS)
+    np.testing.assert_allclose(kept.held_out.rms, conic.rms, rtol=1e-3)
 
 
 def test_certain_prior_cannot_be_moved(dataset, model):
@@ -144,20 +173,8 @@ def test_bound_is_kept(dataset, model):
     """Friction of the wrong sign is what such data would like: it stays at zero."""
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
     unknowns = replace(unknowns, mean=-unknowns.mean)
-    negated = replace(
-        dataset,
-        data=tuple(
-            replace(
-                data,
-                factors=data.factors * np.r_[np.ones(len(data.columns)), -np.ones(2)],
-                rows=tuple(
-                    tuple(replace(rows, b=-rows.b) for rows in blocks) for blocks in data.rows
-                ),
-            )
-            for data in dataset.data
-        ),
-    )
-    cv = CrossValidation(negated, unknowns, WEIGHTS)
+    negated = negative(dataset)
+    cv = CrossValidation(negated, unknowns, WEIGHTS, physical=False)
     spans = [unknowns.span(effect).start for effect in EFFECTS[:4]]
     np.testing.assert_array_equal(cv.held_out.x[:, spans], 0.0)
     np.testing.assert_allclose(cv.held_out.sse, ridge_errors(negated, unknowns), rtol=1e-5)
@@ -240,11 +257,11 @@ def test_unknowns_at_bounds_stay_there_when_others_are_dropped(dataset, model):
     start = full.span(EFFECTS[0]).start
     bound = np.where(np.arange(len(full.lower)) == start, 1e3, -np.inf)
     dropped = np.arange(full.span(EFFECTS[1]).start, full.span(EFFECTS[1]).stop)
-    cv = CrossValidation(dataset, replace(full, lower=bound), WEIGHTS)
+    cv = CrossValidation(dataset, replace(full, lower=bound), WEIGHTS, physical=False)
     found = cv.without_columns(dropped)
     fewer = full.without_effect(EFFECTS[1])
     rest = replace(fewer, lower=np.delete(bound, dropped))
-    expected = CrossValidation(dataset, rest, WEIGHTS).held_out
+    expected = CrossValidation(dataset, rest, WEIGHTS, physical=False).held_out
     np.testing.assert_array_equal(expected.x[:, start], 1e3)
     np.testing.assert_allclose(found.x[:, start], 1e3, rtol=1e-9)
     np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-6)
