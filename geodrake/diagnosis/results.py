@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
@@ -103,6 +103,8 @@ class Step:
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: Those of these effects that were fitted when this one was chosen, best first; the
             others follow from what is known of the effects.
+        systematic: As `deviations`, those that come of the gains of the efforts, which are known to
+            the logs' `effort_uncertainty` only; more data do not narrow them.
     """
 
     effect: str
@@ -117,6 +119,7 @@ class Step:
     rms_before: Mapping[str, float]
     rms_after: Mapping[str, float]
     rivals: tuple[FittedRival, ...] = ()
+    systematic: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def unfitted_rivals(self) -> tuple[str, ...]:

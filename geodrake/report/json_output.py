@@ -216,6 +216,10 @@ def _step(step: Step) -> dict[str, Any]:
             place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
             for place, own in step.deviations.items()
         },
+        "systematic": {
+            place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
+            for place, own in step.systematic.items()
+        },
         "indistinguishable_from": step.indistinguishable_from,
         "rivals": [asdict(rival) for rival in step.rivals],
         "false_alarm_probability": step.false_alarm_probability,

@@ -48,7 +48,13 @@ def parameters_section(explanation: Explanation, units: Units) -> Section:
         units: Units of the robot's joints.
     """
     tables = [parameters_table(step, units) for step in explanation.steps if step.parameters]
-    text = ("Value ± standard deviation, where the fit knows one.",) if tables else ()
+    words = "Value ± standard deviation, where the fit knows one."
+    if any(step.systematic for step in explanation.steps):
+        words += (
+            " A second deviation comes of the gains of the efforts. More data do not narrow it: a "
+            "log with a payload of known mass does (--known-payload)."
+        )
+    text = (words,) if tables else ()
     return Section("Parameters found", text, tuple(tables), abreast=True)
 
 

@@ -21,9 +21,11 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.identification import normal_equations
+from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.logs.cross_validation import CrossValidation, ExtraColumns, hold_out
 from geodrake.identification.logs.model_fit import (
     as_it_stands,
+    fit_model,
     fit_problem,
     held_out_physical,
     model_unknowns,
@@ -479,3 +481,18 @@ def test_normal_equations_that_are_none_are_refused():
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         normal_equations.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]))
     assert normal_equations.solved(np.zeros((0, 0)), np.zeros(0)).shape == (0,)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_gains_of_efforts_move_parameters_as_is_said(dataset, model, joint):
+    """Against a second fit, to efforts that are 1 % larger at one joint."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    shifts = fit_model(model, dataset, unknowns, WEIGHTS).gain_shifts
+    data = list(dataset.data)
+    larger = data[joint].factors.copy()
+    larger[:, :, -len(dataset.delays) :] *= 1.01
+    data[joint] = replace(data[joint], factors=larger)
+    one = solve_surely(fit_problem(dataset, unknowns, WEIGHTS)).x
+    other = solve_surely(fit_problem(replace(dataset, data=tuple(data)), unknowns, WEIGHTS)).x
+    scale = np.abs(shifts[joint]).max()
+    np.testing.assert_allclose((other - one) / 0.01, shifts[joint], atol=2e-3 * scale)
