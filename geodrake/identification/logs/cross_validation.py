@@ -15,13 +15,23 @@ from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
+from geodrake.identification.normal_equations import (
+    RIDGE,
+    bounded_minimizers,
+    choleskies,
+    cholesky,
+    solved,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _MOST_SEEN = 0.3
 """If a joint sees more than this share of the products, adding zeros to the others is quicker."""
+
+
+_ROUNDING = 1e-12
+"""What a parameter may be beyond its bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,28 +143,45 @@ class CrossValidation:
         gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
         information = unknowns.information
         self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
-        others = zip(self._gram - gram, self._rhs - rhs, strict=True)
-        self._fits = [self._solve(*problem) for problem in others]
+        self._fits = self._solved(self._gram - gram, self._rhs - rhs)
         x = np.array([fit.x for fit in self._fits])
         self.held_out = hold_out(dataset, unknowns.columns, x, delay=delay)
 
     def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
         return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
 
-    def _solve(self, gram: Array, rhs: Array) -> _Fit:
-        """Minimizer within the bounds, and the factor of the unbounded problem."""
-        scale = 1.0 / np.sqrt(np.diag(gram))
-        scaled = gram * scale[:, None] * scale
-        factor = cholesky(scaled)
-        x = unbounded = scale * solved(factor, scale * rhs)
+    def _solved(self, grams: Array, rhs: Array) -> list[_Fit]:
+        """Minimizers within the bounds, and the factors of the unbounded problems, of each."""
+        scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
+        scaled = grams * scales[:, :, None] * scales[:, None, :]
+        fits = []
+        for f, factor in enumerate(choleskies(scaled)):
+            scale = scales[f]
+            x = unbounded = scale * solved(factor, scale * rhs[f])
+            if np.any((x < self._lower) | (x > self._upper)):
+                x = self._bounded(x, grams[f], rhs[f], (scaled[f], scale))
+            fits.append(_Fit(x, unbounded, factor, scale))
+        return fits
+
+    @cached_property
+    def _lower(self) -> Array:
+        """(p,) lower bounds with some room for rounding."""
+        return self.unknowns.lower - _ROUNDING
+
+    @cached_property
+    def _upper(self) -> Array:
+        return self.unknowns.upper + _ROUNDING
+
+    def _bounded(self, x: Array, gram: Array, rhs: Array, scaled: tuple[Array, Array]) -> Array:
+        """The minimizer (p,) within the bounds, from that without them."""
         free = np.ones(len(x), bool)
-        lower, upper = self.unknowns.lower, self.unknowns.upper
-        while np.any(outside := (x < lower - 1e-12) | (x > upper + 1e-12)):
+        matrix, scale = scaled
+        while np.any(outside := (x < self._lower) | (x > self._upper)):
             free &= ~outside
-            x = np.clip(x, lower, upper)
+            x = np.clip(x, self.unknowns.lower, self.unknowns.upper)
             right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
-            x[free] = scale[free] * solved(cholesky(scaled[np.ix_(free, free)]), right)
-        return _Fit(x, unbounded, factor, scale)
+            x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
+        return x
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
@@ -170,7 +197,7 @@ class CrossValidation:
 
     @cached_property
     def _whole(self) -> _Fit:
-        return self._solve(self._gram, self._rhs)
+        return self._solved(self._gram[None], self._rhs[None])[0]
 
     @cached_property
     def _covariance(self) -> Array:

@@ -129,11 +129,9 @@ class JointData:
             columns: (p,) global columns, one of which may be there twice.
             x: (F, p) their parameters; those of all others are zero.
         """
-        local = self.local(columns)
-        seen = np.flatnonzero(local >= 0)
-        parameters = np.zeros((len(self.columns), len(x)))
-        np.add.at(parameters, local[seen], x.T[seen])
-        return np.ascontiguousarray(parameters.T)
+        parameters = np.zeros((len(self.columns) + 1, len(x)))  # the last takes what is not seen
+        np.add.at(parameters, self.local(columns), x.T)
+        return np.ascontiguousarray(parameters[:-1].T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ FIXED = 1e-3
 CLEARLY_IMPOSSIBLE = 1e-3
 """A body is impossible if its smallest moment is below −10⁻³ of its largest."""
 
-_AT_ONCE = 32
+_AT_ONCE = 16
 """So many fits have their residuals computed together."""
 
 _SETTLED = 0.3
@@ -193,7 +193,7 @@ def residual_blocks(
         delay: Index of the effort column.
     """
     return [
-        [block[:, 0] for block in _residuals(data, [(columns, x)], late)]
+        [block[:, 0] for block in _residuals(data, late, [(columns, x)])]
         for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
     ]
 
@@ -222,17 +222,17 @@ def effective_of_each(
         fits: Columns (p,) in use and parameters (F, p) for each fold.
         delay: Index of the effort column.
     """
-    found, delays = np.empty((len(fits), len(dataset.joints))), dataset.delay_of_each(delay)
+    delays, found = dataset.delay_of_each(delay), [np.empty((0, len(dataset.joints)))]
+    samples = dataset.samples.sum(axis=0)
     for first in range(0, len(fits), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        for j, data in enumerate(dataset.data):
-            blocks = _residuals(data, fits[part], delays[j])
-            kept = sum(map(len, blocks))
-            found[part, j] = effective_samples_of_each(blocks) * (data.samples.sum() / max(kept, 1))
-    return found
+        part = fits[first : first + _AT_ONCE]
+        blocks = [_residuals(*joint, part) for joint in zip(dataset.data, delays, strict=True)]
+        kept = np.array([max(1, sum(map(len, joint))) for joint in blocks])
+        found.append(effective_samples_of_each(blocks).T * (samples / kept))
+    return np.concatenate(found)
 
 
-def _residuals(data: JointData, fits: Sequence[tuple[Indices, Array]], delay: int) -> list[Array]:
+def _residuals(data: JointData, delay: int, fits: Sequence[tuple[Indices, Array]]) -> list[Array]:
     """Held-out residuals (K_i, m) of m fits at a joint, one array per block."""
     x = np.stack([data.parameters(columns, values) for columns, values in fits], axis=-1)
     return [
