@@ -79,7 +79,8 @@ class JointData:
 
     Attributes:
         columns: (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
-        factors: (F, p_j + d, p_j + d) triangular factors of [A | b], one for each fold.
+        factors: (F, m, p_j + d) triangular factors R of [A | b], RᵀR = [A | b]ᵀ[A | b], one for each
+            fold; the rows themselves where these are fewer than the columns.
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
     """
