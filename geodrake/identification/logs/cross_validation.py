@@ -133,19 +133,53 @@ class CrossValidation:
         unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
         delay: Index of the effort column to fit.
+        held_out: The held-out errors, if they are known already.
     """
 
     def __init__(
-        self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
+        self,
+        dataset: Dataset,
+        unknowns: Unknowns,
+        weights: Array,
+        *,
+        delay: Delay = 0,
+        held_out: HeldOut | None = None,
     ) -> None:
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
-        gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
-        information = unknowns.information
-        self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
-        self._fits = self._solved(self._gram - gram, self._rhs - rhs)
+        self.held_out = self._hold_out() if held_out is None else held_out
+
+    def _hold_out(self) -> HeldOut:
         x = np.array([fit.x for fit in self._fits])
-        self.held_out = hold_out(dataset, unknowns.columns, x, delay=delay)
+        return hold_out(self.dataset, self.unknowns.columns, x, delay=self.delay)
+
+    @cached_property
+    def _solution(self) -> tuple[Array, Array, list[_Fit]]:
+        """Normal matrix and right side of all folds with the prior, and the fit without each."""
+        unknowns = self.unknowns
+        own_gram, own_rhs = self._assemble(unknowns.columns, unknowns.columns)
+        gram = own_gram.sum(0) + unknowns.information
+        rhs = own_rhs.sum(0) + unknowns.information @ unknowns.mean
+        return gram, rhs, self._solved(gram - own_gram, rhs - own_rhs)
+
+    @property
+    def _fits(self) -> list[_Fit]:
+        return self._solution[2]
+
+    def at_delay(self, delay: Delay) -> HeldOut:
+        """Held-out errors against the effort with another delay, all else as it is.
+
+        Args:
+            delay: Index of the effort column, of all joints or of each.
+        """
+        columns, unknowns = self.unknowns.columns, self.unknowns
+        none = np.zeros(0, np.intp)
+        _, own = normal_matrices(self.dataset, self.weights, none, columns, delay=delay)
+        rhs = own.sum(0) + unknowns.information @ unknowns.mean - own
+        x = np.array([f.solve(r[:, None])[:, 0] for f, r in zip(self._fits, rhs, strict=True)])
+        if np.any((x < self._lower) | (x > self._upper)):
+            return CrossValidation(self.dataset, unknowns, self.weights, delay=delay).held_out
+        return hold_out(self.dataset, columns, x, delay=delay)
 
     def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
         return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
@@ -197,12 +231,14 @@ class CrossValidation:
 
     @cached_property
     def _whole(self) -> _Fit:
-        return self._solved(self._gram[None], self._rhs[None])[0]
+        gram, rhs, _ = self._solution
+        return self._solved(gram[None], rhs[None])[0]
 
     @cached_property
     def _covariance(self) -> Array:
-        scale = 1.0 / np.sqrt(np.diag(self._gram))
-        matrix = self._gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
+        gram, _, _ = self._solution
+        scale = 1.0 / np.sqrt(np.diag(gram))
+        matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
         return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
 
     @cached_property
@@ -231,19 +267,32 @@ class CrossValidation:
         turned = np.swapaxes(cross, 1, 2)
         schur = own - turned @ moved
         pull = right - (turned @ self.held_out.x[:, :, None])[..., 0]
+        places = [np.searchsorted(columns, candidate.columns) for candidate in candidates]
         y = np.zeros((len(cross), len(columns), len(candidates)))
-        for k, candidate in enumerate(candidates):
-            at = np.searchsorted(columns, candidate.columns)
-            block = schur[:, at[:, None], at] + candidate.information
-            y[:, at, k] = bounded_minimizers(block, pull[:, at], candidate.lower, candidate.upper)
+        for width in {len(at) for at in places}:
+            alike = [k for k, at in enumerate(places) if len(at) == width]
+            at = np.array([places[k] for k in alike])
+            known, low, high = (
+                np.array([getattr(candidates[k], name) for k in alike])
+                for name in ("information", "lower", "upper")
+            )
+            blocks = schur[:, at[:, :, None], at[:, None]] + known
+            shape = pull[:, at].shape
+            low, high = (np.broadcast_to(bound, shape).reshape(-1, width) for bound in (low, high))
+            found = bounded_minimizers(
+                blocks.reshape(-1, width, width), pull[:, at].reshape(-1, width), low, high
+            )
+            y[:, at, np.array(alike)[:, None]] = found.reshape(shape)
         change = -(moved @ y)
-        sse = self._errors_after(columns, y, change)
-        found = []
-        for k, candidate in enumerate(candidates):
-            own_y = y[:, np.searchsorted(columns, candidate.columns), k]
-            x = np.hstack([self.held_out.x + change[:, :, k], own_y])
-            found.append(HeldOut(sse[..., k], self.dataset.samples, x))
-        return found
+        sse, samples, before = (
+            self._errors_after(columns, y, change),
+            self.dataset.samples,
+            self.held_out.x,
+        )
+        return [
+            HeldOut(sse[..., k], samples, np.hstack([before + change[:, :, k], y[:, at, k]]))
+            for k, at in enumerate(places)
+        ]
 
     def _errors_after(self, columns: Indices, y: Array, change: Array) -> Array:
         """(F, nv, n) squared errors with y (F, m, n) at columns (m,) and unknowns changed."""
