@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import IdentificationError
-from geodrake.identification.normal_equations import cholesky, solved
+from geodrake.identification.normal_equations import choleskies, cholesky, solved
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.inertia.kernels import BASIS, calc_from_pseudo_inertia, calc_pseudo_inertia
 
@@ -197,7 +197,7 @@ class _Linearization:
         self._hessian = self._with_constraints()
         self._scale = 1.0 / np.sqrt(np.diagonal(self._hessian, axis1=1, axis2=2))
         scaled = self._hessian * self._scale[:, :, None] * self._scale[:, None, :]
-        self._factors = [cholesky(matrix, _RIDGE) for matrix in scaled]
+        self._factors = choleskies(scaled, _RIDGE)
 
     def _with_constraints(self) -> Array:
         problem, hessian = self._problem, self._problem.gram.copy()
