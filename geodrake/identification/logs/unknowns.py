@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-LARGEST = 3.0
+LARGEST = 10.0
 """The effort of an effect, in deviations of its joint's, that is one standard deviation of it."""
 
 
