@@ -8,12 +8,12 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import JointResidual, filtered_columns
 from geodrake.effects.shared_actuator import SharedActuatorEffect
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.logs.smoothing import Segment
 from geodrake.model.robot_model import RobotModel
 
@@ -74,7 +74,7 @@ def coupled_joints(
         for one, other in pairs:
             places = (one, partners[one].index(other)), (other, partners[other].index(one))
             share, gain = _together([(looks[joint], at) for joint, at in places])
-            chance = float(chi2.sf(gain, len(effect.parameters)))
+            chance = chi2_tail(gain, len(effect.parameters))
             alarm = min(1.0, len(pairs) * len(_SIGNS) * chance)
             yield Proposal(tuple(effect.candidates((one, other))), share, alarm)
 

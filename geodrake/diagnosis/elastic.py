@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from geodrake.diagnosis.proposal import Proposal
 from geodrake.diagnosis.residuals import JointResidual, filtered_columns
@@ -16,6 +15,7 @@ from geodrake.effects.deflection import DeflectionEffect
 from geodrake.effects.robot_motion import RobotMotion
 from geodrake.effects.role import Proposer
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.logs.motion import Motion
 from geodrake.logs.smoothing import Segment
 from geodrake.model.carried_payloads import carrying
@@ -166,4 +166,4 @@ def _proposal(
         if before > 0.0:
             share = max(share, float(1.0 - after / before))
             gain += weight * len(a) * float(np.log(before / max(after, 1e-9 * before)))
-    return Proposal((effect,), share, min(1.0, len(joints) * float(chi2.sf(max(gain, 0.0), 1))))
+    return Proposal((effect,), share, min(1.0, len(joints) * chi2_tail(gain, 1)))

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import chi2
 
 from geodrake.diagnosis.contact_window import (
     FEW,
@@ -31,7 +30,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import Episode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.evidence import Criteria, chi2_tail
 from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
 from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
@@ -238,7 +237,7 @@ def _contact(
     contact = refined(window, contact)
     found = evidence(window, contact)
     # Times, rise and point were looked for too, and the body.
-    chance = min(1.0, tried * len(bodies) * float(chi2.sf(found.gain, found.felt + 6)))
+    chance = min(1.0, tried * len(bodies) * chi2_tail(found.gain, found.felt + 6))
     convinces = found.share >= _LEAST_SHARE and chance <= alarm and _explains_all(found)
     return (contact if convinces else None), best
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from geodrake.diagnosis.coupled import coupled_joints
 from geodrake.diagnosis.elastic import elastic_joints, loose_joints
@@ -22,7 +21,7 @@ from geodrake.diagnosis.residuals import (
 from geodrake.effects import Effect
 from geodrake.effects.role import Proposer
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.evidence import Criteria, chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.smoothing import Segment
 
@@ -163,7 +162,7 @@ def _waves(kind: type[Effect], setting: _Setting, joint: JointResidual) -> Itera
         least = _WAVES_BESIDE * step if beside else 0.0
         make: Callable[..., Effect] = kind
         waves = tuple(make(joint.joint, n) for n in orders if n >= least)
-        alarm = min(1.0, peak.tried * float(chi2.sf(peak.height, 2)))
+        alarm = min(1.0, peak.tried * chi2_tail(peak.height, 2))
         yield Proposal(waves, peak.share, alarm)
 
 
@@ -213,7 +212,7 @@ def _best_of(shapes: tuple[Effect, ...], tried: Sequence[tuple[float, float]]) -
             degrees of freedom as it has parameters.
     """
     share, gain = max(tried, key=lambda found: found[1])
-    chance = float(chi2.sf(gain, len(shapes[0].parameters)))
+    chance = chi2_tail(gain, len(shapes[0].parameters))
     return Proposal(shapes, share, min(1.0, len(shapes) * chance))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import (
     Package,
@@ -32,6 +32,7 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.evidence import (
     SEVERAL,
     Criteria,
+    chi2_tail,
     log_likelihood_gain,
     tie_probability,
 )
@@ -125,7 +126,7 @@ def stands_out(hypothesis: Hypothesis, effect: Effect, *, deviations: float = 3.
     span = hypothesis.unknowns.span(effect)
     x, covariance = hypothesis.cv.fit_all()[span], hypothesis.cv.covariance()[span, span]
     distance = x @ np.linalg.solve(covariance, x)
-    return bool(distance > chi2.isf(chi2.sf(deviations**2, 1), len(x)))
+    return bool(distance > chdtri(len(x), chi2_tail(deviations**2, 1)))
 
 
 def reshape(

@@ -188,7 +188,7 @@ def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     others = [delay for delay in delays if delay != hypothesis.delay]
     if not others:
         return []
-    gains = [hypothesis.quick_gain(delay) for delay in others]
+    gains = hypothesis.quick_gains(others)
     return _whole(
         hypothesis,
         [hypothesis.delayed(others[int(np.argmax(gains))])],

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Array, Effect
 from geodrake.effects.effort_delay import EffortDelay
@@ -40,16 +41,19 @@ def effort_delays(delays: ArrayLike, joints: Sequence[str]) -> list[EffortDelay]
     return [EffortDelay(own, joint) for own, joint in zip(seconds, joints, strict=True) if own]
 
 
-def delayed_by(delays: ArrayLike, signals: Array, period: float) -> Array:
+def delayed_by(
+    delays: ArrayLike, signals: Array, period: float, *, spline: BSpline | None = None
+) -> Array:
     """Signals (N, n) as they were some time ago, each with a delay of its own.
 
     Args:
         delays: (n,) delays, s.
         signals: (N, n) samples at a uniform rate.
         period: Time between samples, s.
+        spline: Their `spline_through`, if it is known already.
     """
     seconds = np.asarray(delays, float).tolist()
     if len(set(seconds)) == 1:
-        return EffortDelay(seconds[0]).delayed(signals, period)
+        return EffortDelay(seconds[0]).delayed(signals, period, spline=spline)
     both = zip(seconds, signals.T, strict=True)
     return np.stack([EffortDelay(own).delayed(signal, period) for own, signal in both], axis=1)

@@ -8,12 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Array, Effect, RobotMotion, Role, Shape
 from geodrake.errors import ArgumentError
-
-_DEGREE = 5
+from geodrake.logs.filtering import spline_through
 
 
 @dataclass(frozen=True)
@@ -60,12 +59,13 @@ class EffortDelay(Effect):
         del motion
         return {}
 
-    def delayed(self, signal: ArrayLike, period: float) -> Array:
+    def delayed(self, signal: ArrayLike, period: float, *, spline: BSpline | None = None) -> Array:
         """The signal as it was δ ago, by quintic spline interpolation.
 
         Args:
             signal: (N, ...) samples at a uniform rate.
             period: Time between samples, s.
+            spline: Their `spline_through`, if it is known already.
 
         Returns:
             (N, ...) the samples at t − δ; what lies outside the signal is its first or last sample.
@@ -82,6 +82,5 @@ class EffortDelay(Effect):
         if self.delay == 0 or len(signal) == 1:
             return signal.copy()
         samples = np.arange(len(signal), dtype=float)
-        degree = min(_DEGREE, len(signal) - 1)
-        spline = make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
+        spline = spline_through(signal) if spline is None else spline
         return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))

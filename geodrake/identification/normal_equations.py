@@ -18,25 +18,39 @@ _MOST_EXCHANGES = 20
 
 
 def cholesky(matrix: Array) -> Array:
-    """The lower Cholesky factor of a symmetric matrix of unit diagonal, with a ridge.
+    """The lower Cholesky factor of a symmetric matrix of unit diagonal; see `choleskies`.
+
+    Args:
+        matrix: (n, n) matrix.
+    """
+    return choleskies(matrix[None])[0]
+
+
+def choleskies(matrices: Array) -> list[Array]:
+    """The lower Cholesky factor of each of F symmetric matrices of unit diagonal, with a ridge.
 
     LAPACK is called as it is: such matrices are small, and there are thousands of them.
 
     Args:
-        matrix: (n, n) matrix.
+        matrices: (F, n, n) matrices.
 
     Returns:
-        (n, n) array whose lower triangle is the factor; above it there may be anything.
+        (n, n) arrays whose lower triangles are the factors; above it there may be anything.
 
     Raises:
-        LinAlgError: The matrix is not positive definite, or not finite.
+        LinAlgError: A matrix is not positive definite, or not finite.
     """
-    ridged = matrix.T.copy(order="F")
-    np.fill_diagonal(ridged, np.diagonal(ridged) + RIDGE)
-    factor, failed = dpotrf(ridged, lower=True, clean=False, overwrite_a=True)
-    if failed or not np.isfinite(np.diagonal(factor)).all():
+    ridged = np.array(matrices, order="C")
+    diagonals = np.einsum("fii->fi", ridged)
+    diagonals += RIDGE
+    factors, failed = [], False
+    for matrix in ridged:  # whose transpose, the same, has the order of LAPACK's arrays
+        factor, info = dpotrf(matrix.T, lower=True, clean=False, overwrite_a=True)
+        factors.append(factor)
+        failed |= info != 0
+    if failed or not np.isfinite(diagonals).all():
         raise np.linalg.LinAlgError("The normal matrix of a fit is not positive definite.")
-    return np.asarray(factor)
+    return factors
 
 
 def solved(factor: Array, right: Array) -> Array:
@@ -55,19 +69,21 @@ def bounded_minimizers(gram: Array, rhs: Array, lower: Array, upper: Array) -> A
     Args:
         gram: (F, k, k) matrices S, positive semidefinite but for rounding.
         rhs: (F, k) right sides r.
-        lower: (k,) lower bounds.
-        upper: (k,) upper bounds.
+        lower: (k,) or (F, k) lower bounds.
+        upper: (k,) or (F, k) upper bounds.
 
     Returns:
         (F, k) minimizers y.
     """
     scale = 1.0 / np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))
+    scaled = gram * scale[:, :, None] * scale[:, None]
+    if gram.shape[1] == 1:
+        values = np.maximum(scaled[:, 0], 0.0) + RIDGE
+        return np.clip(scale**2 * rhs / values, lower, upper)
     # Columns that say the same leave eigenvalues that rounding may make negative.
-    values, vectors = np.linalg.eigh(gram * scale[:, :, None] * scale[:, None])
+    values, vectors = np.linalg.eigh(scaled)
     values = np.maximum(values, 0.0) + RIDGE
     bounds = lower / scale, upper / scale
-    if len(lower) == 1:
-        return np.clip(scale**2 * rhs / values, lower, upper)
     matrix = (vectors * values[:, None]) @ np.swapaxes(vectors, 1, 2)
     return np.clip(scale * _within(matrix, scale * rhs, *bounds), lower, upper)
 

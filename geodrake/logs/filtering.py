@@ -9,13 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline, make_interp_spline
-from scipy.signal import oaconvolve, upfirdn, welch
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.spectrum import BLACKMAN_HARRIS, spectral_density
 
 Array = NDArray[np.float64]
 
@@ -70,10 +73,14 @@ class ZeroPhaseFilter:
 
     def response(self, frequency: ArrayLike) -> Array:
         """Amplitude that is left of sines at some frequencies, Hz."""
+        return np.interp(np.abs(frequency), *self._passed, right=0.0)
+
+    @cached_property
+    def _passed(self) -> tuple[Array, Array]:
+        """Frequencies, Hz, and the amplitude that is left at them."""
         grid = np.linspace(0.0, 2.0 * self.bandwidth, _RESPONSE_POINTS)
         angle = 2.0 * np.pi * self.period * grid[:, None] * np.arange(1, len(self.half))
-        passed = self.half[0] + 2.0 * np.cos(angle) @ self.half[1:]
-        return np.interp(np.abs(frequency), grid, passed, right=0.0)
+        return grid, self.half[0] + 2.0 * np.cos(angle) @ self.half[1:]
 
     def output_count(self, n: int) -> int:
         """How many outputs `n` input samples support fully."""
@@ -96,11 +103,12 @@ class ZeroPhaseFilter:
         count = self.output_count(len(columns))
         if count == 0:
             return np.empty((0, *columns.shape[1:]))
-        # Leading zeros put the first fully supported sample on the decimated grid.
-        lead = -2 * self.halfwidth % self.decimation
-        kernel = np.concatenate([np.zeros(lead), self.kernel])
-        first = (len(kernel) - 1) // self.decimation
-        return upfirdn(kernel, columns, down=self.decimation, axis=0)[first : first + count]
+        flat = np.ascontiguousarray(columns.reshape(len(columns), -1))
+        # What every output sees, without a copy: windows of all columns, (count, 2L+1, columns).
+        row, column = flat.strides
+        shape = count, len(self.kernel), flat.shape[1]
+        seen = as_strided(flat, shape, (self.decimation * row, row, column), writeable=False)
+        return np.asarray((self.kernel @ seen).reshape(count, *columns.shape[1:]))
 
     def chunks(self, n: int, size: int) -> Iterator[tuple[slice, int]]:
         """Input slices whose outputs, one after another, are those of all `n` samples at once.
@@ -131,8 +139,10 @@ class ZeroPhaseFilter:
         signal = np.asarray(signal, float)
         padding = [(self.halfwidth,) * 2] + [(0, 0)] * (signal.ndim - 1)
         padded = np.pad(signal, padding, mode="reflect", reflect_type="odd")
-        kernel = self.kernel.reshape(-1, *(1,) * (signal.ndim - 1))
-        return oaconvolve(padded, kernel, mode="valid", axes=0)
+        size = next_fast_len(len(padded), real=True)
+        passed = rfft(self.kernel, size).reshape(-1, *(1,) * (signal.ndim - 1))
+        smooth = irfft(rfft(padded, size, axis=0) * passed, size, axis=0)
+        return np.asarray(smooth[2 * self.halfwidth : len(padded)])
 
 
 def design_filter(period: float, bandwidth: float) -> ZeroPhaseFilter:
@@ -188,6 +198,13 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
         )
     time = period * np.arange(len(signal))
     return make_interp_spline(time, signal, k=5).derivative()(time)
+
+
+def spline_through(signal: Array) -> BSpline:
+    """The quintic spline through two samples (N, ...) or more, over their number."""
+    degree = min(5, len(signal) - 1)
+    samples = np.arange(len(signal), dtype=float)
+    return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
 
 
 def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple[Array, Array]:
@@ -258,8 +275,8 @@ def _acceleration_power(pieces: Sequence[tuple[Array, float]], edges: Array) -> 
         length = min(len(acceleration), round(_WELCH_SECONDS / period))
         # Differences take away the trend and most of the dynamic range; the window's side lobes,
         # below −92 dB, take care of the rest.
-        frequency, density = welch(
-            acceleration, 1 / period, "blackmanharris", length, axis=0, detrend=False
+        frequency, density = spectral_density(
+            acceleration, 1 / period, length, window=BLACKMAN_HARRIS, centered=False
         )
         cumulative = np.cumsum(density, axis=0) * frequency[1]
         at_edges = [np.interp(edges, frequency, column) for column in cumulative.T]

@@ -17,7 +17,7 @@ from geodrake.logs.filtering import (
     differentiate,
 )
 from geodrake.logs.motion import JointLog, Trajectory
-from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.uniform_log import UniformLog, make_uniform
 from geodrake.logs.white_noise import quiet_density
 
@@ -106,7 +106,7 @@ def _prepare(
     # Known before the work, which for a filter longer than the log is the longest there is.
     _check_outputs(uniform, low_pass, sum(low_pass.output_count(len(p)) for p in long))
     stretches = _smooth(replace(uniform, pieces=long), low_pass, smoother, notes) if long else ()
-    derived = any(stretch.lag is None for stretch in stretches)
+    derived = any(stretch.derived for stretch in stretches)
     trajectory = Trajectory(
         log.name,
         log.joints,
@@ -147,8 +147,9 @@ def _smooth(
 ) -> tuple[Stretch, ...]:
     lag, note = _measured_lag(uniform, smoother)
     notes += [note] if note else []
-    whole = [Stretch(piece, 0, len(piece), smoother, lag) for piece in uniform.pieces]
-    kept = _keep(uniform, whole, low_pass, notes)
+    pieces = smooth_pieces(uniform.pieces, smoother, lag)
+    whole = [Stretch(piece, 0, len(piece)) for piece in pieces]
+    kept = _keep(uniform, whole, (low_pass, smoother), notes)
     return tuple(
         replace(stretch, first=rows.start, stop=rows.stop)
         for stretch, rows in zip(whole, kept, strict=True)
@@ -223,7 +224,7 @@ def _acceleration_noise(uniform: UniformLog, low_pass: ZeroPhaseFilter, *, deriv
 def _keep(
     uniform: UniformLog,
     whole: Sequence[Stretch],
-    low_pass: ZeroPhaseFilter,
+    filters: tuple[ZeroPhaseFilter, ZeroPhaseFilter],
     notes: list[str],
 ) -> Iterator[slice]:
     """Samples of each piece to keep.
@@ -232,7 +233,7 @@ def _keep(
     those samples go. Of a standstill at an end of the log only what the filter needs to reach the
     first moving sample stays.
     """
-    smoother = whole[0].smoother
+    low_pass, smoother = filters
     peak = np.max([stretch.peak_speed for stretch in whole], axis=0)
     threshold = np.maximum(_STILL_SPEED * peak, _SPEED_NOISE * _speed_noise(uniform, smoother))
     threshold = np.where(uniform.moving, threshold, np.inf)

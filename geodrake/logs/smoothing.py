@@ -3,11 +3,12 @@
 A log of hours fills memory by itself; its uniform, smoothed and differentiated copies would do so
 four times over. Each slice is therefore made from the raw rows around it. Splines and filters
 forget what is far away, so that a slice does not depend, beyond rounding, on how a stretch is cut.
+Those of a short log are made once, and kept.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -99,28 +100,93 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
-    """Part of a piece, smoothed and differentiated slice by slice.
+class SmoothPiece:
+    """A piece, smoothed and differentiated slice by slice.
 
     Attributes:
         piece: The piece.
-        first: First of the piece's samples.
-        stop: First one after the stretch.
         smoother: Low-pass for positions and velocities.
         lag: (n,) time by which measured velocities are late, s; None to derive the velocities
             from the positions instead.
+        kept: Whether its samples stay in memory once somebody has looked.
     """
 
     piece: Piece
-    first: int
-    stop: int
     smoother: ZeroPhaseFilter
     lag: Array | None
+    kept: bool = False
+
+    def __len__(self) -> int:
+        return len(self.piece)
+
+    def __getitem__(self, samples: slice) -> Segment:
+        """Some of the samples, in memory."""
+        return self._all[samples] if self.kept else self._made(samples)
+
+    @cached_property
+    def _all(self) -> Segment:
+        return self._made(slice(None))
+
+    def _made(self, samples: slice) -> Segment:
+        start, stop, _ = samples.indices(len(self))
+        margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
+        low, high = max(0, start - margin), min(len(self), stop + margin)
+        near, kept = self.piece[low:high], slice(start - low, stop - low)
+        position = self.smoother.smooth(near.position)
+        period = self.piece.period
+        if self.lag is None or near.velocity is None:
+            velocity = differentiate(position, period)
+        else:
+            late = self.smoother.smooth(near.velocity)
+            velocity = late + self.lag * differentiate(late, period)
+        acceleration = differentiate(velocity, period)
+        return Segment(
+            near.time[kept],
+            position[kept],
+            velocity[kept],
+            acceleration[kept],
+            near.effort[kept],
+            period,
+        )
+
+
+def smooth_pieces(
+    pieces: Sequence[Piece], smoother: ZeroPhaseFilter, lag: Array | None
+) -> tuple[SmoothPiece, ...]:
+    """The pieces of a log, smoothed where somebody looks; a short log's samples are kept.
+
+    Args:
+        pieces: The pieces.
+        smoother: Low-pass for positions and velocities.
+        lag: (n,) time by which measured velocities are late, s; None to derive the velocities.
+    """
+    kept = sum(map(len, pieces)) <= CHUNK
+    return tuple(SmoothPiece(piece, smoother, lag, kept) for piece in pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Part of a piece, in which a log is of use.
+
+    Attributes:
+        piece: The piece, smoothed.
+        first: First of the piece's samples.
+        stop: First one after the stretch.
+    """
+
+    piece: SmoothPiece
+    first: int
+    stop: int
 
     @property
     def period(self) -> float:
         """Time between samples, s."""
-        return self.piece.period
+        return self.piece.piece.period
+
+    @property
+    def derived(self) -> bool:
+        """Whether velocities are derived from the positions."""
+        return self.piece.lag is None
 
     def __len__(self) -> int:
         return self.stop - self.first
@@ -128,25 +194,7 @@ class Stretch:
     def __getitem__(self, samples: slice) -> Segment:
         """Some of the samples, in memory."""
         start, stop, _ = samples.indices(len(self))
-        start, stop = self.first + start, self.first + max(start, stop)
-        margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
-        low, high = max(0, start - margin), min(len(self.piece), stop + margin)
-        near, kept = self.piece[low:high], slice(start - low, stop - low)
-        position = self.smoother.smooth(near.position)
-        if self.lag is None or near.velocity is None:
-            velocity = differentiate(position, self.period)
-        else:
-            late = self.smoother.smooth(near.velocity)
-            velocity = late + self.lag * differentiate(late, self.period)
-        acceleration = differentiate(velocity, self.period)
-        return Segment(
-            near.time[kept],
-            position[kept],
-            velocity[kept],
-            acceleration[kept],
-            near.effort[kept],
-            self.period,
-        )
+        return self.piece[self.first + start : self.first + max(start, stop)]
 
     @cached_property
     def peak_speed(self) -> Array:

@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.signal import welch
-from scipy.stats import gamma
+from scipy.special import gammaincinv
+
+from geodrake.logs.spectrum import spectral_density
 
 Array = NDArray[np.float64]
 
@@ -31,12 +32,12 @@ def quiet_density(
     """
     changes = np.diff(np.asarray(signal, float), differences, axis=0)
     length = min(len(changes), max(64, round(8 * rate / bandwidth)))
-    frequency, density = welch(changes, rate, "hann", length, axis=0)
+    frequency, density = spectral_density(changes, rate, length)
     frequency, density = frequency[1:], density[1:]
     density = density / (2.0 * np.sin(np.pi * frequency / rate)[:, None]) ** (2 * differences)
     lowest, highest = 1.6 * bandwidth, 0.45 * rate
     averages = max(1.0, 0.9 * (2 * len(changes) / length - 1))
-    median = gamma.ppf(0.5, averages) / averages
+    median = gammaincinv(averages, 0.5) / averages  # of χ² of as many pairs, over its mean
     bands = max(1, int(np.log2(highest / lowest) * 2))
     edges = np.geomspace(lowest, highest, bands + 1)
     levels = []

@@ -14,7 +14,7 @@ from geodrake.logs.filtering import design_filter
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog, Motion, Trajectory, match_joints
 from geodrake.logs.preparation import prepare_log, prepare_logs
-from geodrake.logs.smoothing import Piece, Stretch
+from geodrake.logs.smoothing import Piece, Stretch, smooth_pieces
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 
 JOINTS = ("shoulder", "elbow")
@@ -224,7 +224,7 @@ def _trajectories(*lengths):
         n = 2 * low_pass.halfwidth + 1 + (outputs - 1) * low_pass.decimation
         still = np.zeros((n, 2))
         piece = Piece(start + 0.01 * np.arange(n), still, None, still, 0.01)
-        return Stretch(piece, 0, n, low_pass, None)
+        return Stretch(*smooth_pieces([piece], low_pass, None), 0, n)
 
     return [
         Trajectory(

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.motion import JointLog, Motion, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.smoothing import Stretch
+from geodrake.logs.spectrum import spectral_density
 from geodrake.logs.uniform_log import UniformLog, make_uniform
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
@@ -128,6 +128,6 @@ def effort_ratio(model: RobotModel, trajectories: Sequence[Trajectory]) -> tuple
 def _density(effort: Array, segment: Stretch, window: float, frequency: Array) -> Array:
     """(K, n) spectral density times samples, on a grid that logs of all rates share."""
     rate = 1.0 / segment.period
-    own, density = welch(effort, rate, "hann", round(window * rate), axis=0)
+    own, density = spectral_density(effort, rate, round(window * rate))
     columns = [np.interp(frequency, own, column) for column in density.T]
     return len(segment) * np.stack(columns, 1)

@@ -15,13 +15,23 @@ from numpy.typing import NDArray
 
 from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.unknowns import Unknowns
-from geodrake.identification.normal_equations import RIDGE, bounded_minimizers, cholesky, solved
+from geodrake.identification.normal_equations import (
+    RIDGE,
+    bounded_minimizers,
+    choleskies,
+    cholesky,
+    solved,
+)
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 _MOST_SEEN = 0.3
 """If a joint sees more than this share of the products, adding zeros to the others is quicker."""
+
+
+_ROUNDING = 1e-12
+"""What a parameter may be beyond its bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,38 +133,89 @@ class CrossValidation:
         unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual of each joint, 1 / (N·m)².
         delay: Index of the effort column to fit.
+        held_out: The held-out errors, if they are known already.
     """
 
     def __init__(
-        self, dataset: Dataset, unknowns: Unknowns, weights: Array, *, delay: Delay = 0
+        self,
+        dataset: Dataset,
+        unknowns: Unknowns,
+        weights: Array,
+        *,
+        delay: Delay = 0,
+        held_out: HeldOut | None = None,
     ) -> None:
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
-        gram, rhs = self._assemble(unknowns.columns, unknowns.columns)
-        information = unknowns.information
-        self._gram, self._rhs = gram.sum(0) + information, rhs.sum(0) + information @ unknowns.mean
-        others = zip(self._gram - gram, self._rhs - rhs, strict=True)
-        self._fits = [self._solve(*problem) for problem in others]
+        self.held_out = self._hold_out() if held_out is None else held_out
+
+    def _hold_out(self) -> HeldOut:
         x = np.array([fit.x for fit in self._fits])
-        self.held_out = hold_out(dataset, unknowns.columns, x, delay=delay)
+        return hold_out(self.dataset, self.unknowns.columns, x, delay=self.delay)
+
+    @cached_property
+    def _solution(self) -> tuple[Array, Array, list[_Fit]]:
+        """Normal matrix and right side of all folds with the prior, and the fit without each."""
+        unknowns = self.unknowns
+        own_gram, own_rhs = self._assemble(unknowns.columns, unknowns.columns)
+        gram = own_gram.sum(0) + unknowns.information
+        rhs = own_rhs.sum(0) + unknowns.information @ unknowns.mean
+        return gram, rhs, self._solved(gram - own_gram, rhs - own_rhs)
+
+    @property
+    def _fits(self) -> list[_Fit]:
+        return self._solution[2]
+
+    def at_delay(self, delay: Delay) -> HeldOut:
+        """Held-out errors against the effort with another delay, all else as it is.
+
+        Args:
+            delay: Index of the effort column, of all joints or of each.
+        """
+        columns, unknowns = self.unknowns.columns, self.unknowns
+        none = np.zeros(0, np.intp)
+        _, own = normal_matrices(self.dataset, self.weights, none, columns, delay=delay)
+        rhs = own.sum(0) + unknowns.information @ unknowns.mean - own
+        x = np.array([f.solve(r[:, None])[:, 0] for f, r in zip(self._fits, rhs, strict=True)])
+        if np.any((x < self._lower) | (x > self._upper)):
+            return CrossValidation(self.dataset, unknowns, self.weights, delay=delay).held_out
+        return hold_out(self.dataset, columns, x, delay=delay)
 
     def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
         return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
 
-    def _solve(self, gram: Array, rhs: Array) -> _Fit:
-        """Minimizer within the bounds, and the factor of the unbounded problem."""
-        scale = 1.0 / np.sqrt(np.diag(gram))
-        scaled = gram * scale[:, None] * scale
-        factor = cholesky(scaled)
-        x = unbounded = scale * solved(factor, scale * rhs)
+    def _solved(self, grams: Array, rhs: Array) -> list[_Fit]:
+        """Minimizers within the bounds, and the factors of the unbounded problems, of each."""
+        scales = 1.0 / np.sqrt(np.diagonal(grams, axis1=1, axis2=2))
+        scaled = grams * scales[:, :, None] * scales[:, None, :]
+        fits = []
+        for f, factor in enumerate(choleskies(scaled)):
+            scale = scales[f]
+            x = unbounded = scale * solved(factor, scale * rhs[f])
+            if np.any((x < self._lower) | (x > self._upper)):
+                x = self._bounded(x, grams[f], rhs[f], (scaled[f], scale))
+            fits.append(_Fit(x, unbounded, factor, scale))
+        return fits
+
+    @cached_property
+    def _lower(self) -> Array:
+        """(p,) lower bounds with some room for rounding."""
+        return self.unknowns.lower - _ROUNDING
+
+    @cached_property
+    def _upper(self) -> Array:
+        return self.unknowns.upper + _ROUNDING
+
+    def _bounded(self, x: Array, gram: Array, rhs: Array, scaled: tuple[Array, Array]) -> Array:
+        """The minimizer (p,) within the bounds, from that without them."""
         free = np.ones(len(x), bool)
-        lower, upper = self.unknowns.lower, self.unknowns.upper
-        while np.any(outside := (x < lower - 1e-12) | (x > upper + 1e-12)):
+        matrix, scale = scaled
+        while np.any(outside := (x < self._lower) | (x > self._upper)):
             free &= ~outside
-            x = np.clip(x, lower, upper)
+            x = np.clip(x, self.unknowns.lower, self.unknowns.upper)
             right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
-            x[free] = scale[free] * solved(cholesky(scaled[np.ix_(free, free)]), right)
-        return _Fit(x, unbounded, factor, scale)
+            x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
+        return x
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
@@ -170,12 +231,14 @@ class CrossValidation:
 
     @cached_property
     def _whole(self) -> _Fit:
-        return self._solve(self._gram, self._rhs)
+        gram, rhs, _ = self._solution
+        return self._solved(gram[None], rhs[None])[0]
 
     @cached_property
     def _covariance(self) -> Array:
-        scale = 1.0 / np.sqrt(np.diag(self._gram))
-        matrix = self._gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
+        gram, _, _ = self._solution
+        scale = 1.0 / np.sqrt(np.diag(gram))
+        matrix = gram * scale[:, None] * scale + RIDGE * np.eye(len(scale))
         return np.asarray(scale[:, None] * np.linalg.inv(matrix) * scale)
 
     @cached_property
@@ -204,19 +267,32 @@ class CrossValidation:
         turned = np.swapaxes(cross, 1, 2)
         schur = own - turned @ moved
         pull = right - (turned @ self.held_out.x[:, :, None])[..., 0]
+        places = [np.searchsorted(columns, candidate.columns) for candidate in candidates]
         y = np.zeros((len(cross), len(columns), len(candidates)))
-        for k, candidate in enumerate(candidates):
-            at = np.searchsorted(columns, candidate.columns)
-            block = schur[:, at[:, None], at] + candidate.information
-            y[:, at, k] = bounded_minimizers(block, pull[:, at], candidate.lower, candidate.upper)
+        for width in {len(at) for at in places}:
+            alike = [k for k, at in enumerate(places) if len(at) == width]
+            at = np.array([places[k] for k in alike])
+            known, low, high = (
+                np.array([getattr(candidates[k], name) for k in alike])
+                for name in ("information", "lower", "upper")
+            )
+            blocks = schur[:, at[:, :, None], at[:, None]] + known
+            shape = pull[:, at].shape
+            low, high = (np.broadcast_to(bound, shape).reshape(-1, width) for bound in (low, high))
+            found = bounded_minimizers(
+                blocks.reshape(-1, width, width), pull[:, at].reshape(-1, width), low, high
+            )
+            y[:, at, np.array(alike)[:, None]] = found.reshape(shape)
         change = -(moved @ y)
-        sse = self._errors_after(columns, y, change)
-        found = []
-        for k, candidate in enumerate(candidates):
-            own_y = y[:, np.searchsorted(columns, candidate.columns), k]
-            x = np.hstack([self.held_out.x + change[:, :, k], own_y])
-            found.append(HeldOut(sse[..., k], self.dataset.samples, x))
-        return found
+        sse, samples, before = (
+            self._errors_after(columns, y, change),
+            self.dataset.samples,
+            self.held_out.x,
+        )
+        return [
+            HeldOut(sse[..., k], samples, np.hstack([before + change[:, :, k], y[:, at, k]]))
+            for k, at in enumerate(places)
+        ]
 
     def _errors_after(self, columns: Indices, y: Array, change: Array) -> Array:
         """(F, nv, n) squared errors with y (F, m, n) at columns (m,) and unknowns changed."""

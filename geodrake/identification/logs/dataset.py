@@ -7,9 +7,10 @@ hundreds of candidates are then small dense problems; no one goes back to the sa
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,8 @@ class JointData:
 
     Attributes:
         columns: (p_j,) global indices of the columns that can be nonzero at this joint, ascending.
-        factors: (F, p_j + d, p_j + d) triangular factors of [A | b], one for each fold.
+        factors: (F, m, p_j + d) triangular factors R of [A | b], with RᵀR = [A | b]ᵀ[A | b], one
+            for each fold; the rows themselves where these are fewer than the columns.
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
     """
@@ -129,11 +131,9 @@ class JointData:
             columns: (p,) global columns, one of which may be there twice.
             x: (F, p) their parameters; those of all others are zero.
         """
-        local = self.local(columns)
-        seen = np.flatnonzero(local >= 0)
-        parameters = np.zeros((len(self.columns), len(x)))
-        np.add.at(parameters, local[seen], x.T[seen])
-        return np.ascontiguousarray(parameters.T)
+        parameters = np.zeros((len(self.columns) + 1, len(x)))  # the last takes what is not seen
+        np.add.at(parameters, self.local(columns), x.T)
+        return np.ascontiguousarray(parameters[:-1].T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +154,7 @@ class Dataset:
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
         bandwidth: Bandwidth of the filter, Hz.
         still: (nv,) share of the samples left out because the joint stands still.
+        settled: What fits of it came to, by what was asked; see `hypothesis.settle`.
     """
 
     joints: tuple[str, ...]
@@ -167,6 +168,7 @@ class Dataset:
     noise_floor: Array
     bandwidth: float
     still: Array
+    settled: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:

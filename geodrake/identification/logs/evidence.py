@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
-from scipy.stats import chi2, t
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.special import chdtrc, stdtr
 
 from geodrake.boundary.arguments import number
 
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _HARDLY, _NO_RISE, _HALF = 0.01, 0.05, 0.5  # of a fold's loss
 _FEW = 2  # folds
+_AT_ONCE = 100_000  # numbers that are transformed together
 _CLEARLY = 2.0
 SEVERAL = 4.0
 """No hypothesis ties with another if it leaves so many times the squared error at a joint.
@@ -58,31 +59,49 @@ def effective_samples(blocks: Sequence[Array]) -> float:
     Returns:
         A number between 1 and Σ K_i.
     """
-    return float(effective_samples_of_each([block[:, None] for block in blocks])[0])
+    return float(effective_samples_of_each([[block[:, None] for block in blocks]])[0, 0])
 
 
-def effective_samples_of_each(blocks: Sequence[Array]) -> Array:
-    """How many independent samples each of m coloured residuals is worth.
+def effective_samples_of_each(series: Sequence[Sequence[Array]]) -> Array:
+    """How many independent samples each of several coloured residuals is worth.
 
     n / (1 + 2 Σ ρ_k), the autocorrelation summed up to its first value below 0.02; blocks are
     stretches without gaps.
 
     Args:
-        blocks: Residuals (K_i, m) of each block.
+        series: Of each of J joints, the blocks (K_i, m) of m residuals.
 
     Returns:
-        (m,) numbers between 1 and Σ K_i.
+        (J, m) numbers between 1 and the joint's Σ K_i.
     """
-    n, longest = sum(map(len, blocks)), max(map(len, blocks))
-    size = next_fast_len(2 * longest)
-    transforms = (np.fft.rfft(block, size, axis=0) for block in blocks)
-    spectrum = sum(np.square(each.real) + np.square(each.imag) for each in transforms)
-    covariance = np.fft.irfft(spectrum, size, axis=0)[:longest].T
-    power = covariance[:, 0]
-    correlation = covariance[:, 1:] / np.where(power > 0.0, power, 1.0)[:, None]
-    counted = ~np.logical_or.accumulate(correlation < 0.02, axis=1)
-    total = np.sum(correlation, axis=1, where=counted)
+    n = np.array([[float(sum(map(len, blocks)))] for blocks in series])
+    longest = max(len(block) for blocks in series for block in blocks)
+    size = next_fast_len(2 * longest, real=True)
+    covariance = irfft(_power_spectra(series, size), size)[..., :longest]
+    power = covariance[..., 0]
+    correlation = covariance[..., 1:] / np.where(power > 0.0, power, 1.0)[..., None]
+    counted = ~np.logical_or.accumulate(correlation < 0.02, axis=-1)
+    total = np.sum(correlation, axis=-1, where=counted)
     return np.where(power > 0.0, np.maximum(1.0, n / (1.0 + 2.0 * total)), n)
+
+
+def _power_spectra(series: Sequence[Sequence[Array]], size: int) -> Array:
+    """(J, m, size // 2 + 1) power spectra, summed over the blocks of each joint."""
+    rows = [(j, block) for j, blocks in enumerate(series) for block in blocks]
+    residuals = rows[0][1].shape[1]
+    spectra = np.zeros((len(series), residuals, size // 2 + 1))
+    # Blocks are short and many: they are transformed together.
+    at_once = max(1, _AT_ONCE // (residuals * size))
+    for first in range(0, len(rows), at_once):
+        part = rows[first : first + at_once]
+        padded = np.zeros((len(part), residuals, size))
+        for row, (_, block) in zip(padded, part, strict=True):
+            row[:, : len(block)] = block.T
+        transform = rfft(padded)
+        joints, starts = np.unique([j for j, _ in part], return_index=True)
+        power = np.square(transform.real) + np.square(transform.imag)
+        spectra[joints] += np.add.reduceat(power, starts, axis=0)
+    return spectra
 
 
 def log_likelihood_gain(mse_before: Array, mse_after: Array, effective: Array) -> Array:
@@ -105,7 +124,17 @@ def false_alarm_probability(gain: float, parameters: int, tried: int) -> float:
         parameters: Linear and shape parameters of the candidate.
         tried: Number of candidates among which it was the best (Bonferroni).
     """
-    return float(min(1.0, tried * chi2.sf(max(gain, 0.0), parameters)))
+    return min(1.0, tried * chi2_tail(gain, parameters))
+
+
+def chi2_tail(gain: float, degrees: int) -> float:
+    """Chance that χ² is larger than a gain.
+
+    Args:
+        gain: The gain; below zero, it is certain.
+        degrees: Degrees of freedom.
+    """
+    return float(chdtrc(degrees, max(gain, 0.0)))
 
 
 def fold_agreement(before: Array, after: Array) -> float:
@@ -157,4 +186,5 @@ def _paired_t(difference: Array) -> float:
     spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
     if spread == 0.0:
         return 0.0 if difference.sum() > 0 else 1.0
-    return float(t.sf(difference.mean() / (spread / np.sqrt(len(difference))), len(difference) - 1))
+    t = difference.mean() / (spread / np.sqrt(len(difference)))
+    return float(stdtr(len(difference) - 1, -t))

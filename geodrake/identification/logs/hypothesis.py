@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ FIXED = 1e-3
 CLEARLY_IMPOSSIBLE = 1e-3
 """A body is impossible if its smallest moment is below −10⁻³ of its largest."""
 
-_AT_ONCE = 32
+_AT_ONCE = 16
 """So many fits have their residuals computed together."""
 
 _SETTLED = 0.3
@@ -156,10 +157,11 @@ class Hypothesis:
         """This hypothesis against the effort with another delay, of all joints or of each."""
         return settle(replace(self, delay=self.dataset.delay_of_each(delay)))
 
-    def quick_gain(self, delay: Delay) -> float:
-        """Twice the held-out log-likelihood ratio of another delay, the weights as they are."""
-        after = CrossValidation(self.dataset, self.unknowns, self.weights, delay=delay).held_out
-        return float(log_likelihood_gain(self.held_out.mse, after.mse, self.effective).sum())
+    def quick_gains(self, delays: Sequence[Delay]) -> list[float]:
+        """Twice the held-out log-likelihood ratio of other delays, the weights as they are."""
+        cv = CrossValidation(self.dataset, self.unknowns, self.weights, delay=self.delay)
+        before, after = self.held_out.mse, [cv.at_delay(delay).mse for delay in delays]
+        return [float(log_likelihood_gain(before, mse, self.effective).sum()) for mse in after]
 
     def moved_columns(self, dataset: Dataset) -> Indices:
         """(p,) columns of the unknowns in another dataset of the same bodies and effects."""
@@ -193,7 +195,7 @@ def residual_blocks(
         delay: Index of the effort column.
     """
     return [
-        [block[:, 0] for block in _residuals(data, [(columns, x)], late)]
+        [block[:, 0] for block in _residuals(data, late, [(columns, x)])]
         for data, late in zip(dataset.data, dataset.delay_of_each(delay), strict=True)
     ]
 
@@ -222,17 +224,17 @@ def effective_of_each(
         fits: Columns (p,) in use and parameters (F, p) for each fold.
         delay: Index of the effort column.
     """
-    found, delays = np.empty((len(fits), len(dataset.joints))), dataset.delay_of_each(delay)
+    delays, found = dataset.delay_of_each(delay), [np.empty((0, len(dataset.joints)))]
+    samples = dataset.samples.sum(axis=0)
     for first in range(0, len(fits), _AT_ONCE):
-        part = slice(first, first + _AT_ONCE)
-        for j, data in enumerate(dataset.data):
-            blocks = _residuals(data, fits[part], delays[j])
-            kept = sum(map(len, blocks))
-            found[part, j] = effective_samples_of_each(blocks) * (data.samples.sum() / max(kept, 1))
-    return found
+        part = fits[first : first + _AT_ONCE]
+        blocks = [_residuals(*joint, part) for joint in zip(dataset.data, delays, strict=True)]
+        kept = np.array([max(1, sum(map(len, joint))) for joint in blocks])
+        found.append(effective_samples_of_each(blocks).T * (samples / kept))
+    return np.concatenate(found)
 
 
-def _residuals(data: JointData, fits: Sequence[tuple[Indices, Array]], delay: int) -> list[Array]:
+def _residuals(data: JointData, delay: int, fits: Sequence[tuple[Indices, Array]]) -> list[Array]:
     """Held-out residuals (K_i, m) of m fits at a joint, one array per block."""
     x = np.stack([data.parameters(columns, values) for columns, values in fits], axis=-1)
     return [
@@ -254,17 +256,39 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         iterations: How often effective samples are counted at most, each time with weights that
             agree with the errors; fewer where the weights stay.
     """
-    dataset, weights = hypothesis.dataset, hypothesis.weights
-    samples, effective = dataset.samples.sum(0), hypothesis.effective
+    dataset, unknowns, delay = hypothesis.dataset, hypothesis.unknowns, hypothesis.delay
+    weights, effective = hypothesis.weights, hypothesis.effective
+    # A search asks the same again and again, by other ways.
+    question = _fingerprint(unknowns, weights, effective), delay, iterations
+    if question in dataset.settled:
+        fitted, held_out, weights, effective = dataset.settled[question]
+        cv = CrossValidation(dataset, unknowns, fitted, delay=delay, held_out=held_out)
+        return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+    samples = dataset.samples.sum(0)
     for _ in range(iterations):
         cv, weights = _refitted(hypothesis, weights, effective / samples)
-        effective = effective_per_joint(
-            dataset, hypothesis.unknowns.columns, cv.held_out, delay=hypothesis.delay
-        )
+        effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
         before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
         if _alike(weights, before):
             break
+    dataset.settled[question] = cv.weights, cv.held_out, weights, effective
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+
+
+def _fingerprint(unknowns: Unknowns, weights: Array, effective: Array) -> bytes:
+    """What a fit depends on, in a few bytes."""
+    digest = blake2b(digest_size=16)
+    for array in (
+        unknowns.columns,
+        unknowns.mean,
+        unknowns.information,
+        unknowns.lower,
+        unknowns.upper,
+        weights,
+        effective,
+    ):
+        digest.update(array.tobytes())
+    return digest.digest()
 
 
 def _refitted(

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Effect
 from geodrake.effects.delays import delayed_by
@@ -15,6 +16,7 @@ from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.identification.logs.shared_rows import Blocks, SharedRows
+from geodrake.logs.filtering import spline_through
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
@@ -171,6 +173,13 @@ class LogSlice:
         near, inner = self._near
         return near[inner]
 
+    @cached_property
+    def _effort_spline(self) -> BSpline | None:
+        """What efforts at other instants are read from, if any are asked for."""
+        if not any(seconds.any() for seconds in self.advance):
+            return None
+        return spline_through(self._near[0].effort)
+
     def _motion_rows(self, shared: SharedRows) -> Blocks:
         """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""
         key = ("motion", self.place)
@@ -193,8 +202,9 @@ class LogSlice:
             found = shared.get(key)
             if found is None:
                 near, inner = self._near
-                moved = delayed_by(-seconds, near.effort, self.stretch.period)[inner]
-                found = {0: self.trajectory.filter.apply(moved)}
+                spline, period = self._effort_spline, self.stretch.period
+                moved = delayed_by(-seconds, near.effort, period, spline=spline)
+                found = {0: self.trajectory.filter.apply(moved[inner])}
                 shared.keep(key, found)
             columns.append(found[0])
         return np.stack(columns, -1)

@@ -103,7 +103,7 @@ def reduce_logs(
         tuple(
             JointData(
                 columns,
-                np.array([box.finish() for box in joint]),
+                _stacked([box.finish() for box in joint]),
                 np.array([box.samples for box in joint]),
                 tuple(box.blocks() for box in joint),
             )
@@ -164,15 +164,28 @@ class _Box:
         self.samples += len(effort)
         self.pending.append(np.hstack([rows.A, rows.b]))
         if sum(map(len, self.pending)) > WORTHWHILE * self.width:
-            self.finish()
+            self.factor, self.pending = self.finish(), []
 
     def finish(self) -> Array:
-        before = np.zeros((self.width, self.width)) if self.factor is None else self.factor
-        self.factor, self.pending = triangular_factor([before, *self.pending]), []
-        return self.factor
+        """The factor of all rows: they themselves where they are fewer than the columns."""
+        blocks = [*([] if self.factor is None else [self.factor]), *self.pending]
+        few = sum(map(len, blocks)) <= self.width
+        return (
+            np.concatenate([np.zeros((0, self.width)), *blocks])
+            if few
+            else triangular_factor(blocks)
+        )
 
     def blocks(self) -> tuple[JointRows, ...]:
         return tuple(JointRows.join(rows) for rows in self.kept.values())
+
+
+def _stacked(factors: Sequence[Array]) -> Array:
+    """(F, m, p) factors (m_i, p), with rows of zeros where one has fewer than another."""
+    stacked = np.zeros((len(factors), max(map(len, factors)), factors[0].shape[1]))
+    for own, factor in zip(stacked, factors, strict=True):
+        own[: len(factor)] = factor
+    return stacked
 
 
 def _slices(
