@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+from chain_logs import inverse_dynamics, multisine
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import MultibodyForces
 
 from geodrake.logs.motion import JointLog
 
@@ -14,31 +14,13 @@ JOINTS = ("shoulder", "elbow")
 NOISE = np.array([0.03, 0.015])  # deviation of the effort's noise, N·m
 
 
-def multisine(time, rng, *, base=0.1, harmonics=8, reach=1.2):
-    """Smooth random motion: positions, velocities and accelerations (N, 2) at some instants."""
-    rate = 2 * np.pi * base * np.arange(1, harmonics + 1)[:, None]
-    angle = rate[None] * time[:, None, None] + rng.uniform(0, 2 * np.pi, (harmonics, 2))
-    swing = reach * rng.uniform(0.3, 1.0, (harmonics, 2)) / np.sqrt(harmonics)
-    q = (swing * np.sin(angle)).sum(1)
-    v = (swing * rate * np.cos(angle)).sum(1)
-    return q, v, -(swing * rate**2 * np.sin(angle)).sum(1)
-
-
 def body_effort(q, v, vd):
     """Inverse dynamics (N, 2) of Drake's own reading of the model file, welded to the world."""
     plant = MultibodyPlant(0.0)
     Parser(plant).AddModels(str(PENDULUM))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
     plant.Finalize()
-    context = plant.CreateDefaultContext()
-    rows = []
-    for positions, velocities, accelerations in zip(q, v, vd, strict=True):
-        plant.SetPositions(context, positions)
-        plant.SetVelocities(context, velocities)
-        forces = MultibodyForces(plant)
-        plant.CalcForceElementsContribution(context, forces)
-        rows.append(plant.CalcInverseDynamics(context, accelerations, forces))
-    return np.array(rows)
+    return inverse_dynamics(plant, q, v, vd)
 
 
 def pendulum_log(seed, hidden=None, *, seconds=40.0, rate=200.0, noise=NOISE, **motion):

@@ -8,12 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline
 
 from geodrake.effects.base import Array, Effect, RobotMotion, Role, Shape
 from geodrake.errors import ArgumentError
-
-_DEGREE = 5
+from geodrake.logs.filtering import spline_through
 
 
 @dataclass(frozen=True)
@@ -85,10 +84,3 @@ class EffortDelay(Effect):
         samples = np.arange(len(signal), dtype=float)
         spline = spline_through(signal) if spline is None else spline
         return np.asarray(spline(np.clip(samples - self.delay / period, 0, samples[-1])))
-
-
-def spline_through(signal: Array) -> BSpline:
-    """The quintic spline through two samples (N, ...) or more, over their number."""
-    degree = min(_DEGREE, len(signal) - 1)
-    samples = np.arange(len(signal), dtype=float)
-    return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)

@@ -127,8 +127,10 @@ class RobotMotion:
             v: (...) velocities, rad/s or m/s.
             width: Speed below which the sign fades, rad/s or m/s; broadcast.
         """
-        known = np.asarray(width) == 0
-        return np.where(known, np.sign(v), np.tanh(v / np.where(known, 1.0, width)))
+        width = np.asarray(width)
+        if width.all():
+            return np.tanh(v / width)
+        return np.where(width == 0, np.sign(v), np.tanh(v / np.where(width == 0, 1.0, width)))
 
 
 def smoothed_sign(width: Array) -> Callable[[Array], Array]:

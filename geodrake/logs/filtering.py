@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.spectrum import BLACKMAN_HARRIS, spectral_density
@@ -198,6 +198,13 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
         )
     time = period * np.arange(len(signal))
     return make_interp_spline(time, signal, k=5).derivative()(time)
+
+
+def spline_through(signal: Array) -> BSpline:
+    """The quintic spline through two samples (N, ...) or more, over their number."""
+    degree = min(5, len(signal) - 1)
+    samples = np.arange(len(signal), dtype=float)
+    return make_interp_spline(samples, signal, k=degree - (degree % 2 == 0), axis=0)
 
 
 def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple[Array, Array]:

@@ -1,40 +1,55 @@
 """What is ambiguous leads to a command, and the command can be run."""
 
 import io
-from types import SimpleNamespace
 
 import pytest
 from excitation_robots import MODELS
 from rich.console import Console
 
-from geodrake.cli.tables import show_diagnosis
+from geodrake.cli.tables import show_diagnosis, show_explanation
 from geodrake.cli.tell_apart import placed_rivals, separation_of
-from geodrake.diagnosis.ambiguity import distinguishing_commands
-from geodrake.diagnosis.results import Candidate, Diagnosis
+from geodrake.diagnosis import (
+    Candidate,
+    Comparison,
+    Diagnosis,
+    ErrorTable,
+    Explanation,
+    JointError,
+    Step,
+)
 from geodrake.effects import catalogue
 from geodrake.excitation import motion_limits
-from geodrake.identification.logs.model_errors import ErrorTable, JointError
 from geodrake.model.saved_model import load_model
 from geodrake.report import Units
+from geodrake.report.sections import distinguishing_motions
 
 PREFIX = "geodrake excite MODEL --tell-apart "
 JOINTS = ("shoulder", "elbow")
+MODEL = load_model(MODELS / "double_pendulum.urdf")
 START = ErrorTable(tuple(JointError(joint, 0.5, 1.0, 0.1) for joint in JOINTS))
+SHOWN = Comparison(START, (), (), ())
 
 
 def diagnosis(*found):
     """Candidates as (effect, where, tied), the best first."""
     candidates = tuple(Candidate(e, w, 1.0, 0.1, 9.0, 1e-6, tied) for e, w, tied in found)
-    return Diagnosis("explained", candidates, START, START, None, ())
+    return Diagnosis("explained", candidates, START, START, SHOWN, ())
 
 
-def explanation(*steps, model=None):
+def explanation(*steps, model=MODEL):
     """Steps as (effect, where, rivals)."""
-    rows = [
-        SimpleNamespace(effect=e, where=w, indistinguishable_from=rivals, rivals=())
-        for e, w, rivals in steps
-    ]
-    return SimpleNamespace(steps=tuple(rows), model=model)
+    rows = tuple(
+        Step(effect, where, 1.0, 0.1, {}, {}, rivals, 1e-6, 1.0, {}, {})
+        for effect, where, rivals in steps
+    )
+    return Explanation("explained", rows, START, START, START, model, SHOWN, SHOWN, ())
+
+
+def commands(found):
+    """The commands that a page tells, without what they begin with."""
+    sentence = "".join(distinguishing_motions(found))
+    told = sentence.removeprefix("Motions that would distinguish what the logs cannot: ")
+    return [each.removeprefix(PREFIX) for each in told.removesuffix(".").split("; ") if each]
 
 
 @pytest.mark.parametrize(
@@ -61,16 +76,12 @@ def explanation(*steps, model=None):
             ("coulomb_friction", ("shoulder",)),
             "coupled_friction@shoulder+elbow,coulomb_friction@shoulder",
         ),
-        (("payload", ("forearm",)), ("gravity_tilt", ()), "payload@forearm,gravity_tilt"),
+        (("payload", ("lower_link",)), ("gravity_tilt", ()), "payload@lower_link,gravity_tilt"),
     ],
 )
 def test_commands_that_can_be_run(best, tied, words):
-    (command,) = distinguishing_commands(diagnosis((*best, True), (*tied, True)))
-    assert command == PREFIX + words
-    model = load_model(MODELS / "double_pendulum.urdf")
-    if "@forearm" in words:
-        words = words.replace("forearm", model.bodies[-1])
-    separation, _ = separation_of(words, model, motion_limits(model), noise=0.1)
+    assert commands(diagnosis((*best, True), (*tied, True))) == [words]
+    separation, _ = separation_of(words, MODEL, motion_limits(MODEL), noise=0.1)
     assert separation.pairs
 
 
@@ -79,15 +90,15 @@ def test_commands_that_can_be_run(best, tied, words):
 )
 def test_what_no_motion_settles_has_no_command(rival):
     best = ("coulomb_friction", ("elbow",), True)
-    assert not distinguishing_commands(diagnosis(best, (rival, ("elbow",), True)))
+    assert commands(diagnosis(best, (rival, ("elbow",), True))) == []
 
 
 def test_only_ties_count_and_each_once():
     best = ("viscous_friction", ("elbow",), True)
     others = [("effort_offset", ("elbow",), tied) for tied in (False, True, True)]
-    assert distinguishing_commands(diagnosis(best, others[0])) == ()
-    assert len(distinguishing_commands(diagnosis(best, *others))) == 1
-    assert distinguishing_commands(diagnosis()) == ()
+    assert commands(diagnosis(best, others[0])) == []
+    assert len(commands(diagnosis(best, *others))) == 1
+    assert commands(diagnosis()) == []
 
 
 def test_steps_of_an_explanation():
@@ -95,9 +106,7 @@ def test_steps_of_an_explanation():
         ("viscous_friction", ("elbow",), ("nonlinear_viscous_friction", "wrong_inertia")),
         ("gravity_tilt", (), ()),
     )
-    assert distinguishing_commands(found) == (
-        PREFIX + "viscous_friction,nonlinear_viscous_friction@elbow",
-    )
+    assert commands(found) == ["viscous_friction,nonlinear_viscous_friction@elbow"]
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +128,8 @@ def test_every_command_is_understood(arm, effect, where):
     limits, told = motion_limits(arm), set()
     for cls in catalogue():
         found = explanation((effect, where, (cls.name,)), model=arm)
-        for command in distinguishing_commands(found):
-            rivals = placed_rivals(command.removeprefix(PREFIX), arm, limits)
+        for command in commands(found):
+            rivals = placed_rivals(command, arm, limits)
             assert [rival.name for rival in rivals] == [effect, cls.name]
             told.add(cls.name)
     settled = {cls.name for cls in catalogue()} - {
@@ -149,35 +158,37 @@ def test_every_command_is_understood(arm, effect, where):
     ],
 )  # fmt: skip
 def test_a_rival_has_the_place_that_goes_with_the_steps(arm, step, rival, words):
-    (command,) = distinguishing_commands(explanation((*step, (rival,)), model=arm))
-    assert command == PREFIX + words.format(rival, step[0])
+    found = explanation((*step, (rival,)), model=arm)
+    assert commands(found) == [words.format(rival, step[0])]
 
 
 def test_a_body_that_no_joint_of_one_degree_carries_has_no_rival_at_a_joint():
     model = load_model(MODELS / "double_pendulum.urdf", floating=True)
     found = explanation(("payload", ("base_link",), ("joint_spring",)), model=model)
-    assert not distinguishing_commands(found)
+    assert commands(found) == []
 
 
 def test_effects_found_together_are_each_at_their_own_kind_of_place():
     found = diagnosis(
-        ("payload + coulomb_friction", ("elbow", "forearm"), True), ("gravity_tilt", (), True)
+        ("payload + coulomb_friction", ("elbow", "lower_link"), True), ("gravity_tilt", (), True)
     )
-    assert distinguishing_commands(found) == (PREFIX + "payload@forearm,gravity_tilt",)
+    assert commands(found) == ["payload@lower_link,gravity_tilt"]
 
 
 def test_not_too_many():
     rivals = ("effort_offset", "joint_spring", "rotor_inertia", "torque_ripple", "effort_scale")
     found = explanation(("coulomb_friction", ("elbow",), rivals))
-    assert len(distinguishing_commands(found)) == 4
+    assert len(commands(found)) == 4
 
 
 def test_the_terminal_tells_the_command():
-    model = load_model(MODELS / "double_pendulum.urdf")
+    console = Console(file=io.StringIO(), markup=False, highlight=False, width=160)
     found = diagnosis(
         ("coulomb_friction", ("elbow",), True), ("load_dependent_friction", ("elbow",), True)
     )
-    console = Console(file=io.StringIO(), markup=False, highlight=False, width=160)
-    show_diagnosis(console, found, Units.of(model))
-    expected = f"- {PREFIX}coulomb_friction,load_dependent_friction@elbow"
-    assert expected in console.file.getvalue().splitlines()
+    show_diagnosis(console, found, Units.of(MODEL))
+    step = ("viscous_friction", ("elbow",), ("nonlinear_viscous_friction",))
+    show_explanation(console, explanation(step), Units.of(MODEL))
+    lines = console.file.getvalue().splitlines()
+    assert f"- {PREFIX}coulomb_friction,load_dependent_friction@elbow" in lines
+    assert f"- {PREFIX}viscous_friction,nonlinear_viscous_friction@elbow" in lines

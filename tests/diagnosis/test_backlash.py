@@ -1,74 +1,15 @@
-"""Play of a pendulum's link, which strikes the stiff, damped sides of its gap, by scipy.
-
-The motor of the elbow moves as planned, whatever the link does; the shoulder stands nearly still.
-"""
-
-from functools import cache
+"""Play of a pendulum's link, which strikes the stiff, damped sides of its gap, by scipy."""
 
 import numpy as np
 import pytest
-from pendulum_logs import PENDULUM
-from scipy.integrate import solve_ivp
+from elbow_logs import MODEL, loose_log, motor, played
 
-from geodrake import load_model
 from geodrake.control.systems import EffectForce
 from geodrake.diagnosis import explain
 from geodrake.effects import Backlash
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
-from geodrake.logs.motion import JointLog, Motion
-
-MODEL = load_model(PENDULUM)
-RATES = 2 * np.pi * np.array([0.31, 0.53, 0.83])
-SIZES, PHASES = np.array([1.0, 0.6, 0.3]), np.array([0.0, 1.0, 2.0])
-
-
-def motor(t):
-    """Position, velocity and acceleration of the elbow's motor."""
-    angle = np.multiply.outer(t, RATES) + PHASES
-    return (
-        np.sin(angle) @ SIZES,
-        np.cos(angle) @ (SIZES * RATES),
-        -np.sin(angle) @ (SIZES * RATES**2),
-    )
-
-
-def at_elbow(q, v, vd):
-    """Effort (N, 2) with the shoulder at rest."""
-    still = np.zeros_like(q)
-    return MODEL.effort(Motion(*(np.stack([still, x], 1) for x in (q, v, vd))))
-
-
-@cache
-def constants():
-    """Inertia about the elbow and the moment of the weight there, N·m."""
-    one, none = np.ones(1), np.zeros(1)
-    weight = at_elbow(one * np.pi / 2, none, none)[0, 1]
-    return at_elbow(none, none, one)[0, 1] - at_elbow(none, none, none)[0, 1], weight
-
-
-@cache
-def played(half_width, seconds=16.0, rate=2000.0):
-    """Time, and the link's positions, velocities and the motor's torque."""
-    inertia, weight = constants()
-    stiffness = 4e4 * inertia
-    damping = np.sqrt(stiffness * inertia)
-
-    def torque(t, y):
-        q, v, _ = motor(t)
-        lag, speed = q - y[0], v - y[1]
-        over = lag - np.clip(lag, -half_width, half_width)
-        push = np.where(over != 0.0, stiffness * over + damping * speed, 0.0)
-        return np.where(over > 0.0, np.maximum(push, 0.0), np.minimum(push, 0.0))
-
-    def rates(t, y):
-        return [y[1], (torque(t, y) - weight * np.sin(y[0])) / inertia]
-
-    time = np.arange(0.0, seconds, 1.0 / rate)
-    q, v, _ = motor(0.0)
-    step = 5e-4
-    y = solve_ivp(rates, time[[0, -1]], [q - half_width, v], "LSODA", time, max_step=step).y
-    return time, y, torque(time, y)
+from geodrake.logs.motion import Motion
 
 
 def smooth(values, width=400):
@@ -104,41 +45,6 @@ def test_lag_falls_freely():
 def test_is_no_force():
     with pytest.raises(ArgumentError, match="no force"):
         EffectForce(MODEL.plant, [(Backlash("elbow", 1e-3), [1.0])])
-
-
-def loose_log(half_width, *, noise=0.005, seed=1):
-    """A log of the pendulum whose elbow has play, its shoulder all but at rest."""
-    rng = np.random.default_rng(seed)
-    time, link, torque = played(half_width, 40.0)
-    every = slice(0, None, 8)
-    q, v, vd = motor(time)
-    slow = 0.02 * np.sin(1.1 * time)
-    base = Motion(
-        np.stack([slow, q], 1),
-        np.stack([0.022 * np.cos(1.1 * time), v], 1),
-        np.stack([-0.0242 * np.sin(1.1 * time), vd], 1),
-    )
-    zero = np.zeros_like(q)
-    alone = MODEL.effort(Motion(*(np.stack([zero, x], 1) for x in (q, v, vd))))
-    inertia, weight = constants()
-    falling = (torque - weight * np.sin(link[0])) / inertia
-    real = [x.copy() for x in (base.q, base.v, base.vd)]
-    for order, values in enumerate((*link, falling)):
-        real[order][:, 1] = values
-    effort = MODEL.effort(Motion(*real))
-    effort[:, 1] = MODEL.effort(base)[:, 1] + torque - alone[:, 1]
-    # What a sample shows is the mean over its period.
-    effort = effort[: len(effort) // 8 * 8].reshape(-1, 8, 2).mean(1)
-    at = time[every] + 3.5 / 2000.0
-    states = [np.stack([np.interp(at, time, x) for x in pair.T], 1) for pair in (base.q, base.v)]
-    return JointLog(
-        "loose",
-        MODEL.joints,
-        at,
-        states[0],
-        effort + noise * effort.std(0) * rng.normal(size=effort.shape),
-        states[1],
-    )
 
 
 @pytest.mark.parametrize("seed", [1])

@@ -14,7 +14,7 @@ from geodrake.diagnosis.drafting.formula import Factor, Formula, Term
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.drafting.screening import Screen
 from geodrake.diagnosis.drafting.term_columns import TermColumns
-from geodrake.diagnosis.drafting.vocabulary import vocabulary
+from geodrake.diagnosis.drafting.vocabulary import short_vocabulary, vocabulary
 from geodrake.diagnosis.explain import explain
 from geodrake.effects import load_effect_file
 from geodrake.identification.logs.case import open_case
@@ -256,6 +256,14 @@ def test_vocabulary_has_nothing_twice():
     terms = vocabulary(YAW, JOINTS, dict.fromkeys(JOINTS, (-1.0, 2.0)))
     assert len({frozenset(term.factors) for term in terms}) == len(terms) > 500
     assert Term(()) in terms
+
+
+def test_the_short_vocabulary_has_nothing_twice_and_nothing_else():
+    joints = ("a", "b", "c")
+    short = short_vocabulary("a", joints)
+    every = vocabulary("a", joints, dict.fromkeys(joints, (-1.0, 1.0)))
+    assert len({frozenset(term.factors) for term in short}) == len(short) < len(every) / 2
+    assert {frozenset(t.factors) for t in short} <= {frozenset(t.factors) for t in every}
 
 
 def test_words_and_units():

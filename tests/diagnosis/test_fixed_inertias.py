@@ -1,7 +1,6 @@
 """What inertias could take in is named when every body may stay as the model has it."""
 
 from functools import cache
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +12,6 @@ from effort_logs import MODELS, effort_log
 
 from geodrake import load_model
 from geodrake.diagnosis import Criteria, diagnose, explain
-from geodrake.diagnosis.stepwise_search import rivals_of_swapped
-from geodrake.effects import CoulombFriction, EffortOffset, JointSpring
-from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.hypothesis import first_hypothesis, settle
-from geodrake.identification.logs.model_fit import model_unknowns
 
 
 @cache
@@ -105,30 +99,3 @@ def test_bodies_that_are_all_off_are_no_payload():
     log = effort_log("arm6", 1, off=0.2, duration=16.0).log
     (step,) = explain(model_file("arm6"), [log]).steps
     assert step.effect == "wrong_inertia"
-
-
-def test_first_hypothesis_is_settled():
-    """Weights that it begins with are far from those that its errors deserve."""
-
-    def compensator(seen):
-        return {0: 0.4 * np.sin(seen.q[:, 0] - 1.0)}
-
-    log = effort_log("double_pendulum", 1, compensator, duration=16.0, share=0.02).log
-    model = model_file("double_pendulum")
-    case = open_case(model, [log], candidates=False)
-    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
-    again = settle(start, iterations=20)
-    assert again.loss().sum() == pytest.approx(start.loss().sum(), rel=0.02)
-
-
-def test_what_is_swapped_for_the_simpler_one_stays_in_the_set():
-    def of(*effects):
-        return SimpleNamespace(unknowns=SimpleNamespace(effects=effects))
-
-    spring, offset, dry = JointSpring("elbow"), EffortOffset("elbow"), CoulombFriction("elbow")
-    known = {"joint_spring": ("gravity_compensator",), "coulomb_friction": ()}
-    found = rivals_of_swapped(known, of(dry), of(dry, offset), ("joint_spring",))
-    assert found == {"effort_offset": ("gravity_compensator", "joint_spring")}
-    assert rivals_of_swapped(known, of(dry, spring), of(dry, offset)) == found
-    assert rivals_of_swapped(known, of(dry), of(dry, spring), ("joint_spring",)) == {}
-    assert rivals_of_swapped(known, of(dry, spring), of(dry)) == {}

@@ -1,133 +1,101 @@
-"""Bandwidths other than that which suits a motion: what they must not be used for."""
+"""Bandwidths other than that which suits a motion: when an answer at one of them is taken.
+
+That play is found at a higher one is in test_backlash.py.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pendulum_logs import PENDULUM, friction, pendulum_log
+from elbow_logs import MODEL, loose_log, soft_log
+from pendulum_logs import pendulum_log
+from scipy.special import expit
 
-from geodrake import load_model
 from geodrake.diagnosis import explain
-from geodrake.diagnosis.explain import _explains_more, investigate
-from geodrake.diagnosis.other_bandwidth import (
-    OtherBandwidth,
-    errors_at,
-    errors_of,
-    other_bandwidths,
-)
-from geodrake.effects import Backlash, Contact, CoulombFriction, JointElasticity
-from geodrake.identification.logs.case import open_case, reduced
-from geodrake.identification.logs.evidence import Criteria
-from geodrake.identification.logs.hypothesis import first_hypothesis
-from geodrake.identification.logs.model_fit import model_unknowns
 
-MODEL = load_model(PENDULUM)
+PLAY = 3e-4  # rad to either side, of which the motion's own bandwidth shows nothing
+ELBOW = np.array([0.0, 1.0])
 
 
-def oscillation(frequency):
-    """A torque at the shoulder that no effect explains, 200 samples a second."""
-
-    def effort(q, v, vd, load):
-        wave = 0.6 * np.sin(2 * np.pi * frequency / 200.0 * np.arange(len(q)))
-        return np.stack([wave, 0.5 * wave], 1)
-
-    return effort
+def told(log, model=MODEL, **options):
+    """Places of the effects that explain a log, the verdict, and whether at another bandwidth."""
+    found = explain(model, [log], **options)
+    elsewhere = any("Hz at which" in note for note in found.notes)
+    return {step.effect: step.where for step in found.steps}, found.verdict, elsewhere
 
 
-def opened(log, effects=()):
-    """A case and what is known on it: the model refitted, and some effects."""
-    case = open_case(MODEL, [log], candidates=False)
-    start = first_hypothesis(case.dataset, model_unknowns(case.dataset, MODEL))
-    moved = start.moved(reduced(case, list(effects)), delay=0)
-    return case, moved.with_effects(effects) if effects else moved
+def pushed(log):
+    """A log with a push at the tip of the lower link that lasts for three seconds."""
+    on = expit(20.0 * (log.time - 10.0)) - expit(20.0 * (log.time - 13.0))
+    inner, outer = log.position[:, 0], log.position.sum(1)
+    lower = 0.3 * np.stack([-np.cos(outer), np.sin(outer)], 1)
+    upper = lower + 0.2 * np.stack([-np.cos(inner), np.sin(inner)], 1)
+    moments = np.stack([upper, lower], 1) @ [2.0, 1.0]
+    return replace(log, effort=log.effort - on[:, None] * moments)
 
 
 def test_what_is_above_half_the_bandwidth_is_not_filtered_away():
-    log = pendulum_log(3, oscillation(3.5))
-    case, known = opened(log)
-    bandwidth = case.trajectories[0].filter.bandwidth
-    assert bandwidth / 2 < 3.5 < bandwidth
-    assert errors_at(case, known, bandwidth / 2).is_noise
-    found = explain(MODEL, [log])
-    assert found.verdict == "unexplained"
-    assert not any("Hz at which" in note for note in found.notes)
+    """A torque that no effect explains is unexplained, though at half the bandwidth it is gone."""
+
+    def oscillation(q, v, vd, load):
+        wave = 0.6 * np.sin(2 * np.pi * 3.5 / 200.0 * np.arange(len(q)))
+        return np.stack([wave, 0.5 * wave], 1)
+
+    log = pendulum_log(3, oscillation, seconds=20.0)
+    _, verdict, elsewhere = told(log)
+    assert (verdict, elsewhere) == ("unexplained", False)
+    assert told(log, bandwidth=2.5)[1] == "adequate"
 
 
-@pytest.mark.parametrize(
-    ("effect", "explained"),
-    [
-        (Contact("lower_link", 10.0, 12.0, 0.1), True),
-        (Contact("lower_link", 10.0, 12.0, 0.1), False),
-        (Backlash("elbow", 1e-3), True),
-        (JointElasticity("elbow"), False),
-    ],
-)
-def test_bandwidths_that_stay(effect, explained):
-    """Pieces of contacts were dealt out to the folds; what was found need not be found again."""
-    case, known = opened(pendulum_log(3), [effect])
-    assert not list(other_bandwidths(case, known, Criteria(), explained=explained))
+def test_a_log_with_a_contact_keeps_its_bandwidth():
+    """Its pieces were dealt out to the blocks that are held out; play would show elsewhere."""
+    places, verdict, elsewhere = told(pushed(loose_log(12e-3, noise=0.01)))
+    assert places == {"contact": ("lower_link",)}
+    assert (verdict, elsewhere) == ("explained", False)
 
 
-def test_a_bandwidth_that_was_asked_for_stays():
-    case = open_case(MODEL, [pendulum_log(3)], candidates=False, bandwidth=5.0)
-    known = first_hypothesis(case.dataset, model_unknowns(case.dataset, MODEL))
-    assert not list(other_bandwidths(case, known, Criteria(), explained=True))
+class TestPlay:
+    @pytest.mark.parametrize(
+        "more",
+        [
+            pytest.param(lambda log: 0.01 * np.sin(40.0 * log.position), id="ripple"),
+            pytest.param(
+                lambda log: 0.01 * np.sin(12.0 * np.pi * log.time)[:, None], id="oscillation"
+            ),
+        ],
+    )
+    def test_not_beside_what_is_new_too_or_unexplained(self, more):
+        """Where play would show, something else does, which the motion's bandwidth leaves out."""
+        log = loose_log(PLAY, noise=0.01)
+        log = replace(log, effort=log.effort + more(log) * log.effort.std(0) * ELBOW)
+        assert told(log) == ({}, "adequate", False)
+
+    def test_not_in_the_place_of_what_was_explained(self):
+        """A small offset that shows where there is less noise."""
+        log = loose_log(PLAY, noise=0.003)
+        log = replace(log, effort=log.effort + 4e-4 * log.effort.std(0) * ELBOW)
+        places, verdict, elsewhere = told(log)
+        assert "effort_offset" in places
+        assert "backlash" not in places
+        assert (verdict, elsewhere) == ("explained", False)
+
+    def test_at_the_next_bandwidth_where_the_first_does_not_do(self):
+        """There it passes for a wrong body."""
+        heavier = replace(MODEL, phi=MODEL.phi * [[1.0], [1.003]])
+        places, verdict, elsewhere = told(loose_log(PLAY, noise=0.003), heavier)
+        assert places == {"backlash": ("elbow",)}
+        assert (verdict, elsewhere) == ("explained", True)
 
 
-@pytest.fixture(scope="module")
-def rubbing():
-    """Dry friction at both joints, found and explained."""
-    log = pendulum_log(4, friction((0.2, 0.1)))
-    found = investigate(open_case(MODEL, [log], candidates=True))
-    assert [step.effect for step in found.explanation.steps] == ["coulomb_friction"]
-    return found
+class TestSoftness:
+    @pytest.mark.parametrize(("size", "taken"), [(0.0, True), (0.01, False)])
+    def test_must_take_half_of_what_is_unexplained(self, size, taken):
+        """A breeze at both joints leaves more than that."""
 
+        def wind(time):
+            gusts = np.random.default_rng(9).normal(size=22)
+            return size * np.interp(time, np.arange(22), gusts)[:, None] * np.ones(2)
 
-def told(found, *names, verdict="explained", end=None):
-    """The same investigation with further steps."""
-    more = [replace(found.explanation.steps[0], effect=name) for name in names]
-    steps = (*found.explanation.steps, *more)
-    explanation = replace(found.explanation, steps=steps, verdict=verdict)
-    return replace(found, explanation=explanation, hypothesis=end or found.hypothesis)
-
-
-def play_at(found):
-    return OtherBandwidth(10.0, Backlash, errors_of(found.hypothesis))
-
-
-def test_play_that_comes_alone_or_with_bodies_tells_more(rubbing):
-    for names in (["backlash"], ["backlash", "wrong_inertia"]):
-        assert _explains_more(told(rubbing, *names), rubbing, play_at(rubbing))
-
-
-@pytest.mark.parametrize(
-    ("names", "verdict"),
-    [
-        ([], "explained"),
-        (["torque_ripple"], "explained"),
-        (["backlash", "torque_ripple"], "explained"),
-        (["backlash"], "unexplained"),
-    ],
-)
-def test_without_play_alone_or_without_an_explanation_nothing_more_is_told(rubbing, names, verdict):
-    assert not _explains_more(told(rubbing, *names, verdict=verdict), rubbing, play_at(rubbing))
-
-
-def test_what_was_explained_must_be_still(rubbing):
-    """Where a bandwidth comes without the friction, it says less of the log at its own."""
-    rid = [CoulombFriction(joint) for joint in ("shoulder", "elbow")]
-    end = rubbing.hypothesis.without(rid)
-    assert not _explains_more(told(rubbing, "backlash", end=end), rubbing, play_at(rubbing))
-
-
-@pytest.mark.parametrize(("left", "more"), [(0.45, True), (0.55, False)])
-def test_softness_must_take_half_of_what_is_unexplained(rubbing, left, more):
-    ten_times = [
-        replace(joint, rms=10 * joint.rms) for joint in errors_of(rubbing.hypothesis).joints
-    ]
-    known = replace(errors_of(rubbing.hypothesis), joints=tuple(ten_times))
-    was = told(rubbing, verdict="unexplained")
-    now = told(rubbing, "joint_elasticity", verdict="unexplained")
-    part = tuple(replace(joint, rms=left * joint.rms) for joint in known.joints)
-    now = replace(now, explanation=replace(now.explanation, end=replace(known, joints=part)))
-    assert _explains_more(now, was, OtherBandwidth(1.0, JointElasticity, known)) == more
+        places, _, elsewhere = told(soft_log(wind))
+        assert elsewhere == taken
+        assert places == ({"joint_elasticity": ("elbow",)} if taken else {})

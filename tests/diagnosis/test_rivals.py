@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from effort_logs import effort_log
 from excitation_robots import MODELS
+from pendulum_logs import pendulum_log
 from rich.console import Console
 
 from geodrake.cli.tables import show_explanation
 from geodrake.diagnosis import Criteria, add, diagnose, explain
-from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import FittedRival
 from geodrake.model.saved_model import load_model
 from geodrake.report import Units
 from geodrake.report.json_output import explanation_dict
-from geodrake.report.sections import steps_section
+from geodrake.report.sections import distinguishing_motions, steps_section
 
 MODEL = load_model(MODELS / "double_pendulum.urdf")
 
@@ -62,6 +62,15 @@ def test_what_adds_the_same_is_no_rival():
     assert "viscous_friction" not in step.indistinguishable_from
 
 
+def test_more_of_the_same_is_no_rival():
+    """A rotor alone, as that which couples two joints with it and of which one more is none."""
+    log = pendulum_log(1, lambda q, v, vd, load: [0.0, 0.03] * vd, seconds=20.0)
+    (step,) = explain(MODEL, [log], bandwidth=6.0).steps
+    assert (step.effect, step.where) == ("rotor_inertia", ("elbow",))
+    assert "coupled_rotor_inertia" not in step.indistinguishable_from
+
+
+COMMAND = "geodrake excite MODEL --tell-apart"
 FITTED = FittedRival(
     "joint_spring + effort_offset", ("shoulder",), ("rotor_inertia",), 0.5, 0.4, 0.2
 )
@@ -105,15 +114,15 @@ def test_terminal_report_and_numbers_tell_them(told):
 
 
 def test_a_fitted_rival_keeps_its_own_place(told):
-    assert distinguishing_commands(told) == tuple(
-        f"geodrake excite MODEL --tell-apart rotor_inertia@elbow,{rival}"
-        for rival in ("effort_offset@shoulder", "joint_spring@shoulder", "payload@lower_link")
-    )
+    (sentence,) = distinguishing_motions(told)
+    rivals = ("effort_offset@shoulder", "joint_spring@shoulder", "payload@lower_link")
+    commands = [f"{COMMAND} rotor_inertia@elbow,{rival}" for rival in rivals]
+    assert sentence.endswith(f": {'; '.join(commands)}.")
 
 
 def test_a_rival_at_more_joints_is_told_apart_where_the_step_is(told):
     (step,) = told.steps
     wider = replace(FITTED, effect="effort_offset", where=("shoulder", "elbow"))
     step = replace(step, rivals=(wider,), indistinguishable_from=("effort_offset",))
-    expected = "geodrake excite MODEL --tell-apart rotor_inertia,effort_offset@elbow"
-    assert distinguishing_commands(replace(told, steps=(step,))) == (expected,)
+    (sentence,) = distinguishing_motions(replace(told, steps=(step,)))
+    assert sentence.endswith(f": {COMMAND} rotor_inertia,effort_offset@elbow.")

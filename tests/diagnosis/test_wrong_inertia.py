@@ -1,6 +1,6 @@
 """Bodies whose inertia is not that of the model file: which one it is, and what it gains alone."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +9,14 @@ pytest.importorskip("pinocchio")
 
 import pinocchio as pin
 from effort_logs import MODELS, effort_log
+from pendulum_logs import pendulum_log
 
 from geodrake import load_model
 from geodrake.diagnosis import explain
-from geodrake.diagnosis.steps import _carried
 
 ARM = load_model(MODELS / "arm6.urdf")
+PENDULUM = load_model(MODELS / "double_pendulum.urdf")
+LOG_OF_PENDULUM = pendulum_log(1, seconds=20.0)
 BODIES = ("column", "upper_arm", "forearm", "wrist_barrel", "wrist", "flange")
 
 
@@ -55,21 +57,17 @@ def test_many_bodies():
 
 
 @pytest.mark.parametrize(
-    ("flange", "forearm", "payload"),
+    ("upper", "lower", "body", "may_carry"),
     [
-        (1.2, 1.0, True),  # heavier at the end
-        (1.2, 1.5, True),  # … and elsewhere, where it moved the farthest
-        (1.02, 2.0, False),  # … but hardly, next to a body that moved far
-        (0.8, 1.5, False),  # lighter
+        (1.5, 1.2, "upper_link", True),  # heavier at the end, though another moved the farthest
+        (0.5, 1.05, "upper_link", False),  # … but hardly, next to a body that moved far
+        (1.5, 0.8, "upper_link", False),  # lighter
+        (1.0, 0.8, "lower_link", True),  # what is at the end is named
     ],
 )
-def test_a_heavier_last_body_may_carry_something(flange, forearm, payload):
-    phi = ARM.phi.copy()
-    phi[BODIES.index("flange")] *= flange
-    phi[BODIES.index("forearm")] *= forearm
-    rivals = _carried(SimpleNamespace(model=ARM), ["forearm"], phi)
-    assert rivals == (("payload",) if payload else ())
-
-
-def test_a_last_body_that_is_named_may_carry_something():
-    assert _carried(SimpleNamespace(model=ARM), ["flange"], ARM.phi) == ("payload",)
+def test_a_heavier_last_body_may_carry_something(upper, lower, body, may_carry):
+    """Links that weigh so many times as much as in the model."""
+    wrong = replace(PENDULUM, phi=PENDULUM.phi / [[upper], [lower]])
+    (step,) = explain(wrong, [LOG_OF_PENDULUM], bandwidth=6.0).steps
+    assert (step.effect, step.where) == ("wrong_inertia", (body,))
+    assert step.indistinguishable_from == (("payload",) if may_carry else ())

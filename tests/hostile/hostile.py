@@ -107,8 +107,8 @@ class Row:
 def fill(folder):
     """Put what is in order into a folder."""
     (folder / "robot.urdf").write_bytes(PENDULUM.read_bytes())
-    write_log(folder / "log.csv", table(seed=1))
-    write_log(folder / "other.csv", table(seed=2))
+    (folder / "log.csv").write_bytes(_log_file(1))
+    (folder / "other.csv").write_bytes(_log_file(2))
     for name, text in KEPT.items():
         (folder / name).write_text(text, encoding="utf-8")
 
@@ -137,9 +137,18 @@ def table(*, seed=1, seconds=24.0, rate=100.0):
 
 def write_log(path, rows, header=HEADER):
     """Write rows of numbers, or of anything that has words, as a CSV file."""
-    lines = [header, *(",".join(map(str, row)) for row in np.asarray(rows, object).tolist())]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    path.write_bytes(_csv(rows, header))
     return path
+
+
+def _csv(rows, header=HEADER):
+    lines = [header, *(",".join(map(str, row)) for row in np.asarray(rows, object).tolist())]
+    return ("\n".join(lines) + "\n").encode()
+
+
+@cache
+def _log_file(seed):
+    return _csv(table(seed=seed))
 
 
 def contents(folder):

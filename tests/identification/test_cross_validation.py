@@ -392,6 +392,14 @@ def test_unknowns_without_an_effect_are_those_before_it(dataset, model):
             np.testing.assert_array_equal(getattr(fewer, name), getattr(rest, name))
 
 
+def test_looser_prior_only_concerns_the_bodies(dataset, model):
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:2])
+    loose = unknowns.loosened(10.0, 20)
+    np.testing.assert_allclose(loose.information[:20, :20], unknowns.information[:20, :20] / 100.0)
+    np.testing.assert_array_equal(loose.information[20:, 20:], unknowns.information[20:, 20:])
+    assert unknowns.information[20:, 20:].any()
+
+
 def test_released_effect_is_forgotten_and_the_rest_is_not(dataset, model):
     unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:3])
     size = len(unknowns.columns)

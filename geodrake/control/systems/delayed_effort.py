@@ -58,7 +58,8 @@ class DelayedEffort(LeafSystem):
             )
         self._delays, self._period = delays, period
         self._samples = 2 + int(np.ceil(delays.max() / period - 1e-9))
-        self._size = len(delays)
+        self._size, self._columns = len(delays), np.arange(len(delays))
+        self._prompt = np.flatnonzero(delays == 0)
         self._input = self.DeclareVectorInputPort("effort", BasicVector(self._size))
         start = np.zeros(1 + self._samples * self._size)
         start[0] = -np.inf
@@ -79,20 +80,23 @@ class DelayedEffort(LeafSystem):
     def _sample(self, context: Context, state: DiscreteValues) -> None:
         last, history = self._history(context)
         effort = self._input.Eval(context)
-        first = not np.isfinite(last)
-        history = np.tile(effort, (self._samples, 1)) if first else np.vstack([history[1:], effort])
-        state.set_value(np.concatenate([[context.get_time()], history.ravel()]))
+        after = np.empty(1 + history.size)
+        after[0] = context.get_time()
+        after[1 : -self._size] = history[1:].ravel()
+        after[-self._size :] = effort
+        if last == -np.inf:  # the first sample
+            after[1:] = np.tile(effort, self._samples)
+        state.set_value(after)
 
     def _calc_delayed(self, context: Context, output: BasicVector) -> None:
         last, history = self._history(context)
-        age = (
-            (self._delays + last - context.get_time()) / self._period if np.isfinite(last) else 0.0
-        )
-        place = np.clip(self._samples - 1 - age, 0, self._samples - 1) * np.ones(self._size)
+        age = np.zeros(self._size)  # without a sample yet, as all are alike
+        if last > -np.inf:
+            age = (self._delays + last - context.get_time()) / self._period
+        place = (self._samples - 1 - age).clip(0, self._samples - 1)
         i = np.minimum(place.astype(int), self._samples - 2)
-        columns = np.arange(self._size)
-        early, late = history[i, columns], history[i + 1, columns]
+        early, late = history[i, self._columns], history[i + 1, self._columns]
         delayed = early + (place - i) * (late - early)
-        if (self._delays == 0).any():
-            delayed = np.where(self._delays == 0, self._input.Eval(context), delayed)
+        if len(self._prompt):
+            delayed[self._prompt] = self._input.Eval(context)[self._prompt]
         output.SetFromVector(delayed)

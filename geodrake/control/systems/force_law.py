@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -190,8 +191,9 @@ class ForceLaw:
         # Sample 0 is at rest in v̇, sample 1 + k has unit v̇ of velocity k.
         batch = (1 + len(v), 1)
         vd = np.vstack([np.zeros_like(v), np.eye(len(v))])
-        motion = self._motion(np.tile(q, batch), np.tile(v, batch), vd, np.zeros_like(vd))
-        motion = replace(motion, time=np.full(len(vd), time) if effects.timed else None)
+        instants = np.full(len(vd), time) if effects.timed else None
+        arrays = np.tile(q, batch), np.tile(v, batch), vd, np.zeros_like(vd)
+        motion = self._motion(*arrays, time=instants)
         at_unit = effects.accelerated.effort(motion)
         M, drift, rigid_drift = self._dynamics(q, v)
         if not effects.loaded.columns.effects:
@@ -225,14 +227,11 @@ class ForceLaw:
             hidden = (
                 {} if states is None else {e: states[None, s] for e, s in effects.states.items()}
             )
-            motion = self._motion(q[None], joints.v[None], joints.vd[None], joints.load[None])
             instant = np.array([time]) if effects.timed else None
-            return replace(motion, time=instant, states=hidden)
+            arrays = q[None], joints.v[None], joints.vd[None], joints.load[None]
+            return self._motion(*arrays, time=instant, states=hidden)
 
-        q_joint = q.take(self._positions)
-        if self._several is not None:
-            q_joint[self._several] = np.nan
-        joints = JointMotion(q_joint, v, rest, rest, self._direction(v))
+        joints = JointMotion(self._of_joints(q), v, rest, rest, self._direction(v))
         return effects.direct.columns.at(joints, seen) @ effects.direct.mu
 
     def state_rates(
@@ -248,7 +247,7 @@ class ForceLaw:
             time: Time since the log began, s.
         """
         zero, rates = np.zeros((1, len(v))), np.zeros_like(states)
-        seen = replace(self._motion(q[None], v[None], zero, zero), time=np.array([time]))
+        seen = self._motion(q[None], v[None], zero, zero, time=np.array([time]))
         for effect, place in effects.states.items():
             rates[place] = effect.state_rates(seen, states[None, place])[0]
         return rates
@@ -264,38 +263,63 @@ class ForceLaw:
         rigid_drift = plant.CalcBiasTerm(context) - plant.CalcGravityGeneralizedForces(context)
         return plant.CalcMassMatrix(context), drift, rigid_drift
 
-    def _motion(self, q: Array, v: Array, vd: Array, load: Array) -> RobotMotion:
-        """A motion as effects see it, from q (N, nq) and (N, nv) arrays."""
-        q_joint = np.where(self._positions >= 0, q[:, self._positions], np.nan)
-
-        @cache
-        def regressor() -> Array:
-            return inverse_dynamics_regressor(self._tree, q, v, vd)
-
-        def body_columns(name: str) -> Array:
-            if name not in self._bodies:
-                raise ArgumentError(
-                    f"There is no moving body {name!r}.",
-                    advice=f"Bodies are: {', '.join(self._bodies)}.",
-                )
-            i, member = self._bodies[name]
-            start = PARAMETERS_PER_BODY * i
-            columns = regressor()[..., start : start + PARAMETERS_PER_BODY]
-            R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
-            return columns @ change_frame(np.eye(PARAMETERS_PER_BODY), R_RB, p_RoBo_R).T
-
-        bodies = RobotBodies(self._tree, q, self._phi)
+    def _motion(self, q: Array, v: Array, vd: Array, load: Array, **known: Any) -> RobotMotion:
+        """A motion as effects see it, from q (N, nq) and (N, nv) arrays, and what else is known."""
         return RobotMotion(
             self._joints,
-            q_joint,
+            self._of_joints(q),
             v,
             vd,
             load,
             self._sign_width,
-            body_columns,
-            bodies,
+            _BodyColumns(self._tree, self._bodies, q, v, vd),
+            RobotBodies(self._tree, q, self._phi),
             log=self._log,
+            **known,
         )
+
+    def _of_joints(self, q: Array) -> Array:
+        """Position belonging to each velocity, NaN for joints of several degrees."""
+        found = q.take(self._positions, axis=-1)
+        if self._several is not None:
+            found[..., self._several] = np.nan
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _BodyColumns:
+    """Inertial regressors (N, nv, 10) of bodies along a motion, computed once somebody asks.
+
+    Attributes:
+        tree: The plant's tree.
+        bodies: Name -> index and place of every moving body.
+        q: (N, nq) positions.
+        v: (N, nv) velocities.
+        vd: (N, nv) accelerations.
+    """
+
+    tree: KinematicTree
+    bodies: Mapping[str, tuple[int, Member]]
+    q: Array
+    v: Array
+    vd: Array
+
+    @cached_property
+    def _regressor(self) -> Array:
+        return inverse_dynamics_regressor(self.tree, self.q, self.v, self.vd)
+
+    def __call__(self, name: str) -> Array:
+        """The regressor of one body."""
+        if name not in self.bodies:
+            raise ArgumentError(
+                f"There is no moving body {name!r}.",
+                advice=f"Bodies are: {', '.join(self.bodies)}.",
+            )
+        i, member = self.bodies[name]
+        start = PARAMETERS_PER_BODY * i
+        columns = self._regressor[..., start : start + PARAMETERS_PER_BODY]
+        R_RB, p_RoBo_R = member.X_RB.rotation().matrix(), member.X_RB.translation()
+        return columns @ change_frame(np.eye(PARAMETERS_PER_BODY), R_RB, p_RoBo_R).T
 
 
 def _admissible(effect: Effect, values: ArrayLike) -> Array:

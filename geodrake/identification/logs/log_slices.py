@@ -13,10 +13,10 @@ from scipy.interpolate import BSpline
 from geodrake.effects.base import Effect
 from geodrake.effects.delays import delayed_by
 from geodrake.effects.effect_columns import EffectColumns
-from geodrake.effects.effort_delay import spline_through
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.dataset import Indices, JointRows, column_starts, is_payload
 from geodrake.identification.logs.shared_rows import Blocks, SharedRows
+from geodrake.logs.filtering import spline_through
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
