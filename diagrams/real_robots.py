@@ -49,14 +49,18 @@ STUDIES = (
     Study("ur10e free", "ur10e.urdf", ("ur10e_free_a.csv", "ur10e_free_b.csv")),
     Study("ur10e again", "ur10e free", ("ur10e_free_c.csv",)),
     Study("ur10e changed", "ur10e free", ("ur10e_changed.csv",)),
+    Study("ur10e another day", "ur10e free", ("ur10e_free_d.csv",)),
+    Study("ur10e with 2.805 kg", "ur10e free", ("ur10e_load_d.csv",)),
     Study("ur10e point to point", "ur10e free", ("ur10e_ptp.csv",)),
     Study("tx40", "tx40.urdf", ("tx40.csv",), blocks=6),
+    Study("emps", "emps_70kg.urdf", ("emps.csv",)),
+    Study("lwr4", "lwr4.urdf", tuple(f"lwr4_{run}.csv" for run in (1, 2, 3))),
+    Study("kr300", "kr300.urdf", tuple(f"kr300_{run}.csv" for run in "abc")),
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
 QUICK = ("double pendulum",)
 MEASUREMENTS = (
-    "reference/ur10e.urdf",
-    "reference/tx40.urdf",
+    *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
     *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
     "data/double_pendulum_c1_*.csv",
 )

@@ -37,7 +37,7 @@ from geodrake.identification.logs.evidence import (
     log_likelihood_gain,
     tie_probability,
 )
-from geodrake.identification.logs.hypothesis import CLEARLY_IMPOSSIBLE, Hypothesis
+from geodrake.identification.logs.hypothesis import Hypothesis
 
 _BY_FAR = 2.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
@@ -80,15 +80,8 @@ def _without_needless(
     needed = stands and (
         try_package(reduced, package, 1).convinces(asked)
         or settled_trial(reduced, hypothesis, package).convinces(asked)
-        or _spares_bodies(hypothesis, reduced)
     )
     return None if needed else reduced
-
-
-def _spares_bodies(hypothesis: Hypothesis, reduced: Hypothesis) -> bool:
-    """Whether some body can be as it is fitted, and clearly could not without an effect."""
-    impossible = ~reduced.physical(tolerance=-CLEARLY_IMPOSSIBLE)
-    return bool(np.any(hypothesis.physical() & impossible))
 
 
 def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Trial | None:

@@ -31,7 +31,7 @@ from geodrake.identification.logs.evidence import (
     fold_agreement,
     tie_probability,
 )
-from geodrake.identification.logs.hypothesis import CLEARLY_IMPOSSIBLE, FIXED, Hypothesis
+from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
 from geodrake.identification.logs.unknowns import effect_prior
 
 _MOSTLY = 0.5  # of a joint's squared error, that a delay of its own must explain
@@ -135,18 +135,12 @@ def choose(ranked: Sequence[Ranked]) -> Ranked:
 def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
     """Best first, with those marked that cannot be distinguished from the best.
 
-    What is as good only with bodies that cannot be is none of them, even if it is the best, as long
-    as another one is as good with bodies that can.
-
     Args:
         ranked: Kinds that convince.
         criteria: What counts as a tie.
     """
     ordered = sorted(ranked, key=lambda r: -r.score)
     tied = [r for r in ordered if _ties(r, ordered[0], criteria)]
-    possible = [r for r in tied if r.hypothesis.physical(tolerance=-CLEARLY_IMPOSSIBLE).all()]
-    if possible:
-        tied = [r for r in tied if r in possible or _stays_physical(r, possible[0])]
     return [replace(r, tied=r in tied) for r in ordered]
 
 
@@ -164,12 +158,6 @@ def _is_far(errors: HeldOut, candidate: Ranked, best: Ranked) -> bool:
     joints = _acted_upon(candidate) | _acted_upon(best)
     least = best.hypothesis.held_out
     return bool(np.any((errors.mse > SEVERAL * least.mse)[joints]))
-
-
-def _stays_physical(candidate: Ranked, best: Ranked) -> bool:
-    """Whether a candidate is no worse by far with bodies that can be."""
-    errors = candidate.hypothesis.physical_held_out()
-    return errors is not None and not _is_far(errors, candidate, best)
 
 
 def _acted_upon(candidate: Ranked) -> NDArray[np.bool_]:

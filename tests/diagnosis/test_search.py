@@ -241,13 +241,13 @@ class TestTies:
         assert all(c.error_after <= 2.0 * least for c in found if c.tied)
 
     def test_what_needs_impossible_bodies_is_no_tie(self):
-        """A rotor at one joint alone leaves as little, with bodies that cannot be."""
+        """A rotor at one joint alone would leave as little, with bodies that cannot be."""
         log = pendulum_log(2, lambda q, v, vd, load: -0.05 * vd[:, ::-1], seconds=20.0)
         candidates = diagnose(MODEL, [log]).candidates
-        first, rotor = candidates[:2]
+        first = candidates[0]
         assert (first.effect, first.where) == ("coupled_rotor_inertia", JOINTS)
-        assert (rotor.effect, rotor.tied) == ("rotor_inertia", False)
-        assert rotor.error_after == pytest.approx(first.error_after, rel=0.1)
+        others = [candidate for candidate in candidates if candidate.effect == "rotor_inertia"]
+        assert all(c.error_after > 1.5 * first.error_after and not c.tied for c in others)
 
     def test_what_does_as_well_with_possible_bodies_is_a_tie(self):
         """Bodies as free as they like are none; but within what can be they do as well."""

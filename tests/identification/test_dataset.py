@@ -164,7 +164,7 @@ def test_parameters_of_a_joint_are_at_their_columns(dataset):
 
 
 def test_reach_is_what_joints_see(dataset):
-    assert dataset.reach.shape == (len(dataset.joints), len(dataset.column_power))
+    assert dataset.reach.shape == (len(dataset.joints), len(dataset.column_peak))
     for reach, data in zip(dataset.reach, dataset.data, strict=True):
         np.testing.assert_array_equal(np.flatnonzero(reach), data.columns)
 

@@ -189,15 +189,6 @@ class Dataset:
         return len(self.bodies) * PARAMETERS_PER_BODY + own
 
     @cached_property
-    def column_power(self) -> Array:
-        """(p,) mean square of every column, over the efforts' variance, summed over joints."""
-        power = np.zeros(self._width)
-        for data, std in zip(self.data, self.effort_std, strict=True):
-            squares = np.square(data.factors[:, :, : len(data.columns)]).sum((0, 1))
-            power[data.columns] += squares / std**2 / data.samples.sum()
-        return power
-
-    @cached_property
     def column_peak(self) -> Array:
         """(p,) largest value of every column, over the effort's deviation, at any joint."""
         peak = np.zeros(self._width)

@@ -10,22 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
-from geodrake.errors import IdentificationError
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.logs.dataset import Dataset, Delay, JointData, is_payload
+from geodrake.identification.logs.dataset import Dataset, Delay, JointData
 from geodrake.identification.logs.evidence import effective_samples_of_each, log_likelihood_gain
-from geodrake.identification.logs.model_fit import held_out_physical
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
-from geodrake.inertia import PARAMETERS_PER_BODY, is_physical
+from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 FIXED = 1e-3
 """Inertias stay as they are if their prior is narrowed to this share of the assumed width."""
-
-CLEARLY_IMPOSSIBLE = 1e-3
-"""A body is impossible if its smallest moment is below −10⁻³ of its largest."""
 
 _AT_ONCE = 16
 """So many fits have their residuals computed together."""
@@ -80,27 +75,6 @@ class Hypothesis:
         """
         weight = np.ones(len(self.dataset.joints)) if joints is None else joints
         return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
-
-    def physical(self, *, tolerance: float = 0.0) -> NDArray[np.bool_]:
-        """(nb,) whether a body, with what it carries, can be as it is fitted to all folds.
-
-        Args:
-            tolerance: As in `geodrake.inertia.is_physical`; negative to ask for less.
-        """
-        x, bodies = self.cv.fit_all(), self.dataset.bodies
-        n = PARAMETERS_PER_BODY * len(bodies)
-        phi = x[:n].reshape(-1, PARAMETERS_PER_BODY).copy()
-        for effect in self.unknowns.effects:
-            if is_payload(effect):
-                phi[bodies.index(effect.where[0])] += x[self.unknowns.span(effect)]
-        return is_physical(phi, tolerance=tolerance)
-
-    def physical_held_out(self) -> HeldOut | None:
-        """Held-out errors of physically consistent fits; None if no solver finds one."""
-        try:
-            return held_out_physical(self.dataset, self.unknowns, self.weights, delay=self.delay)
-        except IdentificationError:
-            return None
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""
