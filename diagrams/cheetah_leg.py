@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
     options = parser.parse_args()
     logging.getLogger("drake").setLevel(logging.WARNING)
-    sizes, draws = (QUICK_SIZES, 3) if options.quick else (SIZES, 35)
+    sizes, draws = (QUICK_SIZES, 2) if options.quick else (SIZES, 35)
     study = run(seed=options.seed, sizes=sizes, draws=draws)
     show(study.rows, Console(width=120))
     if options.json:

@@ -15,7 +15,7 @@ import json
 import resource
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -75,18 +75,21 @@ def sweep_ratio(case: Case, *, repeats: int) -> dict[str, Any]:
     gammas = case.gamma * np.logspace(1.0, -4.0, 20)
     problem = case.problem(1.0)
     problems = [case.problem(gamma) for gamma in gammas]
-    costs: dict[str, np.ndarray] = {}
+    found: dict[str, Any] = {}
 
     def keep(name: str, results: Any) -> None:
-        pairs = zip(problems, results, strict=True)
-        costs[name] = np.array([cost(problem, result.x) for problem, result in pairs])
+        found[name] = results
 
-    newton, drake = [], []
-    for _ in range(repeats):
-        newton.append(cpu_time(lambda: newton_sweep(problem, gammas)))
-        drake.append(cpu_time(lambda: [solve_fit(single) for single in problems]))
-    keep("newton", newton_sweep(problem, gammas))
-    keep("drake", [solve_fit(single) for single in problems])
+    methods = {
+        "newton": lambda: keep("newton", newton_sweep(problem, gammas)),
+        "drake": lambda: keep("drake", [solve_fit(single) for single in problems]),
+    }
+    rounds = [[cpu_time(work) for work in methods.values()] for _ in range(repeats)]
+    newton, drake = zip(*rounds, strict=True)
+    costs = {
+        name: np.array([cost(*pair) for pair in zip(problems, [r.x for r in own], strict=True)])
+        for name, own in found.items()
+    }
     return {
         "gammas": [float(gammas[0]), float(gammas[-1]), len(gammas)],
         "seconds": {"newton": float(np.median(newton)), "drake": float(np.median(drake))},
@@ -116,14 +119,15 @@ def cpu_times(methods: dict[str, Callable[[], Any]], repeats: int) -> dict[str, 
     return {name: float(np.median(own[1:])) for name, own in times.items()}
 
 
-def peak_memory(case: Case, solver: str, arguments: list[str]) -> dict[str, float]:
+def peak_memory(case: Case, solvers: Sequence[str], arguments: list[str]) -> dict[str, Any]:
     """Largest memory of a process that only makes a case, and of one that solves it, MB."""
-    table = {}
-    for name, what in (("made", "none"), ("solved", f"entropic,{solver}")):
+
+    def peak(what: str) -> float:
         command = [sys.executable, __file__, "--peak", f"{case.name},{what}", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        table[name] = float(done.stdout)
-    return table
+        return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+    made = peak("none")
+    return {solver: {"made": made, "solved": peak(f"entropic,{solver}")} for solver in solvers}
 
 
 def print_peak(case: Case | None, what: str) -> None:
@@ -166,9 +170,7 @@ def measured(case: Case, *, repeats: int, arguments: list[str]) -> dict[str, Any
         "whole": whole_times(case, repeats),
         "from the factor": solver_ratios(case, repeats=repeats),
         "sweep": sweep_ratio(case, repeats=max(1, repeats // 3)),
-        "memory, MB": {
-            solver: peak_memory(case, solver, arguments) for solver in ("clarabel", "newton")
-        },
+        "memory, MB": peak_memory(case, ("clarabel", "newton"), arguments),
     }
 
 

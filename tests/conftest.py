@@ -2,16 +2,22 @@
 
 import gc
 import os
+from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.testing
 from measurements import MEASUREMENTS, absent
 
 # Before numpy is imported: two test processes with two BLAS threads each get in each other's way.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Typer's runner makes the commands anew for every call, though they are the same.
+if hasattr(typer.testing, "_get_command"):
+    typer.testing._get_command = cache(typer.testing._get_command)
 
 # What is not quick: studies, files that mean harm, and modules that import what starts processes,
 # runs commands, simulates or searches.
@@ -42,8 +48,31 @@ def pytest_collection_modifyitems(items):
             item.add_marker("quick")
 
 
-def pytest_collection_finish():
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_finish(session):
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    session.items[:] = dealt_out(session.items, workers)
     gc.freeze()  # what is imported and collected stays; no search for garbage needs to look there
+
+
+def dealt_out(items, workers):
+    """The tests in the order in which processes, each with an equal share, are done soonest.
+
+    Each begins with modules of its own that search and simulate, whose fixtures are then made
+    once. What one takes over from another at the end are the many small tests of hostile input.
+    """
+    modules = defaultdict(list)
+    for item in items:
+        modules[item.module].append(item)
+    long = [m for m in modules if not is_quick(m) and Path(m.__file__).parent.name != "hostile"]
+    hands = [[i for m in long[k::workers] for i in modules[m]] for k in range(workers)]
+    rest = [i for m in modules if m not in long for i in modules[m]]
+    dealt = []
+    for k, hand in enumerate(hands):
+        share = max(0, (len(items) - len(dealt)) // (workers - k) - len(hand))
+        dealt += hand + rest[:share]
+        rest = rest[share:]
+    return dealt + rest
 
 
 def pytest_runtest_setup(item):
