@@ -21,7 +21,7 @@ from geodrake.identification.models import (
 from geodrake.inertia import PARAMETER_NAMES
 from geodrake.model.export import check_export, export_model
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.json_output import number_or
+from geodrake.report.json_output import bodies_dict, number_or
 
 
 def run_identify(options: IdentifyOptions) -> None:
@@ -141,18 +141,7 @@ def identification_dict(found: ModelIdentification) -> dict[str, Any]:
             "end_nrms": found.after.nrms,
             "floor_nrms": found.after.floor_nrms,
         },
-        "bodies": {
-            body.name: {
-                "mass": body.mass[1],
-                "mass_before": body.mass[0],
-                "mass_deviation": body.mass_deviation,
-                "com": body.com[1],
-                "com_before": body.com[0],
-                "com_deviation": body.com_deviation,
-                "at_boundary": body.at_boundary,
-            }
-            for body in found.bodies
-        },
+        "bodies": bodies_dict(found.bodies),
         "inertial_parameters": {
             body: dict(zip(PARAMETER_NAMES, phi, strict=True))
             for body, phi in zip(model.bodies, model.phi, strict=True)

@@ -27,7 +27,7 @@ def show_identification(console: Console, found: ModelIdentification, units: Uni
     head(console, f"Error of each joint, RMS in {units.effort()} on held-out data")
     show_table(console, errors_table({"before": found.before, "after": found.after}, units))
     head(console, "Bodies; mass in kg, centre of mass in mm in the body's frame")
-    show_table(console, bodies_table(found))
+    show_table(console, bodies_table(found.bodies))
     for title, table in (
         ("Effects", fitted_effects_table(found, units)),
         ("Regularizers at the same training residual", regularizers_table(found)),

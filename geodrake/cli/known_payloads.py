@@ -1,11 +1,12 @@
-"""Logs with the known payloads that --known-payload says of them."""
+"""Logs with what options say of them: known payloads, how well gains are known."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import read_log
@@ -46,6 +47,24 @@ def with_known_payloads(
         else log
         for log in logs
     )
+
+
+def with_facts(
+    logs: Sequence[JointLog | Path], facts: Mapping[str, Any], model: RobotModel
+) -> tuple[JointLog | Path, ...]:
+    """The logs with what is known of all of them.
+
+    Args:
+        logs: Logs or their files.
+        facts: Fields of `JointLog` by name; files are only read if there are some.
+        model: The robot.
+    """
+    if not facts:
+        return tuple(logs)
+    read = (
+        log if isinstance(log, JointLog) else read_log(log, joints=model.joints) for log in logs
+    )
+    return tuple(replace(log, **facts) for log in read)
 
 
 def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:

@@ -84,6 +84,11 @@ class LogOptions:
         return {"bandwidth": self.bandwidth}
 
     @property
+    def log_facts(self) -> dict[str, Any]:
+        """What is known of all logs beside what is in their files, as fields of `JointLog`."""
+        return {}
+
+    @property
     def model_target(self) -> Path | None:
         """Where the model goes, if it is saved."""
         return None
@@ -118,7 +123,27 @@ class Options(ValidationOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExplainOptions(Options):
+class _Steps(Options):
+    """Options of commands that find values of effects."""
+
+    effort_uncertainty: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="How well the gains of the efforts are known: 0.05 if absent, as of torque "
+            "constants; 0 for calibrated torque sensors.",
+        ),
+    ] = None
+
+    @property
+    def log_facts(self) -> dict[str, Any]:
+        """How well the gains are known, if that is said."""
+        share = self.effort_uncertainty
+        return {} if share is None else {"effort_uncertainty": share}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExplainOptions(_Steps):
     """Options of explain."""
 
     draft_effect: Annotated[
@@ -161,7 +186,7 @@ class _Addition:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AddOptions(Options, _Addition):
+class AddOptions(_Steps, _Addition):
     """Options of add."""
 
 

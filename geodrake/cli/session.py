@@ -12,7 +12,7 @@ from rich.console import Console
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
-from geodrake.cli.known_payloads import with_known_payloads
+from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Update, progress
 from geodrake.cli.surroundings import print_whole, printing
@@ -105,6 +105,7 @@ def run(command: Command[R], options: LogOptions) -> None:
         command.check(model)
         update(command.working)
         logs = with_known_payloads(options.logs, options.known_payload or (), model)
+        logs = with_facts(logs, options.log_facts, model)
         result = command.work(Input(model, logs, extra, options.settings, update))
         fitted = getattr(result, "model", model)
         update("Writing")

@@ -14,6 +14,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import Comparison
+from geodrake.report.identification_tables import bodies_table
 from geodrake.report.numbers import Units, number
 from geodrake.report.tables import (
     Cell,
@@ -145,6 +146,9 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
     """Errors per joint from the start to the end, and the notes."""
     head(console, f"Error of each joint, RMS in {units.effort()}")
     show_table(console, errors_table(error_stages(explanation), units))
+    if explanation.bodies:
+        head(console, "Bodies before and after, kg and mm, the farthest change first")
+        show_table(console, bodies_table(explanation.bodies))
     show_list(console, "Notes", explanation.notes)
 
 

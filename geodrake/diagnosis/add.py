@@ -27,6 +27,7 @@ from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
+from geodrake.identification.models.bodies import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -88,6 +89,7 @@ def add(
         before,
         after,
         (*case.notes, *filter(None, [fit.result.note])),
+        changed_bodies(model, fit),
     )
 
 

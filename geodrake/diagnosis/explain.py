@@ -32,6 +32,7 @@ from geodrake.identification.logs.evidence import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit, effects_of, model_unknowns
+from geodrake.identification.models.bodies import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -179,6 +180,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         before,
         after if changed else before,
         (*case.notes, *more),
+        changed_bodies(model, fit) if changed else (),
     )
     end = freed(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)

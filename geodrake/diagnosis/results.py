@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel
 
 Verdict = Literal["adequate", "explained", "unexplained"]
@@ -102,6 +103,8 @@ class Step:
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: Those of these effects that were fitted when this one was chosen, best first; the
             others follow from what is known of the effects.
+        systematic: As `deviations`, those that come of the gains of the efforts, which are known to
+            the logs' `effort_uncertainty` only; more data do not narrow them.
     """
 
     effect: str
@@ -116,6 +119,7 @@ class Step:
     rms_before: Mapping[str, float]
     rms_after: Mapping[str, float]
     rivals: tuple[FittedRival, ...] = ()
+    systematic: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def unfitted_rivals(self) -> tuple[str, ...]:
@@ -138,6 +142,8 @@ class Explanation:
         before: Comparison with the model as it stands.
         after: Comparison with held-out predictions of the final model.
         notes: What was done to the logs and noticed about the model.
+        bodies: What the final fit made of the model's bodies, the farthest change first; none
+            where the model stays as it is.
     """
 
     verdict: Verdict
@@ -149,3 +155,4 @@ class Explanation:
     before: Comparison
     after: Comparison
     notes: tuple[str, ...]
+    bodies: tuple[BodyChange, ...] = ()

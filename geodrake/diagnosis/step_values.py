@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,23 @@ def reported_parameters(fitted: FittedEffect) -> tuple[dict[str, float], dict[st
     unknown = np.full(len(fitted.parameters), np.nan)
     deviations = unknown if fitted.deviations is None else fitted.deviations
     return fitted.effect.reported(fitted.parameters, deviations)
+
+
+def systematic_parameters(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
+    """Standard deviations of what an effect reports that come of uncertain gains of the efforts.
+
+    Args:
+        fitted: The effect.
+        shifts: (nv, k) what its parameters change by if the gain of a joint's efforts is off by one
+            standard deviation; gains of different joints are independent.
+    """
+    values, _ = reported_parameters(fitted)
+    squares = dict.fromkeys(values, 0.0)
+    for shift in shifts:
+        moved, _ = reported_parameters(replace(fitted, parameters=fitted.parameters + shift))
+        for name, value in values.items():
+            squares[name] += (moved[name] - value) ** 2
+    return {name: float(np.sqrt(square)) for name, square in squares.items()}
 
 
 def late_joints(joints: Sequence[str], start: Hypothesis, end: Hypothesis) -> tuple[str, ...]:

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.results import FittedRival, Step
-from geodrake.diagnosis.step_values import late_joints, reported_delays, reported_parameters
+from geodrake.diagnosis.step_values import (
+    late_joints,
+    reported_delays,
+    reported_parameters,
+    systematic_parameters,
+)
 from geodrake.diagnosis.stepwise_search import Trail
 from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
 from geodrake.effects import Effect, Role
@@ -80,6 +85,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     steps = []
     for i, group in enumerate(ordered):
         parameters, deviations = _values(case, group, trail, fit)
+        systematic = _systematic(case, group, fit)
         count = _parameters(case, group)
         gain, where = gain_of(hypotheses[i], hypotheses[i + 1]), _where(case, group, trail, fit)
         rivals = _rivals(case, trail, group, where, fit.model.phi)
@@ -97,6 +103,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
                 _fitted(trail, group.name, rivals),
+                systematic,
             )
         )
     return tuple(steps)
@@ -299,6 +306,17 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
             values.setdefault(place, {}).update(found)
             deviations.setdefault(place, {}).update(spread)
     return values, deviations
+
+
+def _systematic(case: Case, group: _Group, fit: ModelFit) -> Values:
+    """What the uncertain gains of the efforts add to the deviations of a group's parameters."""
+    values: Values = {}
+    for fitted in fit.model.effects:
+        if fitted.effect in group.effects and case.effort_uncertainty > 0.0:
+            own = fit.gain_shifts[:, fit.unknowns.span(fitted.effect)]
+            found = systematic_parameters(fitted, case.effort_uncertainty * own)
+            values.setdefault(fitted.effect.place, {}).update(found)
+    return values
 
 
 def _inertias(moved: Mapping[str, float], fit: ModelFit) -> Values:

@@ -101,7 +101,9 @@ class Target:
         rows = [phi[self.model.bodies.index(name)] for name in self.bodies]
         for fitted in self.payloads:
             known = bool(is_physical(fitted.parameters))
-            rows.append(np.asarray(fitted.parameters) if known else payload_reference())
+            rows.append(
+                np.asarray(fitted.parameters) if known else payload_reference(self.model.phi)
+            )
         return np.array(rows).reshape(-1, PARAMETERS_PER_BODY)
 
     @property

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.boundary.arguments import instance, instances, real_array
+from geodrake.boundary.arguments import instance, instances, number, real_array
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.known_payload import KnownPayload
@@ -39,6 +39,8 @@ class JointLog:
         acceleration: (N, n) joint accelerations, rad/s² or m/s², if measured.
         notes: What was noticed while reading, in words.
         payloads: What the robot carried all the time, of known mass, and its model does not have.
+        effort_uncertainty: How well the gains of the efforts are known: 5 % by default, as torque
+            constants are; 0 for calibrated torque sensors.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -54,8 +56,10 @@ class JointLog:
     acceleration: Array | None = None
     notes: tuple[str, ...] = ()
     payloads: tuple[KnownPayload, ...] = ()
+    effort_uncertainty: float = 0.05
 
     def __post_init__(self) -> None:
+        number(self.effort_uncertainty, "effort_uncertainty", lower=0.0, upper=1.0)
         for quantity in ("time", "position", "effort", "velocity", "acceleration"):
             if (values := getattr(self, quantity)) is not None:
                 name = f"{quantity} of log {self.name!r}"

@@ -95,7 +95,7 @@ def bodies_section(found: ModelIdentification) -> Section:
         "standard deviation, masses in kg, centres of mass in mm in the body's frame. At the "
         "boundary, only the bounds of what a body can be keep the data from asking for more."
     )
-    return Section("Bodies", (text,), (bodies_table(found),))
+    return Section("Bodies", (text,), (bodies_table(found.bodies),))
 
 
 def effects_sections(found: ModelIdentification, units: Units) -> tuple[Section, ...]:

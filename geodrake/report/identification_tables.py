@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import isfinite
 
 import numpy as np
@@ -17,8 +18,12 @@ from geodrake.report.words import effect_label, listed, places_label
 _MILLIMETRES = 1e3
 
 
-def bodies_table(found: ModelIdentification) -> Table:
-    """Mass and centre of mass of every body before and after, in kg and mm."""
+def bodies_table(bodies: Sequence[BodyChange]) -> Table:
+    """Mass and centre of mass of every body before and after, in kg and mm.
+
+    Args:
+        bodies: The bodies, in the order of the rows.
+    """
     rows = [
         cells(
             body.name,
@@ -28,9 +33,9 @@ def bodies_table(found: ModelIdentification) -> Table:
             _centre(body),
             "at the boundary" if body.at_boundary else "",
         )
-        for body in found.bodies
+        for body in bodies
     ]
-    masses = [number(sum(body.mass[k] for body in found.bodies)) for k in (0, 1)]
+    masses = [number(sum(body.mass[k] for body in bodies)) for k in (0, 1)]
     head = ("body", "mass", "identified", "centre of mass", "identified", "")
     return Table(head, (*rows, cells("total", *masses, "", "", "")), total=True)
 

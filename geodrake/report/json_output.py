@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from geodrake.control.rollout import Rollout
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
+from geodrake.identification.models.results import BodyChange
 
 _APART = "the robot departs further than can be simulated"
 _UNKNOWN = "the logs do not identify it"
@@ -95,8 +96,30 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
         "verdict": explanation.verdict,
         "steps": [_step(step) for step in explanation.steps],
         "error": _errors(**tables),
+        "bodies": bodies_dict(explanation.bodies),
         "failing": [_failing(case) for case in explanation.after.failing],
         "notes": list(explanation.notes),
+    }
+
+
+def bodies_dict(bodies: Sequence[BodyChange]) -> dict[str, Any]:
+    """Mass and centre of mass of bodies before and after a fit, kg and m.
+
+    Args:
+        bodies: The bodies, in the order that is to be theirs.
+    """
+    return {
+        body.name: {
+            "mass": body.mass[1],
+            "mass_before": body.mass[0],
+            "mass_deviation": body.mass_deviation,
+            "com": body.com[1],
+            "com_before": body.com[0],
+            "com_deviation": body.com_deviation,
+            "at_boundary": body.at_boundary,
+            "distance": body.distance,
+        }
+        for body in bodies
     }
 
 
@@ -192,6 +215,10 @@ def _step(step: Step) -> dict[str, Any]:
         "deviations": {
             place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
             for place, own in step.deviations.items()
+        },
+        "systematic": {
+            place: {name: number_or(deviation, _UNKNOWN) for name, deviation in own.items()}
+            for place, own in step.systematic.items()
         },
         "indistinguishable_from": step.indistinguishable_from,
         "rivals": [asdict(rival) for rival in step.rivals],

@@ -15,6 +15,8 @@ from geodrake.model.robot_model import RobotModel
 UNKNOWN = "–"
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LEAST_CHANCE = 1e-6
+_NOTICED = 0.3
+"""A systematic deviation is shown from this share of the other one on."""
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -34,12 +36,15 @@ def number(value: float, digits: int = 3) -> str:
     return _fixed(value, digits - 1 - exponent)
 
 
-def with_deviation(value: float, deviation: float) -> str:
+def with_deviation(value: float, deviation: float, systematic: float = math.nan) -> str:
     """`3.084 ± 0.012`: both to the last digit that the standard deviation leaves certain.
+
+    With a systematic one that is not small beside it `3.084 ± 0.012 ± 0.154`.
 
     Args:
         value: The value.
         deviation: Its standard deviation; left out where it is not a positive finite number.
+        systematic: A standard deviation that more data do not narrow.
     """
     if not (math.isfinite(value) and math.isfinite(deviation) and deviation > 0):
         return number(value)
@@ -48,19 +53,23 @@ def with_deviation(value: float, deviation: float) -> str:
     largest = _exponent(max(abs(value), deviation), 3)
     scale = 0 if -4 <= largest < 6 else largest
     decimals = digits - 1 - exponent + scale
-    text = f"{_fixed(value / 10.0**scale, decimals)} ± {_fixed(deviation / 10.0**scale, decimals)}"
+    parts = [value, deviation]
+    if math.isfinite(systematic) and systematic > _NOTICED * deviation:
+        parts.append(systematic)
+    text = " ± ".join(_fixed(part / 10.0**scale, decimals) for part in parts)
     return f"({text}){_power(scale)}" if scale else text
 
 
-def estimate(value: float, deviation: float) -> str:
+def estimate(value: float, deviation: float, systematic: float = math.nan) -> str:
     """A value with its standard deviation; where there is none, as for a shape, plain digits.
 
     Args:
         value: The value.
         deviation: Its standard deviation in the same unit; not finite if there is none.
+        systematic: As for `with_deviation`.
     """
     if math.isfinite(deviation):
-        return with_deviation(value, deviation)
+        return with_deviation(value, deviation, systematic)
     text = number(value, 4)
     return text.rstrip("0").rstrip(".") if "." in text and "·" not in text else text
 

@@ -166,6 +166,7 @@ def render_explanation(
     parts = (
         with_pictures(sections.steps_section(explanation, units), figures, "steps"),
         sections.parameters_section(explanation, units),
+        sections.bodies_section(explanation),
         with_pictures(joints, figures, "joint_errors"),
         sections.failing_section(explanation.after),
         *more,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.report.identification_tables import bodies_table
 from geodrake.report.numbers import Units
 from geodrake.report.page import Section
 from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
@@ -47,8 +48,26 @@ def parameters_section(explanation: Explanation, units: Units) -> Section:
         units: Units of the robot's joints.
     """
     tables = [parameters_table(step, units) for step in explanation.steps if step.parameters]
-    text = ("Value ± standard deviation, where the fit knows one.",) if tables else ()
+    words = "Value ± standard deviation, where the fit knows one."
+    if any(step.systematic for step in explanation.steps):
+        words += (
+            " A second deviation comes of the gains of the efforts. More data do not narrow it: a "
+            "log with a payload of known mass does (--known-payload)."
+        )
+    text = (words,) if tables else ()
     return Section("Parameters found", text, tuple(tables), abreast=True)
+
+
+def bodies_section(explanation: Explanation) -> Section:
+    """Mass and centre of mass of the bodies before and after; empty if the model stays."""
+    if not explanation.bodies:
+        return Section("Bodies")
+    text = (
+        "Mass in kg and centre of mass in mm in the frame of the body, as the model had them and "
+        "as they are fitted beside the effects, ± standard deviation; the farthest change first. "
+        "What is attached to a body as a payload stands among the parameters."
+    )
+    return Section("Bodies", (text,), (bodies_table(explanation.bodies),))
 
 
 def joints_section(stages: Mapping[str, ErrorTable], units: Units) -> Section:

@@ -85,7 +85,10 @@ def parameter_value(step: Step, place: str, name: str, units: Units) -> str:
     """
     value = step.parameters[place].get(name, np.nan)
     deviation = step.deviations.get(place, {}).get(name, np.nan)
-    return estimate(*(units.shown(step.effect, name, each) for each in (value, deviation)))
+    systematic = step.systematic.get(place, {}).get(name, np.nan)
+    return estimate(
+        *(units.shown(step.effect, name, each) for each in (value, deviation, systematic))
+    )
 
 
 def ordered_places(step: Step) -> list[str]:

@@ -361,6 +361,25 @@ def test_diagnose_says_that_the_bodies_alone_are_wrong(model):
     assert strict.start.nrms > 2.0 * strict.start.floor_nrms
 
 
+def test_bodies_are_shown_before_and_after(model, logs):
+    wrong = model.phi.copy()
+    wrong[1] *= 1.4  # so that no payload can be the reason
+    found = explain(replace(model, phi=wrong), logs, bandwidth=BANDWIDTH)
+    far, near = found.bodies
+    assert far.name == model.bodies[1] and far.distance > near.distance
+    assert far.mass[0] == pytest.approx(1.4 * model.phi[1, 0])
+    assert far.mass[1] == found.model.phi[1, 0]
+    assert abs(far.mass[1] - model.phi[1, 0]) < 3 * far.mass_deviation
+    assert far.mass_deviation < 0.5 * (far.mass[0] - far.mass[1])
+    com = model.phi[1, 1:4] / model.phi[1, 0]
+    assert np.allclose(far.com[0], com, atol=1e-12)
+    assert (np.abs(far.com[1] - com) < 3 * far.com_deviation + 1e-9).all()
+
+
+def test_bodies_that_stay_are_not_shown(model):
+    assert explain(model, [pendulum_log(41)], bandwidth=BANDWIDTH).bodies == ()
+
+
 def test_criteria_can_be_made_impossible(model, logs):
     found = explain(model, logs, bandwidth=BANDWIDTH, criteria=Criteria(reduction=1.0))
     assert found.steps == ()

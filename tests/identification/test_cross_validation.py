@@ -21,15 +21,17 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.identification import normal_equations
+from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.logs.cross_validation import CrossValidation, ExtraColumns, hold_out
 from geodrake.identification.logs.model_fit import (
     as_it_stands,
+    fit_model,
     fit_problem,
     held_out_physical,
     model_unknowns,
 )
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.identification.logs.unknowns import effect_prior
+from geodrake.identification.logs.unknowns import effect_prior, payload_reference
 from geodrake.inertia import is_physical
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.preparation import prepare_logs
@@ -470,3 +472,27 @@ def test_normal_equations_that_are_none_are_refused():
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         normal_equations.cholesky(np.array([[1.0, 2.0], [2.0, 1.0]]))
     assert normal_equations.solved(np.zeros((0, 0)), np.zeros(0)).shape == (0,)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_gains_of_efforts_move_parameters_as_is_said(dataset, model, joint):
+    """Against a second fit, to efforts that are 1 % larger at one joint."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    shifts = fit_model(model, dataset, unknowns, WEIGHTS).gain_shifts
+    data = list(dataset.data)
+    larger = data[joint].factors.copy()
+    larger[:, :, -len(dataset.delays) :] *= 1.01
+    data[joint] = replace(data[joint], factors=larger)
+    one = solve_surely(fit_problem(dataset, unknowns, WEIGHTS)).x
+    other = solve_surely(fit_problem(replace(dataset, data=tuple(data)), unknowns, WEIGHTS)).x
+    scale = np.abs(shifts[joint]).max()
+    np.testing.assert_allclose((other - one) / 0.01, shifts[joint], atol=2e-3 * scale)
+
+
+def test_a_payload_is_as_large_as_its_robot(model):
+    """In whatever units the robot is given."""
+    units = np.repeat([1.0, 0.2, 0.04], [1, 3, 6]) * 7.0  # 5 m and 1/7 kg
+    np.testing.assert_allclose(
+        payload_reference(model.phi * units), payload_reference(model.phi) * units, rtol=1e-12
+    )
+    assert payload_reference(model.phi)[0] == pytest.approx(0.1 * model.phi[:, 0].sum())

@@ -20,6 +20,7 @@ from geodrake.identification.logs.model_errors import (
     JointError,
     Series,
 )
+from geodrake.identification.models.results import BodyChange
 from geodrake.report import (
     Units,
     candidate_figure,
@@ -217,6 +218,15 @@ def test_an_explanation_says_what_was_found():
 
 
 @pytest.mark.usefixtures("undrawn")
+def test_bodies_are_shown_before_and_after():
+    com = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    body = BodyChange("hand", (2.0, 2.5), com, 0.1, np.full(3, 0.002), False, 0.4)
+    found = explanation(joint_names(2))
+    page = render_explanation(dataclasses.replace(found, bodies=(body,)), **NAMES)
+    assert "Bodies" in page and "2.50 ± 0.10" in check_self_contained(page)
+    assert "Bodies" not in render_explanation(found, **NAMES)
+
+
 def test_names_are_escaped():
     joints = (EVIL, "elbow")
     shown = dataclasses.replace(explanation(joints), notes=("<b>note</b>",))

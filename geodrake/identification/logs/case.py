@@ -102,6 +102,11 @@ class Case:
     loads: Array | None = None
 
     @property
+    def effort_uncertainty(self) -> float:
+        """How well the gains of the efforts are known, in the log in which they are least."""
+        return max(log.effort_uncertainty for log in self.asked.logs)
+
+    @property
     def load_model(self) -> RobotModel:
         """The model that gives the load of every joint."""
         return self.model if self.loads is None else replace(self.model, phi=self.loads)

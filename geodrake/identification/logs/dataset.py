@@ -154,6 +154,7 @@ class Dataset:
         noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
         bandwidth: Bandwidth of the filter, Hz.
         still: (nv,) share of the samples left out because the joint stands still.
+        payload: (10,) a body in the middle of what the robot may carry.
         settled: What fits of it came to, by what was asked; see `hypothesis.settle`.
     """
 
@@ -168,6 +169,7 @@ class Dataset:
     noise_floor: Array
     bandwidth: float
     still: Array
+    payload: Array
     settled: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property

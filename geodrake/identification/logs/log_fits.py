@@ -18,7 +18,6 @@ from geodrake.identification.logs.unknowns import (
     Unknowns,
     effect_prior,
     inertial_unknowns,
-    payload_reference,
     pullback_information,
 )
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
@@ -51,7 +50,7 @@ def log_unknowns(dataset: Dataset, model: RobotModel) -> Unknowns:
         mean, columns = means[effect], dataset.effect_columns(effect)
         _, information = effect_prior(dataset, effect)
         if is_payload(effect):
-            mean = mean if is_physical(mean) else payload_reference()
+            mean = mean if is_physical(mean) else dataset.payload
             information = pullback_information(mean[None], SPREAD)
         elif not np.any(information > _NOTHING):  # a joint at rest
             information = np.eye(len(mean))

@@ -18,9 +18,9 @@ from geodrake.identification.logs.dataset import Dataset, Delay, is_payload
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     inertial_unknowns,
-    payload_reference,
     pullback_information,
 )
+from geodrake.identification.normal_equations import cholesky, solved
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model.robot_model import RobotModel
@@ -103,7 +103,7 @@ def fit_problem(
         prior_information=unknowns.information,
         lower=np.where(scalar, unknowns.lower, -np.inf),
         upper=np.where(scalar, unknowns.upper, np.inf),
-        reference={unknowns.span(e).start: payload_reference() for e in payloads},
+        reference={unknowns.span(e).start: dataset.payload for e in payloads},
     )
 
 
@@ -124,6 +124,35 @@ def held_out_physical(
     return hold_out(dataset, unknowns.columns, x, delay=delay)
 
 
+def gain_shifts(
+    dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, *, known: bool
+) -> Array:
+    """(nv, p) what the parameters of a fit change by with the gain of each joint's efforts.
+
+    A wrong gain 1 + g of joint j moves them by g times its row, to first order. It has gone into a
+    model that was fitted to efforts of the same gains before: then what it moves is only what has
+    changed since.
+
+    Args:
+        dataset: The reduced logs.
+        unknowns: What was fitted.
+        weights: (nv,) weight of a squared residual of each joint.
+        fit: The fit.
+        known: Whether the prior is that of a model which was fitted before.
+    """
+    pulls = np.zeros((len(dataset.joints), len(unknowns.columns)))
+    for j, (data, weight) in enumerate(zip(dataset.data, weights, strict=True)):
+        local = data.local(unknowns.columns)
+        if known:
+            gram = data.products(local, local).sum(axis=2)
+            pulls[j] = weight * gram @ (fit.x - unknowns.mean)
+        else:
+            pulls[j] = weight * data.products(np.array([len(data.columns)]), local)[0].sum(axis=1)
+    scale = 1.0 / np.sqrt(np.diag(fit.information))
+    factor = cholesky(fit.information * scale[:, None] * scale)
+    return (scale[:, None] * solved(factor, scale[:, None] * pulls.T)).T
+
+
 @dataclass(frozen=True, eq=False)
 class ModelFit:
     """A model fitted to logs.
@@ -133,12 +162,14 @@ class ModelFit:
         held_out: Held-out errors of the same fit without each fold.
         result: The solution, with its information matrix.
         unknowns: What was fitted.
+        gain_shifts: (nv, p) what the parameters change by with the gain of each joint's efforts.
     """
 
     model: RobotModel
     held_out: HeldOut
     result: FitResult
     unknowns: Unknowns
+    gain_shifts: Array
 
 
 def fit_model(
@@ -172,7 +203,9 @@ def fit_model(
         information=result.information,
         effort_noise=held_out.rms,
     )
-    return ModelFit(fitted, held_out, result, unknowns)
+    known = model.information is not None
+    shifts = gain_shifts(dataset, unknowns, weights, result, known=known)
+    return ModelFit(fitted, held_out, result, unknowns, shifts)
 
 
 def as_it_stands(dataset: Dataset, model: RobotModel) -> HeldOut:

@@ -15,6 +15,7 @@ from geodrake.identification.logs.dataset import Dataset, JointData, JointRows
 from geodrake.identification.logs.log_slices import Layout, LogSlice
 from geodrake.identification.logs.noise import noise_floor
 from geodrake.identification.logs.shared_rows import SharedRows
+from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.logs.folds import Block, Fold
 from geodrake.logs.motion import Trajectory
@@ -113,6 +114,7 @@ def reduce_logs(
         noise_floor(trajectories, model, sign_width=layout.sign_width) if floor is None else floor,
         trajectories[0].filter.bandwidth,
         np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
+        payload_reference(model.phi),
     )
 
 

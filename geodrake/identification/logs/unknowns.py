@@ -148,15 +148,24 @@ def pullback_information(phi: Array, spread: float) -> Array:
     return block_diag(*pullback_metric(phi)) / spread**2
 
 
-def payload_reference() -> Array:
-    """(10,) a body of 1 kg and 0.1 m, in the middle of what robots carry."""
-    return from_mass_com_inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+def payload_reference(phi: Array) -> Array:
+    """(10,) a body in the middle of what a robot may carry, whatever its size.
+
+    It has a tenth of the robot's mass and a third of the distance, in the mean square, of the
+    mass of its bodies from their origins.
+
+    Args:
+        phi: (nb, 10) inertial parameters of the robot.
+    """
+    mass = phi[:, 0].sum()
+    square = 0.5 * phi[:, 4:7].sum() / mass
+    return from_mass_com_inertia(0.1 * mass, np.zeros(3), 0.1 * mass * square / 9.0 * np.eye(3))
 
 
 def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     """Prior mean and information of an effect that a fit adds: so weak that the data decide.
 
-    A payload is known to within ten times the size of `payload_reference`, in the geometric
+    A payload is known to within ten times the size of the dataset's `payload`, in the geometric
     distance; everything else to within a million times the effort of its joint, or what its
     parameters say.
 
@@ -169,7 +178,7 @@ def effect_prior(dataset: Dataset, effect: Effect) -> tuple[Array, Array]:
     """
     k = len(effect.parameters)
     if is_payload(effect):
-        return np.zeros(k), pullback_information(payload_reference()[None], 10.0)
+        return np.zeros(k), pullback_information(dataset.payload[None], 10.0)
     squares = dataset.column_power[dataset.effect_columns(effect)]
     spread = np.array([parameter.spread for parameter in effect.parameters])
     return np.zeros(k), np.diag(np.maximum(1e-12 * squares, np.maximum(spread**-2.0, 1e-300)))

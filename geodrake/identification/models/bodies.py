@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from geodrake.effects import Role, catalogue
+from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import IdentificationResult
 from geodrake.identification.logs.log_fits import LogFits
+from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.logs.weighing import Weighing
 from geodrake.identification.models.results import BodyChange
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_mass_com_inertia
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    Array,
+    pullback_distance,
+    to_mass_com_inertia,
+)
 from geodrake.model.robot_model import RobotModel
 
 _NOTABLY = 0.95
@@ -33,18 +40,38 @@ def body_changes(fits: LogFits, result: IdentificationResult) -> tuple[BodyChang
     """
     covariance = covariance_of(result.fit.information)
     boundary = boundary_blocks(result)
+    return _changes(block_names(fits), fits.prior, result.phi, covariance, boundary)
+
+
+def changed_bodies(model: RobotModel, fit: ModelFit) -> tuple[BodyChange, ...]:
+    """What a fit made of the bodies of a model, the farthest change first.
+
+    Args:
+        model: The model before.
+        fit: The fit.
+    """
+    covariance, boundary = covariance_of(fit.result.information), _boundary_blocks(fit.result)
+    changes = _changes(model.bodies, model.phi, fit.model.phi, covariance, boundary)
+    return tuple(sorted(changes, key=lambda change: -change.distance))
+
+
+def _changes(
+    names: Sequence[str], before: Array, after: Array, covariance: Array, boundary: Collection[int]
+) -> tuple[BodyChange, ...]:
+    """Changes of bodies (nb, 10), of whose parameters afterwards the covariance is known."""
+    masses, com, _ = to_mass_com_inertia(np.stack([before, after], axis=1))
+    distances = pullback_distance(before, after, before)
     changes = []
-    for k, (name, before, after) in enumerate(
-        zip(block_names(fits), fits.prior, result.phi, strict=True)
-    ):
-        start = k * PARAMETERS_PER_BODY
+    for k, name in enumerate(names):
+        start, (m0, m1) = k * PARAMETERS_PER_BODY, masses[k].tolist()
         block = covariance[start : start + 4, start : start + 4]
-        (m0, m1), com, _ = to_mass_com_inertia(np.stack([before, after]))
-        jacobian = np.hstack([-com[1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
+        jacobian = np.hstack([-com[k, 1][:, None], np.eye(3)]) / m1  # of h/m by [m, h]
         spread = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, block, jacobian))
         deviation = float(np.sqrt(block[0, 0]))
         changes.append(
-            BodyChange(name, (float(m0), float(m1)), com, deviation, spread, k in boundary)
+            BodyChange(
+                name, (m0, m1), com[k], deviation, spread, k in boundary, float(distances[k])
+            )
         )
     return tuple(changes)
 
@@ -65,7 +92,11 @@ def block_names(fits: LogFits) -> tuple[str, ...]:
 
 def boundary_blocks(result: IdentificationResult) -> set[int]:
     """Numbers of the bodies and payloads at the boundary of physical consistency."""
-    return {start // PARAMETERS_PER_BODY for start in result.fit.active_blocks}
+    return _boundary_blocks(result.fit)
+
+
+def _boundary_blocks(fit: FitResult) -> set[int]:
+    return {start // PARAMETERS_PER_BODY for start in fit.active_blocks}
 
 
 def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:

@@ -17,7 +17,7 @@ from geodrake.model.robot_model import RobotModel
 
 @dataclass(frozen=True, eq=False)
 class BodyChange:
-    """A body before and after an identification.
+    """A body before and after a fit.
 
     Attributes:
         name: Name of the body.
@@ -27,6 +27,8 @@ class BodyChange:
         com_deviation: (3,) standard deviations of the centre of mass, m.
         at_boundary: Whether it is at the boundary of what a body can be, so that only the demand
             for physical consistency keeps it from what no body can have.
+        distance: Geometric distance from before to after, in the metric before: 0.1 is about 10 %
+            of mass or lengths.
     """
 
     name: str
@@ -35,6 +37,7 @@ class BodyChange:
     mass_deviation: float
     com_deviation: Array
     at_boundary: bool
+    distance: float
 
 
 @dataclass(frozen=True, eq=False)
