@@ -337,8 +337,9 @@ class TestTarget:
         np.testing.assert_array_equal(given.effect_sizes, [1.5, 0.4, 0.3])
 
     def test_payload_of_unknown_size(self):
-        target = make_target(arm(), bodies=(), effects=[Payload("body_2")])
-        assert target.inertial_prior[0, 0] == 1.0
+        model = arm()
+        target = make_target(model, bodies=(), effects=[Payload("body_2")])
+        assert target.inertial_prior[0, 0] == pytest.approx(0.1 * model.phi[:, 0].sum())
 
     def test_bad_arguments(self):
         model = arm(effects=friction())

@@ -31,7 +31,7 @@ from geodrake.identification.logs.model_fit import (
     model_unknowns,
 )
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.identification.logs.unknowns import effect_prior
+from geodrake.identification.logs.unknowns import effect_prior, payload_reference
 from geodrake.inertia import is_physical
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.preparation import prepare_logs
@@ -504,3 +504,12 @@ def test_gains_of_efforts_move_parameters_as_is_said(dataset, model, joint):
     other = solve_surely(fit_problem(replace(dataset, data=tuple(data)), unknowns, WEIGHTS)).x
     scale = np.abs(shifts[joint]).max()
     np.testing.assert_allclose((other - one) / 0.01, shifts[joint], atol=2e-3 * scale)
+
+
+def test_a_payload_is_as_large_as_its_robot(model):
+    """In whatever units the robot is given."""
+    units = np.repeat([1.0, 0.2, 0.04], [1, 3, 6]) * 7.0  # 5 m and 1/7 kg
+    np.testing.assert_allclose(
+        payload_reference(model.phi * units), payload_reference(model.phi) * units, rtol=1e-12
+    )
+    assert payload_reference(model.phi)[0] == pytest.approx(0.1 * model.phi[:, 0].sum())
