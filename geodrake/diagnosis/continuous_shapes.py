@@ -96,6 +96,6 @@ def with_continuous_shapes(
     for effect in chosen(end):
         before = was[effect.name, effect.where]
         if is_round(before, grid):
-            coarse = end.exchanged(effect, [before])
+            coarse = end.exchanged([effect], [before])
             end = coarse if gain_of(coarse, end) <= PENALTY else end
     return case, replace(trail, end=end)

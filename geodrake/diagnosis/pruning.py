@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtri
@@ -15,7 +16,6 @@ from geodrake.diagnosis.candidates import (
     said_by,
     simple_at,
 )
-from geodrake.diagnosis.search import best_trial
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
     PENALTY,
@@ -25,6 +25,7 @@ from geodrake.diagnosis.trials import (
     gain_of,
     improvement,
     is_nothing,
+    net_gain,
     settled_trial,
     try_package,
     try_packages,
@@ -39,8 +40,9 @@ from geodrake.identification.logs.evidence import (
 )
 from geodrake.identification.logs.hypothesis import Hypothesis
 
-_BY_FAR = 2.0  # times what a criterion asks for
+_BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
+_FITTED = 2  # the best by quick trials, beside that which reduces the error most
 
 
 def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
@@ -151,10 +153,11 @@ def reshape(
         shapes = [
             other for other in variants(effect, hypothesis.dataset.effects) if other != effect
         ]
-        packages = [] if effect in fixed else [Package((s,), effect.where) for s in shapes]
-        best = _best_instead(hypothesis, effect, packages)
-        if best is not None and gain_of(hypothesis, best) > least:
-            hypothesis = best
+        if effect not in fixed and shapes:
+            others = [hypothesis.exchanged([effect], [shape]) for shape in shapes]
+            best = max(others, key=lambda other: gain_of(hypothesis, other))
+            if gain_of(hypothesis, best) > least:
+                hypothesis = best
     return hypothesis
 
 
@@ -171,13 +174,45 @@ def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
             continue
         others = [other for other in hypothesis.unknowns.effects if other != effect]
         effects = hypothesis.dataset.effects
-        pair = _best_instead(hypothesis, effect, _pairs(effects, others, effect))
-        if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
+        pair = _best_instead(hypothesis, [effect], _pairs(effects, others, effect))
+        if pair is not None and _worth_it(hypothesis, pair, (effect,), criteria):
             hypothesis = pair
             continue
-        simple = _best_instead(hypothesis, effect, _simpler(effects, others, effect))
-        if simple is not None and not _worth_it(simple, hypothesis, effect, criteria):
+        simple = _best_instead(hypothesis, [effect], _simpler(effects, others, effect))
+        if simple is not None and not _worth_it(simple, hypothesis, (effect,), criteria):
             hypothesis = simple
+    return hypothesis
+
+
+def merge(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
+    """Swap two effects of a joint for one, of no more parameters, that does as well.
+
+    What came first may have been a compromise, and what came next what it left.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        criteria: What effects must show.
+    """
+    free = [e for e in hypothesis.unknowns.effects if e not in fixed and e.places == "joint"]
+    for two in combinations(free, 2):
+        one, other = two
+        present = hypothesis.unknowns.effects
+        if one.where != other.where or not set(two) <= set(present):
+            continue
+        left = [effect for effect in present if effect not in two]
+        most = Package(two, one.where).parameters
+        packages = [
+            package
+            for kind in kinds_at(hypothesis.dataset.effects, left, one.where)
+            for package in kind.options[one.where]
+            if len(package.effects) == 1
+            and package.parameters <= most
+            and not set(package.effects) <= set(two)
+        ]
+        merged = _best_instead(hypothesis, two, packages)
+        if merged is not None and not _worth_it(merged, hypothesis, two, criteria):
+            hypothesis = merged
     return hypothesis
 
 
@@ -207,8 +242,8 @@ def swap(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) ->
         own, *trials = try_packages(bare, [as_it_is, *packages], 1 + len(packages))
         best = max(trials, key=lambda trial: trial.score, default=own)
         if best.score > own.score + PENALTY:
-            other = hypothesis.exchanged(effect, best.package.effects)
-            if _worth_it(hypothesis, other, effect, criteria):
+            other = hypothesis.exchanged([effect], best.package.effects)
+            if _worth_it(hypothesis, other, (effect,), criteria):
                 hypothesis = other
     return hypothesis
 
@@ -243,21 +278,26 @@ def split_compromises(
     for effect in hypothesis.unknowns.effects:
         others = [other for other in hypothesis.unknowns.effects if other != effect]
         pairs = [] if effect in fixed else _shared(hypothesis.dataset.effects, others, effect)
-        pair = _best_instead(hypothesis, effect, pairs)
-        if pair is not None and _worth_it(hypothesis, pair, effect, criteria):
+        pair = _best_instead(hypothesis, [effect], pairs)
+        if pair is not None and _worth_it(hypothesis, pair, (effect,), criteria):
             hypothesis = pair
     return hypothesis
 
 
 def _best_instead(
-    hypothesis: Hypothesis, effect: Effect, packages: Sequence[Package]
+    hypothesis: Hypothesis, gone: Sequence[Effect], packages: Sequence[Package]
 ) -> Hypothesis | None:
-    """The hypothesis with the best of some packages in the place of an effect, if there are any."""
+    """The hypothesis with the best of some packages in the place of effects, if there are any."""
     if not packages:
         return None
-    bare = hypothesis.stripped(effect)
-    trials = try_packages(bare, packages, len(packages))
-    return hypothesis.exchanged(effect, best_trial(bare, trials).package.effects)
+    trials = try_packages(hypothesis.stripped(*gone), packages, len(packages))
+    by_score = sorted(trials, key=lambda trial: -trial.score)[:_FITTED]
+    by_reduction = max(trials, key=lambda trial: trial.reduction)
+    fitted = {
+        trial.package: hypothesis.exchanged(gone, trial.package.effects)
+        for trial in (*by_score, by_reduction)
+    }
+    return max(fitted.values(), key=lambda other: net_gain(hypothesis, other))
 
 
 def _simpler(
@@ -300,14 +340,17 @@ def _shared(
     ]
 
 
-def _worth_it(simple: Hypothesis, refined: Hypothesis, effect: Effect, criteria: Criteria) -> bool:
-    """Whether what refines an effect, or another one in its place, convinces against it."""
+def _worth_it(
+    simple: Hypothesis, refined: Hypothesis, effects: tuple[Effect, ...], criteria: Criteria
+) -> bool:
+    """Whether what refines effects, or others in their place, convinces against these."""
     more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
-    joints = acted_upon(refined.dataset, Package((effect,), effect.where))
+    joints = acted_upon(refined.dataset, Package(effects, effects[0].where))
     left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
     # What goes with time alone is large in few folds, so that these differ: half of it is no tie,
     # at the joint where it shows most.
-    clear = left.min() <= 0.5 if "time" in effect.depends_on else left.mean() <= 1.0 / SEVERAL
+    timed = any("time" in effect.depends_on for effect in effects)
+    clear = left.min() <= 0.5 if timed else left.mean() <= 1.0 / SEVERAL
     tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
     gains = gain_of(simple, refined) > PENALTY * max(more, 1)
     return bool(gains and left.mean() <= 1.0 - criteria.reduction and not tied)

@@ -105,7 +105,7 @@ def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tupl
     near = tried[at - 1 : at + 2]
     place = np.log([getattr(e, name) for e in near])
     weight = hypothesis.effective / hypothesis.held_out.mse
-    errors = [hypothesis.exchanged(effect, [e]).held_out.mse @ weight for e in near]
+    errors = [hypothesis.exchanged([effect], [e]).held_out.mse @ weight for e in near]
     curvature, slope, _ = np.polyfit(place - place[1], errors, 2)
     if curvature <= 0.0:
         return effect, 0.0

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.pairs import rank_pairs
-from geodrake.diagnosis.pruning import prune, reshape, simplify, swap
+from geodrake.diagnosis.pruning import merge, prune, reshape, simplify, swap
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import choose, rank
@@ -250,7 +250,8 @@ def _settled(
     """The hypothesis once nothing is left to simplify, prune or tune."""
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = swap(simplify(hypothesis, fixed, criteria), fixed, criteria)
+        hypothesis = merge(simplify(hypothesis, fixed, criteria), fixed, criteria)
+        hypothesis = swap(hypothesis, fixed, criteria)
         hypothesis = reshape(hypothesis, fixed)
         hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis

@@ -79,6 +79,17 @@ def gain_of(before: Hypothesis, after: Hypothesis) -> float:
     return float(gains.sum())
 
 
+def net_gain(before: Hypothesis, after: Hypothesis) -> float:
+    """Gain of one hypothesis over another less the penalty of the parameters that it has more.
+
+    Args:
+        before: The one hypothesis.
+        after: The other.
+    """
+    more = len(after.unknowns.columns) - len(before.unknowns.columns)
+    return gain_of(before, after) - PENALTY * more
+
+
 def open_joints(hypothesis: Hypothesis, least: float = SEARCH_MARGIN) -> list[str]:
     """Joints that err by more than so many times their noise floor.
 

@@ -55,7 +55,9 @@ class Hypothesis:
     cv: CrossValidation
     effective: Array
     released: tuple[Effect, ...] = ()
-    _stripped: dict[Effect, Hypothesis] = field(default_factory=dict, init=False, repr=False)
+    _stripped: dict[tuple[Effect, ...], Hypothesis] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @property
     def held_out(self) -> HeldOut:
@@ -87,34 +89,36 @@ class Hypothesis:
 
     def without(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis less some effects, refitted."""
-        unknowns = self.unknowns
-        for effect in effects:
-            unknowns = unknowns.without_effect(effect)
-        return settle(replace(self, unknowns=unknowns))
+        return settle(replace(self, unknowns=self._less(effects)))
 
-    def stripped(self, effect: Effect) -> Hypothesis:
-        """This hypothesis less one of its effects, refitted with the weights that it has.
+    def stripped(self, *gone: Effect) -> Hypothesis:
+        """This hypothesis less some of its effects, refitted with the weights that it has.
 
         The last one is kept, as several questions are asked of it.
         """
-        if effect not in self._stripped:
+        if gone not in self._stripped:
             self._stripped.clear()
-            unknowns = self.unknowns.without_effect(effect)
+            unknowns = self._less(gone)
             cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
-            self._stripped[effect] = replace(self, unknowns=unknowns, cv=cv)
-        return self._stripped[effect]
+            self._stripped[gone] = replace(self, unknowns=unknowns, cv=cv)
+        return self._stripped[gone]
 
-    def exchanged(self, gone: Effect, come: Sequence[Effect]) -> Hypothesis:
-        """This hypothesis with effects in the place of one, refitted.
+    def exchanged(self, gone: Sequence[Effect], come: Sequence[Effect]) -> Hypothesis:
+        """This hypothesis with effects in the place of others, refitted.
 
         The weights begin with those of this hypothesis, so that both are compared fairly.
 
         Args:
-            gone: One of the effects.
-            come: Effects that replace it.
+            gone: Some of the effects.
+            come: Effects that replace them.
         """
-        unknowns = self.unknowns.without_effect(gone)
-        return replace(self, unknowns=unknowns).with_effects(come)
+        return replace(self, unknowns=self._less(gone)).with_effects(come)
+
+    def _less(self, gone: Sequence[Effect]) -> Unknowns:
+        unknowns = self.unknowns
+        for effect in gone:
+            unknowns = unknowns.without_effect(effect)
+        return unknowns
 
     def loosened(self, factor: float) -> Hypothesis:
         """This hypothesis with the inertial prior `factor` times as wide, refitted."""
