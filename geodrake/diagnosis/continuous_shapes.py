@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
+from geodrake.diagnosis.exchange import is_free
 from geodrake.diagnosis.further_columns import with_columns
-from geodrake.diagnosis.pruning import is_free, reshape
+from geodrake.diagnosis.pruning import reshape
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.diagnosis.stepwise_search import Trail
 from geodrake.diagnosis.trials import PENALTY, gain_of

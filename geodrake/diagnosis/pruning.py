@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import (
     Package,
-    has_base,
-    kinds_at,
-    pairs_at,
-    said_by,
-    simple_at,
 )
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
@@ -25,18 +19,14 @@ from geodrake.diagnosis.trials import (
     gain_of,
     improvement,
     is_nothing,
-    net_gain,
     settled_trial,
     try_package,
-    try_packages,
 )
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.evidence import (
-    SEVERAL,
     Criteria,
     chi2_tail,
     log_likelihood_gain,
-    tie_probability,
 )
 from geodrake.identification.logs.hypothesis import Hypothesis
 
@@ -159,198 +149,3 @@ def reshape(
             if gain_of(hypothesis, best) > least:
                 hypothesis = best
     return hypothesis
-
-
-def simplify(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
-    """Swap effects for simpler ones at their place that do as well, or for pairs that do better.
-
-    Args:
-        hypothesis: The hypothesis.
-        fixed: Effects that stay.
-        criteria: What an effect must show.
-    """
-    for effect in hypothesis.unknowns.effects:
-        if effect in fixed or effect not in hypothesis.unknowns.effects:
-            continue
-        others = [other for other in hypothesis.unknowns.effects if other != effect]
-        effects = hypothesis.dataset.effects
-        pair = _best_instead(hypothesis, [effect], _pairs(effects, others, effect))
-        if pair is not None and _worth_it(hypothesis, pair, (effect,), criteria):
-            hypothesis = pair
-            continue
-        simple = _best_instead(hypothesis, [effect], _simpler(effects, others, effect))
-        if simple is not None and not _worth_it(simple, hypothesis, (effect,), criteria):
-            hypothesis = simple
-    return hypothesis
-
-
-def merge(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
-    """Swap two effects of a joint for one, of no more parameters, that does as well.
-
-    What came first may have been a compromise, and what came next what it left.
-
-    Args:
-        hypothesis: The hypothesis.
-        fixed: Effects that stay.
-        criteria: What effects must show.
-    """
-    free = [e for e in hypothesis.unknowns.effects if e not in fixed and e.places == "joint"]
-    for two in combinations(free, 2):
-        one, other = two
-        present = hypothesis.unknowns.effects
-        if one.where != other.where or not set(two) <= set(present):
-            continue
-        left = [effect for effect in present if effect not in two]
-        most = Package(two, one.where).parameters
-        packages = [
-            package
-            for kind in kinds_at(hypothesis.dataset.effects, left, one.where)
-            for package in kind.options[one.where]
-            if len(package.effects) == 1
-            and package.parameters <= most
-            and not set(package.effects) <= set(two)
-        ]
-        merged = _best_instead(hypothesis, two, packages)
-        if merged is not None and not _worth_it(merged, hypothesis, two, criteria):
-            hypothesis = merged
-    return hypothesis
-
-
-def swap(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
-    """Swap effects of joints for others, no more complex, that do clearly better by now.
-
-    What suited a residual best before another effect was known may have been the wrong one.
-
-    Args:
-        hypothesis: The hypothesis.
-        fixed: Effects that stay.
-        criteria: What an effect must show.
-    """
-    for effect in hypothesis.unknowns.effects:
-        if effect in fixed or effect.places != "joint" or not is_free(hypothesis, effect):
-            continue
-        others = [other for other in hypothesis.unknowns.effects if other != effect]
-        packages = [
-            package
-            for kind in kinds_at(hypothesis.dataset.effects, others, effect.where)
-            if len(kind.classes) == 1 and kind.complexity <= effect.complexity
-            for package in kind.options[effect.where]
-            if package.effects != (effect,)
-        ]
-        bare = hypothesis.stripped(effect)
-        as_it_is = Package((effect,), effect.where)
-        own, *trials = try_packages(bare, [as_it_is, *packages], 1 + len(packages))
-        best = max(trials, key=lambda trial: trial.score, default=own)
-        if best.score > own.score + PENALTY:
-            other = hypothesis.exchanged([effect], best.package.effects)
-            if _worth_it(hypothesis, other, (effect,), criteria):
-                hypothesis = other
-    return hypothesis
-
-
-def is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
-    """Whether no other effect at its place stands on an effect.
-
-    Args:
-        hypothesis: The hypothesis, with the effect.
-        effect: The effect.
-    """
-    present = hypothesis.unknowns.effects
-    own = (effect.name, effect.where)
-    taken = said_by(present)
-    less = said_by(other for other in present if (other.name, other.where) != own)
-    here = [other for other in present if other.where == effect.where and other != effect]
-    return all(has_base(other, less) or not has_base(other, taken) for other in here)
-
-
-def split_compromises(
-    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
-) -> Hypothesis:
-    """Split effects whose shape is a compromise of another shape and a simple effect beside it.
-
-    Only shapes that are no longer bound to a coarse grid differ clearly from such a compromise.
-
-    Args:
-        hypothesis: The hypothesis.
-        fixed: Effects that stay.
-        criteria: What an effect must show.
-    """
-    for effect in hypothesis.unknowns.effects:
-        others = [other for other in hypothesis.unknowns.effects if other != effect]
-        pairs = [] if effect in fixed else _shared(hypothesis.dataset.effects, others, effect)
-        pair = _best_instead(hypothesis, [effect], pairs)
-        if pair is not None and _worth_it(hypothesis, pair, (effect,), criteria):
-            hypothesis = pair
-    return hypothesis
-
-
-def _best_instead(
-    hypothesis: Hypothesis, gone: Sequence[Effect], packages: Sequence[Package]
-) -> Hypothesis | None:
-    """The hypothesis with the best of some packages in the place of effects, if there are any."""
-    if not packages:
-        return None
-    trials = try_packages(hypothesis.stripped(*gone), packages, len(packages))
-    by_score = sorted(trials, key=lambda trial: -trial.score)[:_FITTED]
-    by_reduction = max(trials, key=lambda trial: trial.reduction)
-    fitted = {
-        trial.package: hypothesis.exchanged(gone, trial.package.effects)
-        for trial in (*by_score, by_reduction)
-    }
-    return max(fitted.values(), key=lambda other: net_gain(hypothesis, other))
-
-
-def _simpler(
-    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
-) -> Sequence[Package]:
-    """Packages of less complexity at the place of an effect."""
-    return [
-        package
-        for kind in kinds_at(effects, present, effect.where)
-        if kind.complexity < effect.complexity
-        for package in kind.options[effect.where]
-    ]
-
-
-def _pairs(
-    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
-) -> Sequence[Package]:
-    """Pairs of simple effects at the joint of an effect of more parameters.
-
-    An effect with bounds, such as friction that brakes, may stand for what two others do better.
-    """
-    own = Package((effect,), effect.where).parameters
-    pairs = pairs_at(effects, present, effect.where) if effect.places == "joint" else ()
-    return [pair for pair in pairs if pair.parameters < own]
-
-
-def _shared(
-    effects: Sequence[Effect], present: Sequence[Effect], effect: Effect
-) -> Sequence[Package]:
-    """Simple effects beside every shape of an effect of a joint."""
-    shapes = variants(effect, effects)
-    if effect.places != "joint" or len(shapes) < 2:
-        return ()
-    simple = [e for e in simple_at(effects, present, effect.where) if e.name != effect.name]
-    return [
-        Package((shape, one), effect.where)
-        for shape in shapes
-        for one in simple
-        if has_base(shape, said_by([*present, one]))
-    ]
-
-
-def _worth_it(
-    simple: Hypothesis, refined: Hypothesis, effects: tuple[Effect, ...], criteria: Criteria
-) -> bool:
-    """Whether what refines effects, or others in their place, convinces against these."""
-    more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
-    joints = acted_upon(refined.dataset, Package(effects, effects[0].where))
-    left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
-    # What goes with time alone is large in few folds, so that these differ: half of it is no tie,
-    # at the joint where it shows most.
-    timed = any("time" in effect.depends_on for effect in effects)
-    clear = left.min() <= 0.5 if timed else left.mean() <= 1.0 / SEVERAL
-    tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
-    gains = gain_of(simple, refined) > PENALTY * max(more, 1)
-    return bool(gains and left.mean() <= 1.0 - criteria.reduction and not tied)

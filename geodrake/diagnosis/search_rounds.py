@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.continuous_shapes import to_profile, with_plain_shapes
 from geodrake.diagnosis.delay import fine_delays, fitted_delays, later
+from geodrake.diagnosis.exchange import exchange
 from geodrake.diagnosis.further_columns import (
     to_expand,
     with_episodes,
@@ -24,7 +25,6 @@ from geodrake.diagnosis.further_columns import (
     with_suggestions,
 )
 from geodrake.diagnosis.proposals import DOMINANT
-from geodrake.diagnosis.pruning import split_compromises
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
 from geodrake.effects import Effect, Role
@@ -196,7 +196,7 @@ class _State:
         if to_profile(self.trail.end, self._grid, self._profiled):
             self.case, trail = with_plain_shapes(self.case, self.trail, self._grid, self._profiled)
             self._profiled.update(trail.end.unknowns.effects)
-            end = split_compromises(trail.end, self._given, self._criteria)
+            end = exchange(trail.end, self._given, self._criteria, split=True)
             self.trail = replace(trail, end=end)
         if to_expand(self.case.model, self.trail.end, self._expanded):
             self.case, self.trail = with_expansions(self.case, self.trail, self._expanded)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from geodrake.diagnosis.exchange import exchange
 from geodrake.diagnosis.pairs import rank_pairs
-from geodrake.diagnosis.pruning import merge, prune, reshape, simplify, swap
+from geodrake.diagnosis.pruning import prune, reshape
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import choose, rank
@@ -250,8 +251,7 @@ def _settled(
     """The hypothesis once nothing is left to simplify, prune or tune."""
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = merge(simplify(hypothesis, fixed, criteria), fixed, criteria)
-        hypothesis = swap(hypothesis, fixed, criteria)
+        hypothesis = exchange(hypothesis, fixed, criteria)
         hypothesis = reshape(hypothesis, fixed)
         hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis
@@ -264,7 +264,7 @@ def _refined(
     hypothesis: Hypothesis, chosen: Ranked, fixed: Sequence[Effect], criteria: Criteria
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
-    simple = swap(simplify(chosen.hypothesis, fixed, criteria), fixed, criteria)
+    simple = exchange(chosen.hypothesis, fixed, criteria)
     for found in dict.fromkeys((simple, chosen.hypothesis)):
         after = prune(reshape(found, fixed), fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)

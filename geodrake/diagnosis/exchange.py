@@ -1,0 +1,190 @@
+"""Exchanges: other effects in the place of one, or of two of a joint.
+
+What suited a residual best before another effect was known may have been the wrong one, or a
+compromise. Of two answers at a place the simpler one is taken, unless the other convinces
+against it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+
+from geodrake.diagnosis.candidates import (
+    Package,
+    has_base,
+    kinds_at,
+    pairs_at,
+    said_by,
+    simple_at,
+)
+from geodrake.diagnosis.shapes import variants
+from geodrake.diagnosis.trials import (
+    PENALTY,
+    Trial,
+    acted_upon,
+    gain_of,
+    net_gain,
+    try_packages,
+)
+from geodrake.effects.base import Effect
+from geodrake.identification.logs.evidence import SEVERAL, Criteria, tie_probability
+from geodrake.identification.logs.hypothesis import Hypothesis
+
+_FITTED = 2  # the best by quick trials, beside that which reduces the error most
+
+Effects = tuple[Effect, ...]
+
+
+def exchange(
+    hypothesis: Hypothesis,
+    fixed: Sequence[Effect],
+    criteria: Criteria,
+    *,
+    split: bool = False,
+) -> Hypothesis:
+    """Exchange effects for what does better at their place, or as well and is simpler.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        criteria: What an effect must show.
+        split: Whether a shape may be split into another one and a simple effect beside it. Only
+            shapes that are no longer bound to a coarse grid differ clearly from such a compromise.
+    """
+    for gone in _exchangeable(hypothesis.unknowns.effects, fixed):
+        if set(gone) <= set(hypothesis.unknowns.effects):
+            hypothesis = _exchanged(hypothesis, gone, criteria, split)
+    return hypothesis
+
+
+def _exchangeable(effects: Sequence[Effect], fixed: Sequence[Effect]) -> Iterator[Effects]:
+    """Every effect that may go, then every two of a joint."""
+    free = [effect for effect in effects if effect not in fixed]
+    yield from ((effect,) for effect in free)
+    for one, other in combinations(free, 2):
+        if one.where == other.where and one.places == "joint":
+            yield one, other
+
+
+def _exchanged(
+    hypothesis: Hypothesis, gone: Effects, criteria: Criteria, split: bool
+) -> Hypothesis:
+    """The hypothesis with something else in the place of effects, if that is the better answer."""
+    own = Package(gone, gone[0].where)
+    simpler, others = _simpler(hypothesis, own), _others(hypothesis, own, split)
+    bare = hypothesis.stripped(*gone)
+    as_it_is, *trials = try_packages(bare, [own, *simpler, *others], 1 + len(simpler) + len(others))
+    better = [t for t in trials[len(simpler) :] if t.score > as_it_is.score + PENALTY]
+    best = _best_of(hypothesis, gone, better)
+    if best is not None and _convinces(hypothesis, best, gone, criteria):
+        return best
+    as_good = [t for t in trials[: len(simpler)] if _may_be_as_good(t, as_it_is)]
+    best = _best_of(hypothesis, gone, as_good)
+    if best is not None and not _convinces(best, hypothesis, gone, criteria):
+        return best
+    return hypothesis
+
+
+def _may_be_as_good(trial: Trial, as_it_is: Trial) -> bool:
+    """Whether quick trials, which are rough, leave errors of the same size."""
+    return 1.0 - trial.reduction <= SEVERAL * (1.0 - as_it_is.reduction)
+
+
+def _best_of(hypothesis: Hypothesis, gone: Effects, trials: Sequence[Trial]) -> Hypothesis | None:
+    """The best hypothesis with what was tried in the place of effects, if anything was."""
+    if not trials:
+        return None
+    near = sorted(trials, key=lambda trial: -trial.score)[:_FITTED]
+    near.append(max(trials, key=lambda trial: trial.reduction))
+    packages = dict.fromkeys(trial.package for trial in near)
+    fitted = [hypothesis.exchanged(gone, package.effects) for package in packages]
+    return max(fitted, key=lambda other: net_gain(hypothesis, other))
+
+
+def _simpler(hypothesis: Hypothesis, own: Package) -> list[Package]:
+    """Packages that are simpler: of less complexity, or one effect for two of no fewer parameters.
+
+    Args:
+        hypothesis: The hypothesis.
+        own: What they would take the place of.
+    """
+    effects = hypothesis.dataset.effects
+    left = [e for e in hypothesis.unknowns.effects if e not in own.effects]
+    most = max(effect.complexity for effect in own.effects)
+    two = len(own.effects) > 1
+    return [
+        package
+        for kind in kinds_at(effects, left, own.place)
+        if two or kind.complexity < most
+        for package in kind.options[own.place]
+        if not two or (len(package.effects) == 1 and package.parameters <= own.parameters)
+        if not set(package.effects) <= set(own.effects)
+    ]
+
+
+def _others(hypothesis: Hypothesis, own: Package, split: bool) -> list[Package]:
+    """Packages in the place of one effect of a joint that are as simple as it is, or two for it."""
+    (effect, *more), effects = own.effects, hypothesis.dataset.effects
+    if more or effect.places != "joint":
+        return []
+    left = [e for e in hypothesis.unknowns.effects if e != effect]
+    pairs = [
+        pair for pair in pairs_at(effects, left, own.place) if pair.parameters < own.parameters
+    ]
+    as_simple = [
+        package
+        for kind in kinds_at(effects, left, own.place)
+        if len(kind.classes) == 1 and kind.complexity == effect.complexity
+        for package in kind.options[own.place]
+        if package.effects != own.effects and package.effects[0].name != effect.name
+    ]
+    found = [*pairs, *(_shared(hypothesis, effect) if split else ())]
+    return [*found, *as_simple] if is_free(hypothesis, effect) else found
+
+
+def _shared(hypothesis: Hypothesis, effect: Effect) -> list[Package]:
+    """Simple effects beside every shape of an effect: its shape may be a compromise with one."""
+    effects = hypothesis.dataset.effects
+    present = [e for e in hypothesis.unknowns.effects if e != effect]
+    shapes = variants(effect, effects)
+    if len(shapes) < 2:
+        return []
+    simple = [e for e in simple_at(effects, present, effect.where) if e.name != effect.name]
+    return [
+        Package((shape, one), effect.where)
+        for shape in shapes
+        for one in simple
+        if has_base(shape, said_by([*present, one]))
+    ]
+
+
+def is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
+    """Whether no other effect at its place stands on an effect.
+
+    Args:
+        hypothesis: The hypothesis, with the effect.
+        effect: The effect.
+    """
+    present = hypothesis.unknowns.effects
+    own = (effect.name, effect.where)
+    taken = said_by(present)
+    less = said_by(other for other in present if (other.name, other.where) != own)
+    here = [other for other in present if other.where == effect.where and other != effect]
+    return all(has_base(other, less) or not has_base(other, taken) for other in here)
+
+
+def _convinces(
+    simple: Hypothesis, refined: Hypothesis, effects: Effects, criteria: Criteria
+) -> bool:
+    """Whether what refines effects, or others in their place, convinces against these."""
+    more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
+    joints = acted_upon(refined.dataset, Package(effects, effects[0].where))
+    left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
+    # What goes with time alone is large in few folds, so that these differ: half of it is no tie,
+    # at the joint where it shows most.
+    timed = any("time" in effect.depends_on for effect in effects)
+    clear = left.min() <= 0.5 if timed else left.mean() <= 1.0 / SEVERAL
+    tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
+    gains = gain_of(simple, refined) > PENALTY * max(more, 1)
+    return bool(gains and left.mean() <= 1.0 - criteria.reduction and not tied)
