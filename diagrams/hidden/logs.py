@@ -140,6 +140,7 @@ def _measured(draw: Draw, seen: Seen, effort: Array, rng: np.random.Generator) -
         seen.q + _ENCODER * rng.normal(size=effort.shape),
         effort + draw.noise * effort.std(0) * noise,
         seen.v + _TACHO * rng.normal(size=effort.shape),
+        effort_uncertainty=0.0,  # of a simulated sensor
     )
 
 

@@ -1,93 +1,122 @@
-"""What else a finding could be: rivals in its place, beside everything else that was found.
+"""What else a finding could be: its rivals in its place, beside everything else that was found.
 
 A rival tied with an effect when that was chosen, often before others were known. So it is asked
-again at the end, and how probable either is follows from the same held-out errors.
+again at the end, and how probable either is follows from the held-out errors of the same blocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from geodrake.diagnosis.candidates import kinds
+from geodrake.diagnosis.candidates import Kind, Package, kinds
+from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import LOOSER_PRIORS
-from geodrake.diagnosis.trials import PENALTY, gain_of, try_packages
+from geodrake.diagnosis.trials import gain_of, try_packages
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.role import Role
 from geodrake.identification.logs.evidence import tie_probability
-from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
 
 _LEAST = 1e-6
-"""No comparison of a few blocks makes anything more certain than this."""
+"""A comparison of some blocks makes nothing more certain than this."""
+_RARER = 1.0 / 3.0
+"""An effect is so much rarer than one that is less complex by one."""
 
 
-def instead(bare: Hypothesis, name: str, where: Sequence[str]) -> Hypothesis | None:
-    """A hypothesis with an effect of a name, at the places of another one if it can be there.
+def weighed(
+    end: Hypothesis, bare: Hypothesis | None, where: Sequence[str], rivals: Sequence[FittedRival]
+) -> tuple[FittedRival, ...]:
+    """Rivals of a finding as they are beside everything else that was found, best first.
 
     Args:
-        bare: The hypothesis without that other one.
-        name: Name of the effect.
-        where: Places of the other one.
+        end: What was found.
+        bare: The same without the finding; None if it cannot be taken out.
+        where: Places of the finding.
+        rivals: Its rivals, as they were when it was chosen.
 
     Returns:
-        None where the effect cannot be added.
+        The rivals with the errors that they leave at the end; as they were where they cannot be
+        put in its place.
     """
-    if name == effect_of(Role.INERTIA).name:
-        if bare.looseness > 1.0:
-            return None
-        others = [bare.loosened(factor / bare.looseness) for factor in LOOSER_PRIORS]
-        return max(others, key=lambda other: gain_of(bare, other))
-    if name == effect_of(Role.DELAY).name:
-        delays = [bare.dataset.delay_of_each(d) for d in range(len(bare.dataset.delays))]
-        late = [delay for delay in delays if delay != bare.delay]
-        return bare.delayed(late[int(np.argmax(bare.quick_gains(late)))]) if late else None
+    found = []
+    for rival in rivals:
+        other = None if bare is None else instead(bare, rival.names, where)
+        if other is None:
+            found.append(replace(rival, odds=_odds(rival.tie_probability, 0)))
+        else:
+            chance = tie_probability(end.loss(), other.loss())
+            more = _complexity(other) - _complexity(end)
+            seen = replace(rival, error=other.nrms, error_of_choice=end.nrms)
+            found.append(replace(seen, tie_probability=chance, odds=_odds(chance, more)))
+    return tuple(sorted(found, key=lambda rival: rival.error))
+
+
+def instead(bare: Hypothesis, names: Sequence[str], where: Sequence[str]) -> Hypothesis | None:
+    """A hypothesis with effects of some names, at given places if they can be there.
+
+    Args:
+        bare: The hypothesis without what they take the place of.
+        names: Names of the effects.
+        where: Places of what they take the place of.
+
+    Returns:
+        None where they cannot be added.
+    """
+    if names == (effect_of(Role.INERTIA).name,):
+        return _looser(bare)
+    if names == (effect_of(Role.DELAY).name,):
+        return _later(bare)
+    offered = kinds(bare.dataset.effects, bare.unknowns.effects)
+    same = next((kind for kind in offered if set(kind.names) == set(names)), None)
+    if same is not None:
+        return bare.with_effects([e for p in _placed(bare, same, where) for e in p.effects])
+    if len(names) < 2:
+        return None
+    first = instead(bare, names[:1], where)
+    return None if first is None else instead(first, names[1:], where)
+
+
+def _looser(bare: Hypothesis) -> Hypothesis | None:
+    """With the width of the inertial prior that is best, if that is wider."""
+    widths = [1.0] if bare.looseness <= FIXED else []
+    widths += LOOSER_PRIORS if bare.looseness <= 1.0 else []
+    others = [bare.loosened(width / bare.looseness) for width in widths]
+    return max(others, key=lambda other: gain_of(bare, other), default=None)
+
+
+def _later(bare: Hypothesis) -> Hypothesis | None:
+    """With the delay of all efforts that is best, if others were tried."""
+    delays = [bare.dataset.delay_of_each(d) for d in range(len(bare.dataset.delays))]
+    late = [delay for delay in delays if delay != bare.delay]
+    return bare.delayed(late[int(np.argmax(bare.quick_gains(late)))]) if late else None
+
+
+def _placed(bare: Hypothesis, kind: Kind, where: Sequence[str]) -> list[Package]:
+    """The best package of a kind at each of the given places, or at the best place of all."""
+    there = [place for place in kind.options if set(place) <= set(where)]
     best = []
-    for kind in kinds(bare.dataset.effects, bare.unknowns.effects):
-        if kind.names == (name,):
-            same = [place for place in kind.options if set(place) <= set(where)]
-            for place in same or list(kind.options):
-                options = kind.options[place]
-                trials = try_packages(bare, options, len(options))
-                best.append(max(trials, key=lambda trial: trial.score))
-            if best and not (kind.unite and same):
-                best = [max(best, key=lambda trial: trial.score)]
-    return bare.with_effects([e for t in best for e in t.package.effects]) if best else None
+    for place in there or kind.options:
+        options = kind.options[place]
+        best.append(max(try_packages(bare, options, 1), key=lambda trial: trial.score))
+    if not (kind.unite and there):
+        best = [max(best, key=lambda trial: trial.score)]
+    return [trial.package for trial in best]
 
 
-def odds(chosen: Hypothesis, other: Hypothesis) -> float:
-    """Odds of another hypothesis against that which was chosen.
-
-    The chance that it is truly no worse, by the held-out errors of all blocks, and the price of the
-    parameters that it has more.
-
-    Args:
-        chosen: What was chosen.
-        other: The same with a rival in its place.
-    """
-    no_worse = float(np.clip(tie_probability(chosen.loss(), other.loss()), _LEAST, 1.0 - _LEAST))
-    more = parameters_of(other) - parameters_of(chosen)
-    return float(no_worse / (1.0 - no_worse) * np.exp(-0.5 * PENALTY * more))
+def _odds(no_worse: float, more: int) -> float:
+    """Odds of a hypothesis, by its chance to be no worse and by how much more complex it is."""
+    chance = float(np.clip(no_worse, _LEAST, 1.0 - _LEAST))
+    return float(chance / (1.0 - chance) * _RARER**more)
 
 
-def parameters_of(hypothesis: Hypothesis) -> int:
-    """How many parameters a hypothesis has beside the model's, shapes counted, bodies let go too.
-
-    Args:
-        hypothesis: The hypothesis.
-    """
-    effects = hypothesis.unknowns.effects
-    own = sum(len(effect.parameters) + effect.free_shapes for effect in effects)
-    own += len(set(hypothesis.delay)) if any(hypothesis.delay) else 0
-    return own + (2 * len(hypothesis.dataset.bodies) if hypothesis.looseness > 1.0 else 0)
-
-
-def shares(odds_of: Mapping[str, float], alarm: float) -> tuple[float, dict[str, float]]:
-    """Probabilities of a finding and of its rivals; what is left to one is that of chance.
-
-    Args:
-        odds_of: Odds of every rival against the finding.
-        alarm: Probability of a false alarm.
-    """
-    total = (1.0 - alarm) / (1.0 + sum(odds_of.values()))
-    return total, {name: total * each for name, each in odds_of.items()}
+def _complexity(hypothesis: Hypothesis) -> int:
+    """How complex a hypothesis is: the sum over its kinds of effects, delays and loose bodies."""
+    kinds_found = {type(effect) for effect in hypothesis.unknowns.effects}
+    if any(hypothesis.delay):
+        kinds_found.add(effect_of(Role.DELAY))
+    if hypothesis.looseness > 1.0:
+        kinds_found.add(effect_of(Role.INERTIA))
+    return sum(kind.complexity for kind in kinds_found)

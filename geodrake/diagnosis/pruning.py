@@ -63,7 +63,7 @@ def _without_needless(
 ) -> Hypothesis | None:
     """The hypothesis without an effect; None if it is needed."""
     own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
-    stands = not is_nothing([effect], own) and stands_out(hypothesis, effect)
+    stands = not is_nothing(hypothesis.dataset, [effect], own) and stands_out(hypothesis, effect)
     if stands and quick is not None and _by_far(quick, criteria):
         return None
     reduced = hypothesis.without([effect])

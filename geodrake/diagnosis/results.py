@@ -66,9 +66,12 @@ class FittedRival:
         effect: Name; two names joined by " + " for effects found together.
         where: Joints or bodies.
         instead_of: Names of the effects that were added.
-        error: Held-out nrms with the rival, everything that may move refitted.
-        error_of_choice: The same with what was added, at the time of the choice.
+        error: Held-out nrms with the rival, everything that may move refitted, beside all else that
+            was found; as it was at the choice where the rival has no place of its own by then.
+        error_of_choice: The same with what was added.
         tie_probability: Chance that the rival is truly no worse than what was added.
+        odds: Odds of the rival against what was added: by that chance, and as complex effects
+            are rarer.
     """
 
     effect: str
@@ -77,6 +80,7 @@ class FittedRival:
     error: float
     error_of_choice: float
     tie_probability: float
+    odds: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -101,8 +105,8 @@ class Step:
             that hardly changes may count half.
         rms_before: Joint -> held-out RMS before, N·m or N.
         rms_after: Joint -> held-out RMS after, N·m or N.
-        rivals: Those of these effects that were fitted when this one was chosen, best first; the
-            others follow from what is known of the effects.
+        rivals: Those of these effects that were fitted, best first; the others follow from what is
+            known of the effects.
         systematic: As `deviations`, those that come of the gains of the efforts, which are known to
             the logs' `effort_uncertainty` only; more data do not narrow them.
     """
@@ -120,6 +124,20 @@ class Step:
     rms_after: Mapping[str, float]
     rivals: tuple[FittedRival, ...] = ()
     systematic: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    @property
+    def probability(self) -> float:
+        """How probable the finding is, beside its rivals and chance.
+
+        A rival that was not fitted is as probable as the finding: no data tell them apart.
+        """
+        odds = sum(rival.odds for rival in self.rivals) + len(self.unfitted_rivals)
+        return (1.0 - self.false_alarm_probability) / (1.0 + odds)
+
+    @property
+    def probabilities_of_rivals(self) -> tuple[float, ...]:
+        """How probable each of `rivals` is; each of `unfitted_rivals` is as the finding."""
+        return tuple(rival.odds * self.probability for rival in self.rivals)
 
     @property
     def unfitted_rivals(self) -> tuple[str, ...]:

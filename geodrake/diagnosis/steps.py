@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.alternatives import weighed
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.results import FittedRival, Step
@@ -124,7 +125,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 _agreement(case, group.effects, errors[i], errors[i + 1]),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
-                _fitted(trail, group.name, rivals),
+                _weighed(trail, group, where, rivals),
                 systematic,
             )
         )
@@ -243,6 +244,15 @@ def _rivals(
     if group.looseness is not None:
         tied.update(_carried(case, where, phi))
     return tuple(sorted(tied - found))
+
+
+def _weighed(
+    trail: Trail, group: _Group, where: Sequence[str], rivals: Collection[str]
+) -> tuple[FittedRival, ...]:
+    """The rivals of a group that were fitted, beside everything else that was found."""
+    fitted = _fitted(trail, group.name, rivals)
+    bare = group.taken_from(trail) if fitted else None
+    return weighed(trail.end, None if bare is None else bare.end, where, fitted)
 
 
 def _fitted(trail: Trail, effect: str, rivals: Collection[str]) -> tuple[FittedRival, ...]:

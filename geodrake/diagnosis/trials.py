@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.effects.base import Effect, Proposer
+from geodrake.effects.base import Effect, Proposer, Role
 from geodrake.identification.logs.cross_validation import ExtraColumns, HeldOut
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import (
@@ -31,6 +31,9 @@ _COMMON = 0.5
 """An effect is likely at all joints if more than this share of them has it."""
 
 _MORE_THAN_HALF = 0.51
+
+_USUAL_GAIN = 2.0
+"""A gain is usual that is off by so many of its standard deviations, `effort_uncertainty`."""
 
 PENALTY = 6.0
 """A parameter must bring this gain for a hypothesis with it to be preferred."""
@@ -138,7 +141,7 @@ def try_packages(
     for package, after in zip(packages, fits, strict=True):
         reduction, agreement = improvement((before, after), acted_upon(dataset, package))
         few = least and (reduction < least.reduction or agreement < least.agreement)
-        if not few and not is_nothing(package.effects, after.x[:, len(present) :]):
+        if not few and not is_nothing(dataset, package.effects, after.x[:, len(present) :]):
             promising.append(len(trials))
         trials.append(Trial(package, 0.0, reduction, agreement, 1.0))
     columns = [np.concatenate([present, columns_of(dataset, packages[k])]) for k in promising]
@@ -152,13 +155,15 @@ def try_packages(
     return trials
 
 
-def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
+def is_nothing(dataset: Dataset, effects: Sequence[Effect], x: Array) -> bool:
     """Whether one of some effects has, in most folds, none of what cannot be negative.
 
     A spring without stiffness is an offset, whatever its preload. A drag of nothing has no centre
-    that could be elsewhere; its slopes, which have no sign, would stand for a force that drives.
+    that could be elsewhere; its slopes, which have no sign, would stand for a force that drives. A
+    gain is nothing that is off by no more than gains are uncertain.
 
     Args:
+        dataset: The reduced logs.
         effects: Effects.
         x: (F, p) their parameters, one after the other, for each fold.
     """
@@ -167,6 +172,10 @@ def is_nothing(effects: Sequence[Effect], x: Array) -> bool:
         sizes = own[:, [parameter.lower == 0.0 for parameter in effect.parameters]]
         if sizes.shape[1] and (sizes <= 0.0).all(axis=1).mean() > 0.5:
             return True
+        if effect.role is Role.SCALE:
+            usual = _USUAL_GAIN * dataset.gain_uncertainty[dataset.joints.index(effect.where[0])]
+            if np.abs(own.mean()) < usual:
+                return True
     return False
 
 

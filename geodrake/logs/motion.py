@@ -181,6 +181,7 @@ class Trajectory:
         notes: What was done to the log and chosen from it, in words.
         began: Its first time stamp, s.
         payloads: Known payloads that the robot carried.
+        effort_uncertainty: How well the gains of the efforts are known.
     """
 
     name: str
@@ -192,6 +193,7 @@ class Trajectory:
     notes: tuple[str, ...] = ()
     began: float = 0.0
     payloads: tuple[KnownPayload, ...] = ()
+    effort_uncertainty: float = 0.0
 
     @property
     def output_counts(self) -> tuple[int, ...]:

@@ -117,6 +117,7 @@ def _prepare(
         tuple(notes),
         float(log.time[0]),
         log.payloads,
+        log.effort_uncertainty,
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)

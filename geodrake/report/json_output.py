@@ -221,7 +221,11 @@ def _step(step: Step) -> dict[str, Any]:
             for place, own in step.systematic.items()
         },
         "indistinguishable_from": step.indistinguishable_from,
-        "rivals": [asdict(rival) for rival in step.rivals],
+        "probability": step.probability,
+        "rivals": [
+            {**asdict(rival), "probability": probability}
+            for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
+        ],
         "false_alarm_probability": step.false_alarm_probability,
         "agreement": step.agreement,
         "rms_before": step.rms_before,

@@ -136,7 +136,7 @@ def candidates_table(diagnosis: Diagnosis, units: Units) -> Table:
 
 
 def steps_table(explanation: Explanation, units: Units) -> Table:
-    """The steps: effect, where, rivals, errors before and after, chance of a false alarm.
+    """The steps: effect, where, rivals, errors before and after, how sure it is.
 
     Args:
         explanation: The explanation.
@@ -153,13 +153,15 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
             number(step.error_after),
             removed_share(step),
             percent(step.agreement),
+            percent(step.probability),
             chance(step.false_alarm_probability),
         )
         for count, step in enumerate(explanation.steps, 1)
     )
     head = (
         "", "missing effect", "where", "indistinguishable from", "nrms before", "after",
-        "squared error gone", "blocks better", "false alarm",
+        "squared error gone", "blocks better", "probability",
+        "false alarm",
     )  # fmt: skip
     return Table(head, rows, words=4)
 
@@ -172,10 +174,10 @@ def short_steps_table(explanation: Explanation, units: Units) -> Table:
         units: Units of the joints and effects of the model.
     """
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
-    rows = [cells("", "as it stands", "", "", number(start), "")]
+    rows = [cells("", "as it stands", "", "", number(start), "", "")]
     if explanation.steps:
         values = number(start), number(refitted)
-        rows.append(cells("", "refitted", "its own parameters", *values, ""))
+        rows.append(cells("", "refitted", "its own parameters", *values, "", ""))
     for count, step in enumerate(explanation.steps, 1):
         lines = [places_label(step.where, units.joints), *step_parameters(step, units)]
         if step.indistinguishable_from:
@@ -188,9 +190,10 @@ def short_steps_table(explanation: Explanation, units: Units) -> Table:
                 number(step.error_before),
                 number(step.error_after),
                 percent(step.agreement),
+                percent(step.probability),
             )
         )
-    head = ("", "effect", "where, how much", "before", "after", "blocks better")
+    head = ("", "effect", "where, how much", "before", "after", "blocks better", "probability")
     return Table(head, tuple(rows), words=3)
 
 

@@ -135,9 +135,9 @@ def lowers_error(step: Step) -> bool:
 
 
 def rivals(step: Step, label: bool = False) -> list[str]:
-    """What the logs cannot distinguish a step from: `viscous_friction (0.0312 against 0.0310)`.
+    """What else a step could be: `viscous_friction 3 % (0.0312 against 0.0310)`.
 
-    In brackets is the held-out nrms with the rival, and that with the effect at the same time.
+    Its probability, and in brackets the held-out nrms with the rival and that with the effect.
 
     Args:
         step: The step.
@@ -145,11 +145,12 @@ def rivals(step: Step, label: bool = False) -> list[str]:
     """
     named = effect_label if label else str
     fitted = [
-        f"{named(rival.effect)} ({number(rival.error, 4)} against "
+        f"{named(rival.effect)} {percent(probability)} ({number(rival.error, 4)} against "
         f"{number(rival.error_of_choice, 4)})"
-        for rival in step.rivals
+        for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True)
     ]
-    return [*fitted, *map(named, step.unfitted_rivals)]
+    others = [f"{named(rival)} {percent(step.probability)}" for rival in step.unfitted_rivals]
+    return [*fitted, *others]
 
 
 def explanation_verdict(explanation: Explanation, units: Units) -> str:

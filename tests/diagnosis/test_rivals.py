@@ -72,7 +72,7 @@ def test_more_of_the_same_is_no_rival():
 
 COMMAND = "geodrake excite MODEL --tell-apart"
 FITTED = FittedRival(
-    "joint_spring + effort_offset", ("shoulder",), ("rotor_inertia",), 0.5, 0.4, 0.2
+    "joint_spring + effort_offset", ("shoulder",), ("rotor_inertia",), 0.5, 0.4, 0.2, 0.5
 )
 
 
@@ -94,10 +94,10 @@ def told(case):
 def test_terminal_report_and_numbers_tell_them(told):
     console = Console(file=io.StringIO(), markup=False, highlight=False, width=200)
     show_explanation(console, told, Units.of(told.model))
-    words = "or: joint_spring + effort_offset (0.5000 against 0.4000), payload"
+    words = "or: joint_spring + effort_offset 20 % (0.5000 against 0.4000), payload 40 %"
     assert words in " ".join(console.file.getvalue().split())
     section = steps_section(told, Units())
-    cell = "joint spring + effort offset (0.5000 against 0.4000), payload"
+    cell = "joint spring + effort offset 20 % (0.5000 against 0.4000), payload 40 %"
     assert cell in [c.text for c in section.tables[0].rows[0]]
     (step,) = explanation_dict(told)["steps"]
     assert step["indistinguishable_from"] == ("effort_offset", "joint_spring", "payload")
@@ -109,6 +109,8 @@ def test_terminal_report_and_numbers_tell_them(told):
             "error": 0.5,
             "error_of_choice": 0.4,
             "tie_probability": 0.2,
+            "odds": 0.5,
+            "probability": pytest.approx(0.2),
         }
     ]
 

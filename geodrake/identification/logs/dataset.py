@@ -155,6 +155,8 @@ class Dataset:
         bandwidth: Bandwidth of the filter, Hz.
         still: (nv,) share of the samples left out because the joint stands still.
         payload: (10,) a body in the middle of what the robot may carry.
+        gain_uncertainty: (nv,) how well the gains of the efforts are known; 0 where known payloads
+            say them.
         settled: What fits of it came to, by what was asked; see `hypothesis.settle`.
     """
 
@@ -170,6 +172,7 @@ class Dataset:
     bandwidth: float
     still: Array
     payload: Array
+    gain_uncertainty: Array
     settled: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property

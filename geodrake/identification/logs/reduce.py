@@ -20,6 +20,7 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.logs.folds import Block, Fold
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import CHUNK
+from geodrake.model.carried_payloads import joints_with_known_gain
 from geodrake.model.robot_model import LARGEST_REGRESSOR, RobotModel
 from geodrake.robot.reduction import triangular_factor
 
@@ -115,7 +116,16 @@ def reduce_logs(
         trajectories[0].filter.bandwidth,
         np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
         payload_reference(model.phi),
+        _gain_uncertainty(model, trajectories),
     )
+
+
+def _gain_uncertainty(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
+    """(nv,) how well the gains of the efforts are known; 0 where known payloads say them."""
+    payloads = [log.payloads for log in trajectories]
+    known = joints_with_known_gain(model, payloads) if any(payloads) else ()
+    largest = max(log.effort_uncertainty for log in trajectories)
+    return np.where(np.isin(model.joints, known), 0.0, largest)
 
 
 def peak_speeds(trajectories: Sequence[Trajectory]) -> Array:
