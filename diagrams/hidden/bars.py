@@ -120,6 +120,7 @@ def bars(rows: Sequence[Row]) -> list[Line]:
         share(
             "… in slow motion or with inertia 20 % off", [_both(r) for r in two if r not in plain]
         ),
+        *_sureness(rows),
         median("error after / noise floor where named, median", named, 1.05),
         share("inertia 20 % off: truth in the set", _get(off, "in_set"), 0.97),
         share("… truth first", _get(off, "first")),
@@ -140,6 +141,23 @@ def bars(rows: Sequence[Row]) -> list[Line]:
         median(
             "seconds for 6 joints, 10,000 samples", [r["seconds"] for r in _of(rows, TIMING)], 10.0
         ),
+    ]
+
+
+def _sureness(rows: Sequence[Row]) -> list[Line]:
+    """How many findings are right, by the probability that they were given."""
+    steps = [step for row in rows for step in row.get("steps", ())]
+    return [
+        share(
+            f"findings given {words}: right",
+            [step["right"] for step in steps if low <= step["probability"] < high],
+            bar,
+        )
+        for words, low, high, bar in (
+            ("99 % or more", 0.99, 2.0, None),
+            ("90 to 99 %", 0.9, 0.99, 0.85),
+            ("less than 90 %", -1.0, 0.9, None),
+        )
     ]
 
 

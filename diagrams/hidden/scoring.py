@@ -42,7 +42,9 @@ def score_draw(draw: Draw) -> dict[str, Any]:
     row = {
         **asdict(draw),
         "secrets": [asdict(secret) for secret in recording.secrets],
-        "steps": [_step_row(step) for step in steps],
+        "steps": [
+            {**_step_row(step), "right": _expected(step, draw, recording.secrets)} for step in steps
+        ],
         "verdict": explanation.verdict,
         "over_floor": _over_floor(draw, recording, found),
         "start_nrms": explanation.start.nrms,
@@ -69,6 +71,7 @@ def _step_row(step: Step) -> dict[str, Any]:
         "rivals": list(step.indistinguishable_from),
         "before": step.error_before,
         "after": step.error_after,
+        "probability": step.probability,
     }
 
 
