@@ -7,7 +7,7 @@ against it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations
 
 from geodrake.diagnosis.candidates import (
@@ -41,6 +41,7 @@ def exchange(
     fixed: Sequence[Effect],
     criteria: Criteria,
     *,
+    at: Collection[str] | None = None,
     split: bool = False,
 ) -> Hypothesis:
     """Exchange effects for what does better at their place, or as well and is simpler.
@@ -49,11 +50,13 @@ def exchange(
         hypothesis: The hypothesis.
         fixed: Effects that stay.
         criteria: What an effect must show.
+        at: Joints or bodies to look at; all by default.
         split: Whether a shape may be split into another one and a simple effect beside it. Only
             shapes that are no longer bound to a coarse grid differ clearly from such a compromise.
     """
     for gone in _exchangeable(hypothesis.unknowns.effects, fixed):
-        if set(gone) <= set(hypothesis.unknowns.effects):
+        here = at is None or not set(at).isdisjoint(gone[0].where)
+        if here and set(gone) <= set(hypothesis.unknowns.effects):
             hypothesis = _exchanged(hypothesis, gone, criteria, split)
     return hypothesis
 
