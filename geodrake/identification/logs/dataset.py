@@ -84,12 +84,14 @@ class JointData:
             for each fold; the rows themselves where these are fewer than the columns.
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
+        carried: (F, p_j) products Aᵀc with the effort c of known payloads, which b is without.
     """
 
     columns: Indices
     factors: Array
     samples: NDArray[np.int_]
     rows: tuple[tuple[JointRows, ...], ...]
+    carried: Array
 
     @property
     def grams(self) -> Array:
