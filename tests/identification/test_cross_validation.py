@@ -469,6 +469,34 @@ def test_errors_at_delays_are_those_of_refits(dataset, model, joint):
             np.testing.assert_allclose(found[delay], refit, rtol=1e-6)
 
 
+@pytest.mark.parametrize("most", [np.inf, 0.05])
+def test_a_fit_at_another_delay_is_that_of_a_fit_to_it(dataset, model, most):
+    """Where no bound is in the way, and where one is."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    upper = unknowns.upper.copy()
+    upper[unknowns.span(EFFECTS[0])] = most
+    unknowns = replace(unknowns, upper=upper)
+    found = CrossValidation(dataset, unknowns, WEIGHTS).at_delay(1)
+    expected = CrossValidation(dataset, unknowns, WEIGHTS, delay=1).held_out
+    is_held = expected.x[:, unknowns.span(EFFECTS[0])] == most
+    assert is_held.all() if np.isfinite(most) else not is_held.any()
+    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-9)
+    np.testing.assert_allclose(found.x, expected.x, rtol=1e-6, atol=1e-9)
+    assert (found.sse != CrossValidation(dataset, unknowns, WEIGHTS).held_out.sse).all()
+
+
+@pytest.mark.parametrize("place", [0, 3, 6])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -2.0])
+def test_one_matrix_of_many_that_has_no_factor_is_seen(place, wrong):
+    root = np.random.default_rng(0).normal(size=(7, 4, 4))
+    many = 0.1 * (root + np.swapaxes(root, 1, 2)) + np.eye(4)
+    for matrix, factor in zip(many, normal_equations.choleskies(many), strict=True):
+        np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix, atol=1e-8)
+    many[place, 2, 1] = many[place, 1, 2] = wrong
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        normal_equations.choleskies(many)
+
+
 def test_normal_equations_that_are_none_are_refused():
     for wrong in (np.nan, np.inf):
         matrix = np.eye(3)
