@@ -20,7 +20,7 @@ from geodrake.identification.logs.model_errors import (
     JointError,
     Series,
 )
-from geodrake.identification.models.results import BodyChange
+from geodrake.identification.models import BodyChange
 from geodrake.report import (
     Units,
     candidate_figure,
