@@ -104,7 +104,7 @@ def reduce_logs(
         tuple(
             JointData(
                 columns,
-                _stacked([box.triangle() for box in joint]),
+                _stacked([box.whole_factor() for box in joint]),
                 np.array([box.samples for box in joint]),
                 tuple(box.blocks() for box in joint),
                 np.array([box.carried[: len(columns)] for box in joint]),
@@ -172,9 +172,9 @@ class _Box:
         self.pending.append(np.hstack([rows.A, rows.b]))
         self.carried += self.pending[-1].T @ rows.carried
         if sum(map(len, self.pending)) > WORTHWHILE * self.width:
-            self.factor, self.pending = self.triangle(), []
+            self.factor, self.pending = self.whole_factor(), []
 
-    def triangle(self) -> Array:
+    def whole_factor(self) -> Array:
         """The factor of all rows: they themselves where they are fewer than the columns."""
         blocks = [*([] if self.factor is None else [self.factor]), *self.pending]
         few = sum(map(len, blocks)) <= self.width
