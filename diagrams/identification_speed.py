@@ -120,7 +120,7 @@ def cpu_times(methods: dict[str, Callable[[], Any]], repeats: int) -> dict[str, 
 
 
 def peak_memory(case: Case, solvers: Sequence[str], arguments: list[str]) -> dict[str, Any]:
-    """Largest memory of a process that only makes a case, and of one that solves it, MB."""
+    """Largest memory, MB, of a process that only makes a case, and of one that then solves it."""
 
     def peak(what: str) -> float:
         command = [sys.executable, __file__, "--peak", f"{case.name},{what}", *arguments]

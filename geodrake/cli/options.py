@@ -44,8 +44,9 @@ EffectNames = Annotated[
     list[Path] | None,
     typer.Option(
         metavar="NAME[@PLACE],…|FILE.py",
-        help="Effects beside the model's, by the names that README lists, and the joint or body "
-        "where they are; a FILE.py brings effects that may be named. Repeatable.",
+        help="Effects beside the model's, by their names (an unknown name such as x lists them), "
+        "and the joint or body where they are; a FILE.py brings effects that may be named. "
+        "Repeatable.",
     ),
 ]
 
@@ -130,8 +131,9 @@ class _Steps(Options):
         float | None,
         typer.Option(
             metavar="SHARE",
-            help="How well the gains of the efforts are known: 0.05 if absent, as of torque "
-            "constants; 0 for calibrated torque sensors.",
+            help="How well the gains of the efforts are known, as a share: what that makes of "
+            "parameters is a second ±. 0.05 if absent, as for torque constants; 0 for calibrated "
+            "torque sensors.",
         ),
     ] = None
 
@@ -174,7 +176,9 @@ class RolloutOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class _Addition:
-    effect: Annotated[str, typer.Argument(metavar="EFFECT", help="Its name, as README lists them.")]
+    effect: Annotated[
+        str, typer.Argument(metavar="EFFECT", help="Its name; an unknown one such as x lists them.")
+    ]
     where: Annotated[
         list[str] | None,
         typer.Option(

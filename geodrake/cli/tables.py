@@ -147,7 +147,9 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
     head(console, f"Error of each joint, RMS in {units.effort()}")
     show_table(console, errors_table(error_stages(explanation), units))
     if explanation.bodies:
-        head(console, "Bodies before and after, kg and mm, the farthest change first")
+        head(
+            console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"
+        )
         show_table(console, bodies_table(explanation.bodies))
     show_list(console, "Notes", explanation.notes)
 

@@ -15,7 +15,7 @@ from geodrake.excitation.rivals import Rival
 from geodrake.model.robot_model import RobotModel
 
 _SIGN_SHARE = 0.02  # of the fastest that is allowed, over which friction changes sign
-_FORM = "Write EFFECT,EFFECT, either with a joint or body after it if need be: EFFECT@elbow."
+_FORM = "Write EFFECT,EFFECT; a place may follow either: EFFECT@elbow."
 
 
 def check_alone(options: ExciteOptions, names: Sequence[str]) -> None:

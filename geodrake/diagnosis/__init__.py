@@ -14,8 +14,10 @@ from geodrake.identification.logs.model_errors import (
     JointError,
     Series,
 )
+from geodrake.identification.models.results import BodyChange
 
 __all__ = [
+    "BodyChange",
     "Candidate",
     "Comparison",
     "Criteria",

@@ -107,8 +107,8 @@ class Step:
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: Those of these effects that were fitted, best first; the others follow from what is
             known of the effects.
-        systematic: As `deviations`, those that come of the gains of the efforts, which are known to
-            the logs' `effort_uncertainty` only; more data do not narrow them.
+        systematic: As `deviations`, those that come from the gains of the efforts, which are
+            known to the logs' `effort_uncertainty` only; more data do not narrow them.
     """
 
     effect: str

@@ -15,6 +15,9 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
 
+_SMALL = 1e-4
+"""Share of a change at which what is reported is differentiated."""
+
 
 def reported_parameters(fitted: FittedEffect) -> tuple[dict[str, float], dict[str, float]]:
     """Values and standard deviations of what an effect reports, by name, SI units."""
@@ -24,19 +27,21 @@ def reported_parameters(fitted: FittedEffect) -> tuple[dict[str, float], dict[st
 
 
 def systematic_parameters(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
-    """Standard deviations of what an effect reports that come of uncertain gains of the efforts.
+    """Standard deviations of what an effect reports that come from uncertain gains of the efforts.
+
+    To first order, as the shifts are; shapes and what else has no deviation are left out.
 
     Args:
         fitted: The effect.
         shifts: (nv, k) what its parameters change by if the gain of a joint's efforts is off by one
             standard deviation; gains of different joints are independent.
     """
-    values, _ = reported_parameters(fitted)
-    squares = dict.fromkeys(values, 0.0)
-    for shift in shifts:
+    values, deviations = reported_parameters(fitted)
+    squares = {name: 0.0 for name in values if name in deviations}
+    for shift in _SMALL * shifts:
         moved, _ = reported_parameters(replace(fitted, parameters=fitted.parameters + shift))
-        for name, value in values.items():
-            squares[name] += (moved[name] - value) ** 2
+        for name in squares:
+            squares[name] += ((moved[name] - values[name]) / _SMALL) ** 2
     return {name: float(np.sqrt(square)) for name, square in squares.items()}
 
 

@@ -343,8 +343,10 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
 def _systematic(case: Case, group: _Group, fit: ModelFit) -> Values:
     """What the uncertain gains of the efforts add to the deviations of a group's parameters."""
     values: Values = {}
+    if case.effort_uncertainty == 0.0:
+        return values
     for fitted in fit.model.effects:
-        if fitted.effect in group.effects and case.effort_uncertainty > 0.0:
+        if fitted.effect in group.effects and fitted.effect.role is not Role.SCALE:
             own = fit.gain_shifts[:, fit.unknowns.span(fitted.effect)]
             found = systematic_parameters(fitted, case.effort_uncertainty * own)
             values.setdefault(fitted.effect.place, {}).update(found)

@@ -50,6 +50,7 @@ def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
         factor, info = dpotrf(matrix.T, lower=True, clean=False, overwrite_a=True)
         factors.append(factor)
         failed |= info != 0
+    # Factors stand where their matrices were, so that these are the diagonals of the factors.
     if failed or not np.isfinite(diagonals).all():
         raise np.linalg.LinAlgError("The normal matrix of a fit is not positive definite.")
     return factors

@@ -125,13 +125,22 @@ class SmoothPiece:
 
     @cached_property
     def _all(self) -> Segment:
-        return self._made(slice(None))
+        segment = self._made(slice(None))
+        for signal in (
+            segment.time,
+            segment.position,
+            segment.velocity,
+            segment.acceleration,
+            segment.effort,
+        ):
+            signal.setflags(write=False)  # whoever looks gets a view
+        return segment
 
     def _made(self, samples: slice) -> Segment:
         start, stop, _ = samples.indices(len(self))
         margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
         low, high = max(0, start - margin), min(len(self), stop + margin)
-        near, kept = self.piece[low:high], slice(start - low, stop - low)
+        near, inner = self.piece[low:high], slice(start - low, stop - low)
         position = self.smoother.smooth(near.position)
         period = self.piece.period
         if self.lag is None or near.velocity is None:
@@ -141,11 +150,11 @@ class SmoothPiece:
             velocity = late + self.lag * differentiate(late, period)
         acceleration = differentiate(velocity, period)
         return Segment(
-            near.time[kept],
-            position[kept],
-            velocity[kept],
-            acceleration[kept],
-            near.effort[kept],
+            near.time[inner],
+            position[inner],
+            velocity[inner],
+            acceleration[inner],
+            near.effort[inner],
             period,
         )
 

@@ -9,9 +9,9 @@ from scipy.fft import rfft
 
 Array = NDArray[np.float64]
 
+# Windows, each a sum of cosines Σ_k (−1)ᵏ a_k cos(2π k t) over one period: the a_k.
 HANN = (0.5, 0.5)
 BLACKMAN_HARRIS = (0.35875, 0.48829, 0.14128, 0.01168)
-"""Windows, each a sum of cosines Σ_k (−1)ᵏ a_k cos(2π k t) over one period: the a_k."""
 
 
 def spectral_density(

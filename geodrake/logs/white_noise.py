@@ -37,7 +37,8 @@ def quiet_density(
     density = density / (2.0 * np.sin(np.pi * frequency / rate)[:, None]) ** (2 * differences)
     lowest, highest = 1.6 * bandwidth, 0.45 * rate
     averages = max(1.0, 0.9 * (2 * len(changes) / length - 1))
-    median = gammaincinv(averages, 0.5) / averages  # of χ² of as many pairs, over its mean
+    # The median of a mean of that many exponentials, over its mean.
+    median = gammaincinv(averages, 0.5) / averages
     bands = max(1, int(np.log2(highest / lowest) * 2))
     edges = np.geomspace(lowest, highest, bands + 1)
     levels = []

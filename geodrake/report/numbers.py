@@ -54,10 +54,20 @@ def with_deviation(value: float, deviation: float, systematic: float = math.nan)
     scale = 0 if -4 <= largest < 6 else largest
     decimals = digits - 1 - exponent + scale
     parts = [value, deviation]
-    if math.isfinite(systematic) and systematic > _NOTICED * deviation:
+    if is_noticed(deviation, systematic):
         parts.append(systematic)
     text = " ± ".join(_fixed(part / 10.0**scale, decimals) for part in parts)
     return f"({text}){_power(scale)}" if scale else text
+
+
+def is_noticed(deviation: float, systematic: float) -> bool:
+    """Whether a systematic deviation is shown beside another one.
+
+    Args:
+        deviation: A positive standard deviation.
+        systematic: One that more data do not narrow, in the same unit.
+    """
+    return math.isfinite(systematic) and 0.0 < deviation < systematic / _NOTICED
 
 
 def estimate(value: float, deviation: float, systematic: float = math.nan) -> str:

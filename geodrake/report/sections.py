@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from geodrake.diagnosis.ambiguity import distinguishing_commands
-from geodrake.diagnosis.results import Diagnosis, Explanation
+from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
 from geodrake.report.identification_tables import bodies_table
-from geodrake.report.numbers import Units
+from geodrake.report.numbers import Units, is_noticed
 from geodrake.report.page import Section
 from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
 from geodrake.report.words import failing_words
@@ -49,13 +49,22 @@ def parameters_section(explanation: Explanation, units: Units) -> Section:
     """
     tables = [parameters_table(step, units) for step in explanation.steps if step.parameters]
     words = "Value ± standard deviation, where the fit knows one."
-    if any(step.systematic for step in explanation.steps):
+    if any(map(_has_noticed, explanation.steps)):
         words += (
-            " A second deviation comes of the gains of the efforts. More data do not narrow it: a "
-            "log with a payload of known mass does (--known-payload)."
+            " A second deviation comes from the gains of the efforts. More data do not narrow it: "
+            "a log with a payload of known mass does (--known-payload)."
         )
     text = (words,) if tables else ()
     return Section("Parameters found", text, tuple(tables), abreast=True)
+
+
+def _has_noticed(step: Step) -> bool:
+    """Whether a second deviation is shown of one of a step's parameters."""
+    return any(
+        is_noticed(step.deviations[place][name], systematic)
+        for place, own in step.systematic.items()
+        for name, systematic in own.items()
+    )
 
 
 def bodies_section(explanation: Explanation) -> Section:
@@ -64,8 +73,9 @@ def bodies_section(explanation: Explanation) -> Section:
         return Section("Bodies")
     text = (
         "Mass in kg and centre of mass in mm in the frame of the body, as the model had them and "
-        "as they are fitted beside the effects, ± standard deviation; the farthest change first. "
-        "What is attached to a body as a payload stands among the parameters."
+        "as they are fitted beside the effects, ± standard deviation from noise alone; the "
+        "farthest change first. What is attached to a body as a payload stands among the "
+        "parameters."
     )
     return Section("Bodies", (text,), (bodies_table(explanation.bodies),))
 

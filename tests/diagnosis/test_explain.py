@@ -395,6 +395,27 @@ def test_add_puts_an_effect_where_it_is_told(model, logs):
     assert step.rms_after["elbow"] < 0.7 * step.rms_before["elbow"]
 
 
+def test_uncertain_gains_of_efforts_are_a_second_deviation(model, logs):
+    """Friction is in proportion to the efforts; a shape is not, and has no deviation at all."""
+    shares = (0.0, 0.05, 0.1)
+    none, once, twice = (
+        add(
+            "stribeck_friction",
+            model,
+            [replace(log, effort_uncertainty=share) for log in logs],
+            where=["elbow"],
+            bandwidth=BANDWIDTH,
+        ).steps[0]
+        for share in shares
+    )
+    assert none.systematic == {}
+    assert set(once.parameters["elbow"]) > set(once.systematic["elbow"]) > set()
+    for name, systematic in once.systematic["elbow"].items():
+        assert systematic > 0.0
+        assert twice.systematic["elbow"][name] == pytest.approx(2.0 * systematic, rel=1e-3)
+        assert none.deviations["elbow"][name] == once.deviations["elbow"][name]
+
+
 def test_add_to_all_joints_by_default(model, logs):
     found = add("coulomb_friction", model, logs, bandwidth=BANDWIDTH)
     assert found.steps[0].where == JOINTS

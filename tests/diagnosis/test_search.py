@@ -10,6 +10,8 @@ from pendulum_logs import JOINTS, NOISE, PENDULUM, friction, pendulum_log
 
 from geodrake import load_model
 from geodrake.diagnosis import Criteria, add, diagnose, explain
+from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.trials import try_package, try_packages
 from geodrake.effects import (
     CoulombFriction,
     EffortOffset,
@@ -18,6 +20,9 @@ from geodrake.effects import (
     JointSpring,
     Parameter,
 )
+from geodrake.identification.logs import hypothesis
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.inertia import is_physical
 from geodrake.logs.filtering import design_filter
 
@@ -75,6 +80,28 @@ class TestPlaces:
         for name in ("viscous_friction", "coulomb_friction", "asymmetric_friction"):
             added = add(name, MODEL, [log], where=found[name].where, bandwidth=BANDWIDTH)
             assert added.end.nrms == pytest.approx(found[name].error_after, rel=0.02)
+
+    def test_candidates_tried_together_are_those_one_by_one(self, monkeypatch):
+        """However many of them have their residuals computed at once."""
+        monkeypatch.setattr(hypothesis, "_AT_ONCE", 3)
+        log = pendulum_log(1, friction((0.2, 0.1), (0.15, 0.0)), seconds=20.0)
+        case = open_case(MODEL, [log], candidates=True, bandwidth=BANDWIDTH)
+        start = hypothesis.first_hypothesis(case.dataset, model_unknowns(case.dataset, MODEL))
+        packages = [Package((effect,), effect.where) for effect in case.dataset.effects[:10]]
+        packages.append(Package(tuple(CoulombFriction(joint) for joint in JOINTS), JOINTS))
+        together = try_packages(start, packages, 9)
+        for package, trial in zip(packages, together, strict=True):
+            alone = try_package(start, package, 9)
+            assert trial.package is package
+            assert trial.gain == pytest.approx(alone.gain, rel=1e-9)
+            assert (trial.alarm, trial.reduction) == pytest.approx((alone.alarm, alone.reduction))
+        assert len({trial.gain for trial in together}) > 5
+        assert try_packages(start, [], 9) == []
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_nothing_where_nothing_is_missing(self, seed):
+        found = explained(pendulum_log(seed, seconds=16.0))
+        assert (found.verdict, found.steps) == ("adequate", ())
 
     def test_of_two_bodies_that_stood_for_a_mass_the_better_one_is_named(self):
         """Although ten parameters cost more than so small a mass is worth."""

@@ -192,6 +192,7 @@ NO_DOOR = {
             "identification.RegularizerComparison",
             "inertia.PrincipalAxes",
             "loops.AdaptiveLoop",
+            "models.BodyChange",
             "models.ModelIdentification",
             "perturbation.Perturbation",
             "rollout.Rollout",

@@ -4,7 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chain_logs import inverse_dynamics
 from pendulum_logs import JOINTS, PENDULUM, friction, pendulum_log
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import SpatialInertia, UnitInertia
 from scipy.linalg import block_diag
 from scipy.optimize import lsq_linear
 
@@ -14,6 +18,7 @@ from geodrake.effects import (
     CoulombFriction,
     CoupledFriction,
     EffortOffset,
+    EffortScale,
     FittedEffect,
     JointSpring,
     Payload,
@@ -34,6 +39,7 @@ from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.unknowns import effect_prior, payload_reference
 from geodrake.inertia import is_physical
 from geodrake.logs.folds import validation_blocks
+from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.preparation import prepare_logs
 
 WEIGHTS = np.array([30.0, 70.0])
@@ -480,6 +486,34 @@ def test_errors_at_delays_are_those_of_refits(dataset, model, joint):
             np.testing.assert_allclose(found[delay], refit, rtol=1e-6)
 
 
+@pytest.mark.parametrize("most", [np.inf, 0.05])
+def test_a_fit_at_another_delay_is_that_of_a_fit_to_it(dataset, model, most):
+    """Where no bound is in the way, and where one is."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    upper = unknowns.upper.copy()
+    upper[unknowns.span(EFFECTS[0])] = most
+    unknowns = replace(unknowns, upper=upper)
+    found = CrossValidation(dataset, unknowns, WEIGHTS).at_delay(1)
+    expected = CrossValidation(dataset, unknowns, WEIGHTS, delay=1).held_out
+    is_held = expected.x[:, unknowns.span(EFFECTS[0])] == most
+    assert is_held.all() if np.isfinite(most) else not is_held.any()
+    np.testing.assert_allclose(found.sse, expected.sse, rtol=1e-9)
+    np.testing.assert_allclose(found.x, expected.x, rtol=1e-6, atol=1e-9)
+    assert (found.sse != CrossValidation(dataset, unknowns, WEIGHTS).held_out.sse).all()
+
+
+@pytest.mark.parametrize("place", [0, 3, 6])
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -2.0])
+def test_one_matrix_of_many_that_has_no_factor_is_seen(place, wrong):
+    root = np.random.default_rng(0).normal(size=(7, 4, 4))
+    many = 0.1 * (root + np.swapaxes(root, 1, 2)) + np.eye(4)
+    for matrix, factor in zip(many, normal_equations.choleskies(many), strict=True):
+        np.testing.assert_allclose(np.tril(factor) @ np.tril(factor).T, matrix, atol=1e-8)
+    many[place, 2, 1] = many[place, 1, 2] = wrong
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        normal_equations.choleskies(many)
+
+
 def test_normal_equations_that_are_none_are_refused():
     for wrong in (np.nan, np.inf):
         matrix = np.eye(3)
@@ -504,6 +538,85 @@ def test_gains_of_efforts_move_parameters_as_is_said(dataset, model, joint):
     other = solve_surely(fit_problem(replace(dataset, data=tuple(data)), unknowns, WEIGHTS)).x
     scale = np.abs(shifts[joint]).max()
     np.testing.assert_allclose((other - one) / 0.01, shifts[joint], atol=2e-3 * scale)
+
+
+WEIGHT = KnownPayload("lower_link", 1.0, (0.05, 0.0, -0.2))
+
+
+def weight_effort(q, v, vd, load):
+    """What a weight at the lower link needs beside the model, by Drake."""
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(PENDULUM))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    point = UnitInertia.PointMass(WEIGHT.mass_center)
+    inertia = SpatialInertia(WEIGHT.mass, WEIGHT.mass_center, point)
+    weight = plant.AddRigidBody("weight", plant.GetModelInstanceByName("double_pendulum"), inertia)
+    plant.WeldFrames(plant.GetFrameByName("lower_link"), weight.body_frame())
+    plant.Finalize()
+    return inverse_dynamics(plant, q, v, vd) - load
+
+
+def carrying_log(seed, hidden=None, **more):
+    """A log of the pendulum with the weight, which is known."""
+
+    def both(q, v, vd, load):
+        rest = 0.0 if hidden is None else hidden(q, v, vd, load)
+        return weight_effort(q, v, vd, load) + rest
+
+    return replace(pendulum_log(seed, both, seconds=20.0, **more), payloads=(WEIGHT,))
+
+
+def with_gains(logs, gains):
+    return [replace(log, effort=log.effort * gains) for log in logs]
+
+
+def reduced(model, logs, effects):
+    trajectories = prepare_logs(logs, bandwidth=6.0)
+    folds = validation_blocks(trajectories, blocks=2)
+    return reduce_logs(model, trajectories, folds, effects=effects)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_gains_act_on_the_efforts_of_known_payloads_too(model, joint):
+    """Against a second fit, to logs whose efforts are 1 % larger at one joint."""
+    hidden = friction((0.2, 0.1), (0.1, 0.05))
+    logs = [pendulum_log(1, hidden, seconds=20.0), carrying_log(2, hidden)]
+    fits = []
+    for gains in (np.ones(2), 1.0 + 0.01 * np.eye(2)[joint]):
+        data = reduced(model, with_gains(logs, gains), EFFECTS[:4])
+        unknowns = with_effects(data, model_unknowns(data, model), *EFFECTS[:4])
+        fits.append(fit_model(model, data, unknowns, WEIGHTS))
+    one, other = fits
+    shifts, moved = one.gain_shifts[joint], (other.result.x - one.result.x) / 0.01
+    np.testing.assert_allclose(moved, shifts, atol=5e-3 * np.abs(shifts).max())
+
+
+def test_gains_that_a_model_took_in_act_on_what_has_changed_since(model):
+    """A model is fitted to one log; in the next there are friction and a known weight."""
+    quiet = np.full(2, 1e-4)
+    before = pendulum_log(1, seconds=20.0, noise=quiet)
+    after = carrying_log(2, friction((0.5, 0.3)), noise=quiet)
+    found = []
+    for gain in (1.0, 1.01):
+        first, then = with_gains([before, after], gain)
+        data = reduced(model, [first], ())
+        fitted = fit_model(model, data, model_unknowns(data, model, spread=10.0), WEIGHTS).model
+        data = reduced(fitted, [then], EFFECTS[:2])
+        unknowns = with_effects(data, model_unknowns(data, fitted), *EFFECTS[:2])
+        found.append(fit_model(fitted, data, unknowns, WEIGHTS))
+    one, other = found
+    added = slice(-2, None)
+    moved = (other.result.x - one.result.x)[added] / 0.01
+    np.testing.assert_allclose(one.gain_shifts.sum(axis=0)[added], moved, rtol=0.02)
+
+
+def test_a_gain_that_is_fitted_moves_nothing_else(model):
+    logs = [pendulum_log(1, seconds=20.0), carrying_log(2)]
+    data = reduced(model, logs, (EffortScale("elbow"),))
+    unknowns = with_effects(data, model_unknowns(data, model), EffortScale("elbow"))
+    shoulder, elbow = fit_model(model, data, unknowns, WEIGHTS).gain_shifts
+    assert shoulder.any()
+    assert not elbow.any()
 
 
 def test_a_payload_is_as_large_as_its_robot(model):

@@ -25,7 +25,7 @@ from geodrake.identification.logs.coherent_bandwidth import (
     effort_ratio,
     prepare_for_model,
 )
-from geodrake.identification.logs.log_slices import INERTIA, Layout
+from geodrake.identification.logs.log_slices import INERTIA, Layout, LogSlice
 from geodrake.identification.logs.noise import noise_floor
 from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
 from geodrake.identification.logs.shared_rows import SharedRows
@@ -47,6 +47,16 @@ EFFECTS = (
 @pytest.fixture(scope="module")
 def model():
     return load_model(PENDULUM)
+
+
+class Unfiltered:
+    """A filter that lets everything through."""
+
+    def output_indices(self, samples):
+        return np.arange(samples)
+
+    def apply(self, signal):
+        return np.asarray(signal, float)
 
 
 @pytest.fixture(scope="module")
@@ -223,6 +233,19 @@ def test_delays_advance_the_effort(model):
             for d, delay in enumerate((0.007, 0.019, -0.013)):
                 truth = np.sin(rate[j] * (rows.time + delay))
                 np.testing.assert_allclose(rows.b[:, d], truth, atol=2e-3)
+
+
+def test_a_stretch_of_one_sample_has_no_effort_of_other_instants(model, trajectories):
+    """No spline goes through it: its effort stays as it is."""
+    trajectory, width = trajectories[1], np.full(2, 0.01)
+    (stretch,) = trajectory.segments
+    one = replace(stretch, stop=stretch.first + 1)
+    advance = [np.zeros(2), np.full(2, 0.01)]
+    layout = Layout.of(model, (), width, width)
+    low_pass = replace(trajectory, filter=Unfiltered())
+    part = LogSlice(layout, low_pass, one, slice(0, 1), advance, "one")
+    for joint, rows in enumerate(part.rows(SharedRows(0))):
+        np.testing.assert_array_equal(rows.b, np.full((1, 2), one[:].effort[0, joint]))
 
 
 def test_every_joint_has_delays_of_its_own(model):

@@ -94,6 +94,7 @@ class TestGainTold:
         assert {effect: step.where for effect, step in steps.items()} == {"effort_scale": (name,)}
         told = steps["effort_scale"]
         assert told.parameters[name]["gain_error"] == pytest.approx(gain, abs=0.01)
+        assert told.systematic == {}  # it is what gains are found to be
         assert found.verdict == "explained"
 
     @pytest.mark.thorough

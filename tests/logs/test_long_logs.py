@@ -46,6 +46,14 @@ def test_slices_are_those_of_the_whole(monkeypatch, velocity):
     assert len(stretch[5:5]) == 0
 
 
+def test_what_is_kept_of_a_short_log_cannot_be_written_to():
+    (stretch,) = prepare_log(long_log(3000), bandwidth=6.0).segments
+    part = stretch[5:50]
+    for signal in (part.time, part.position, part.velocity, part.acceleration, part.effort):
+        with pytest.raises(ValueError, match="read-only"):
+            signal[0] = 0.0
+
+
 def test_trimming_does_not_depend_on_chunks(monkeypatch):
     log = long_log(9000)
     still = np.clip(log.time, 3.0, 15.0)

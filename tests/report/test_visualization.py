@@ -20,7 +20,7 @@ from geodrake.identification.logs.model_errors import (
     JointError,
     Series,
 )
-from geodrake.identification.models.results import BodyChange
+from geodrake.identification.models import BodyChange
 from geodrake.report import (
     Units,
     candidate_figure,
@@ -36,7 +36,7 @@ from geodrake.report import (
     step_figure,
     step_stages,
 )
-from geodrake.report.numbers import chance, number, percent, shortened, with_deviation
+from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.style import png
 from geodrake.report.words import (
     addition_verdict,
@@ -227,6 +227,7 @@ def test_bodies_are_shown_before_and_after():
     assert "Bodies" not in render_explanation(found, **NAMES)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_names_are_escaped():
     joints = (EVIL, "elbow")
     shown = dataclasses.replace(explanation(joints), notes=("<b>note</b>",))
@@ -434,6 +435,31 @@ def test_figures_are_saved(tmp_path):
 )
 def test_values_with_deviations(value, deviation, text):
     assert with_deviation(value, deviation) == text
+
+
+@pytest.mark.parametrize(
+    ("systematic", "text"),
+    [
+        (0.0035, "3.084 ± 0.012"),
+        (0.0037, "3.084 ± 0.012 ± 0.004"),
+        (0.1542, "3.084 ± 0.012 ± 0.154"),
+        (math.nan, "3.084 ± 0.012"),
+    ],
+)
+def test_a_second_deviation_is_shown_where_it_is_not_small(systematic, text):
+    assert with_deviation(3.0839, 0.0121, systematic) == text
+    assert with_deviation(3.0839, math.nan, systematic) == "3.08"
+    assert is_noticed(0.0121, systematic) == (text.count("±") == 2)
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize("systematic", [0.003, 0.154])
+def test_a_second_deviation_is_explained_where_one_is_shown(systematic):
+    joints = joint_names(2)
+    own = {joint: {"coulomb": systematic} for joint in joints}
+    found = explanation(joints, (dataclasses.replace(friction(joints), systematic=own),))
+    text = check_self_contained(render_explanation(found, **NAMES))
+    assert ("A second deviation comes from the gains" in text) == (systematic > 0.1)
 
 
 def test_numbers_in_words():

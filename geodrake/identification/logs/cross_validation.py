@@ -36,9 +36,8 @@ Indices = NDArray[np.intp]
 _MOST_SEEN = 0.3
 """If a joint sees more than this share of the products, adding zeros to the others is quicker."""
 
-
 _ROUNDING = 1e-12
-"""What a parameter may be beyond its bound."""
+"""Rounding may take a parameter so far beyond its bound."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,8 @@ hundreds of candidates are then small dense problems; no one goes back to the sa
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,12 +83,14 @@ class JointData:
             for each fold; the rows themselves where these are fewer than the columns.
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
+        carried: (F, p_j) products Aᵀc with the effort c of known payloads, which b is without.
     """
 
     columns: Indices
     factors: Array
     samples: NDArray[np.int_]
     rows: tuple[tuple[JointRows, ...], ...]
+    carried: Array
 
     @property
     def grams(self) -> Array:
@@ -137,6 +138,29 @@ class JointData:
 
 
 @dataclass(frozen=True, eq=False)
+class Settled:
+    """What a fit whose weights were settled came to; the arrays cannot be written to.
+
+    Attributes:
+        fitted: (nv,) weights of the last fit.
+        sse: (F, nv) sums of its squared held-out residuals, (N·m)² or N².
+        x: (F, p) its parameters without each fold.
+        weights: (nv,) weights that its errors deserve.
+        effective: (nv,) effective samples of its residuals.
+    """
+
+    fitted: Array
+    sse: Array
+    x: Array
+    weights: Array
+    effective: Array
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            getattr(self, each.name).setflags(write=False)
+
+
+@dataclass(frozen=True, eq=False)
 class Dataset:
     """Several logs, reduced.
 
@@ -173,7 +197,7 @@ class Dataset:
     still: Array
     payload: Array
     gain_uncertainty: Array
-    settled: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+    settled: dict[Hashable, Settled] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def starts(self) -> Mapping[Effect, int]:

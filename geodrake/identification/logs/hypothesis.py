@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
-from geodrake.identification.logs.dataset import Dataset, Delay, JointData
+from geodrake.identification.logs.dataset import Dataset, Delay, JointData, Settled
 from geodrake.identification.logs.evidence import effective_samples_of_each, log_likelihood_gain
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY
@@ -137,7 +137,10 @@ class Hypothesis:
 
     def quick_gains(self, delays: Sequence[Delay]) -> list[float]:
         """Twice the held-out log-likelihood ratio of other delays, the weights as they are."""
-        cv = CrossValidation(self.dataset, self.unknowns, self.weights, delay=self.delay)
+        # With these weights it would err a little differently, which nobody asks.
+        cv = CrossValidation(
+            self.dataset, self.unknowns, self.weights, delay=self.delay, held_out=self.held_out
+        )
         before, after = self.held_out.mse, [cv.at_delay(delay).mse for delay in delays]
         return [float(log_likelihood_gain(before, mse, self.effective).sum()) for mse in after]
 
@@ -239,9 +242,10 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
     # A search asks the same again and again, by other ways.
     question = _fingerprint(unknowns, weights, effective), delay, iterations
     if question in dataset.settled:
-        fitted, held_out, weights, effective = dataset.settled[question]
-        cv = CrossValidation(dataset, unknowns, fitted, delay=delay, held_out=held_out)
-        return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+        known = dataset.settled[question]
+        held_out = HeldOut(known.sse, dataset.samples, known.x)
+        cv = CrossValidation(dataset, unknowns, known.fitted, delay=delay, held_out=held_out)
+        return replace(hypothesis, weights=known.weights, cv=cv, effective=known.effective)
     samples = dataset.samples.sum(0)
     for _ in range(iterations):
         cv, weights = _refitted(hypothesis, weights, effective / samples)
@@ -257,7 +261,8 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         cv = physical
         effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
         weights = _deserved_weights(dataset, cv.held_out, effective / samples)
-    dataset.settled[question] = cv.weights, cv.held_out, weights, effective
+    sse, x = cv.held_out.sse, cv.held_out.x
+    dataset.settled[question] = Settled(cv.weights, sse, x, weights, effective)
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
 
 

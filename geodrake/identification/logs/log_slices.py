@@ -176,9 +176,10 @@ class LogSlice:
     @cached_property
     def _effort_spline(self) -> BSpline | None:
         """What efforts at other instants are read from, if any are asked for."""
-        if not any(seconds.any() for seconds in self.advance):
+        effort = self._near[0].effort
+        if len(effort) < 2 or not any(seconds.any() for seconds in self.advance):
             return None
-        return spline_through(self._near[0].effort)
+        return spline_through(effort)
 
     def _motion_rows(self, shared: SharedRows) -> Blocks:
         """Per joint (K, 4) motion and share of time at rest; at −1 the (K,) instants."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from geodrake.effects import FittedEffect
+from geodrake.effects import FittedEffect, Role
 from geodrake.effects.base import Effect
 from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.fit import FitResult
@@ -129,9 +129,10 @@ def gain_shifts(
 ) -> Array:
     """(nv, p) what the parameters of a fit change by with the gain of each joint's efforts.
 
-    A wrong gain 1 + g of joint j moves them by g times its row, to first order. It has gone into a
-    model that was fitted to efforts of the same gains before: then what it moves is only what has
-    changed since.
+    A wrong gain 1 + g of joint j moves them by g times its row, to first order; that of a joint
+    whose gain is fitted moves nothing else. It acts on the measured effort, of which known payloads
+    are a part. It has gone into a model that was fitted to efforts of the same gains before: then
+    what it moves is only what has changed since.
 
     Args:
         dataset: The reduced logs.
@@ -141,13 +142,18 @@ def gain_shifts(
         known: Whether the prior is that of a model which was fitted before.
     """
     pulls = np.zeros((len(dataset.joints), len(unknowns.columns)))
+    fitted = {effect.where[0] for effect in unknowns.effects if effect.role is Role.SCALE}
     for j, (data, weight) in enumerate(zip(dataset.data, weights, strict=True)):
+        if dataset.joints[j] in fitted:
+            continue
         local = data.local(unknowns.columns)
         if known:
             gram = data.products(local, local).sum(axis=2)
-            pulls[j] = weight * gram @ (fit.x - unknowns.mean)
+            pull = gram @ (fit.x - unknowns.mean)
         else:
-            pulls[j] = weight * data.products(np.array([len(data.columns)]), local)[0].sum(axis=1)
+            pull = data.products(np.array([len(data.columns)]), local)[0].sum(axis=1)
+        carried = np.append(data.carried.sum(axis=0), 0.0)[local]  # 0 where the joint sees nothing
+        pulls[j] = weight * (pull + carried)
     scale = 1.0 / np.sqrt(np.diag(fit.information))
     factor = cholesky(fit.information * scale[:, None] * scale)
     return (scale[:, None] * solved(factor, scale[:, None] * pulls.T)).T

@@ -105,9 +105,10 @@ def reduce_logs(
         tuple(
             JointData(
                 columns,
-                _stacked([box.finish() for box in joint]),
+                _stacked([box.whole_factor() for box in joint]),
                 np.array([box.samples for box in joint]),
                 tuple(box.blocks() for box in joint),
+                np.array([box.carried[: len(columns)] for box in joint]),
             )
             for columns, joint in zip(layout.columns, boxes, strict=True)
         ),
@@ -167,6 +168,10 @@ class _Box:
     seen: int = 0
     samples: int = 0
     sums: Array = field(default_factory=lambda: np.zeros(2))
+    carried: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.carried = np.zeros(self.width)
 
     def add(self, block: Block, rows: JointRows) -> None:
         if self.samples < ROWS_KEPT:
@@ -175,10 +180,11 @@ class _Box:
         self.sums += effort.sum(), effort @ effort
         self.samples += len(effort)
         self.pending.append(np.hstack([rows.A, rows.b]))
+        self.carried += self.pending[-1].T @ rows.carried
         if sum(map(len, self.pending)) > WORTHWHILE * self.width:
-            self.factor, self.pending = self.finish(), []
+            self.factor, self.pending = self.whole_factor(), []
 
-    def finish(self) -> Array:
+    def whole_factor(self) -> Array:
         """The factor of all rows: they themselves where they are fewer than the columns."""
         blocks = [*([] if self.factor is None else [self.factor]), *self.pending]
         few = sum(map(len, blocks)) <= self.width

@@ -169,8 +169,8 @@ def pullback_information(phi: Array, spread: float) -> Array:
 def payload_reference(phi: Array) -> Array:
     """(10,) a body in the middle of what a robot may carry, whatever its size.
 
-    It has a tenth of the robot's mass and a third of the distance, in the mean square, of the
-    mass of its bodies from their origins.
+    Its mass is a tenth of the robot's. Its radius of gyration is a third of that of the robot's
+    bodies about their own origins.
 
     Args:
         phi: (nb, 10) inertial parameters of the robot.
