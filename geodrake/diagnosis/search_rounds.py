@@ -27,8 +27,9 @@ from geodrake.diagnosis.further_columns import (
 from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
+from geodrake.diagnosis.trials import net_gain
 from geodrake.effects import Effect, Role
-from geodrake.identification.logs.case import Case, reduced
+from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.evidence import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 
@@ -63,8 +64,28 @@ def searched(
         The case as it was reduced last, and the trail on its dataset.
     """
     case, trail = with_suggestions(case, Trail(start, start, {}), criteria, least_share=DOMINANT)
-    state = _State(case, trail, tuple(fixed), criteria)
-    look = partial(search, criteria=criteria, tune=tune, pause=state.to_pause, progress=progress)
+    state = _run(_State(case, trail, tuple(fixed), criteria), tune=tune, progress=progress)
+    case, trail = state.case, state.trail
+    loose = trail.end.looseness
+    if loose > 1.0 and not error_table(case.dataset, trail.end.held_out).is_noise:
+        held = replace(trail.end.loosened(1.0 / loose), holds=True)
+        begin = replace(trail, end=held)
+        other = _run(_State(case, begin, tuple(fixed), criteria), tune=tune, progress=progress)
+        if _is_likelier(other.trail.end, trail.end):
+            return other.case, other.trail
+    return case, trail
+
+
+def _is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
+    """Whether effects explain the logs better than bodies that go far, and pay for their way."""
+    return net_gain(loose, held) + loose.way - held.way > 0.0
+
+
+def _run(state: _State, *, tune: bool, progress: Progress | None) -> _State:
+    """Search from where a state is, until nothing is left to search or to make exact."""
+    look = partial(
+        search, criteria=state.criteria, tune=tune, pause=state.to_pause, progress=progress
+    )
     for _ in range(_MOST_ROUNDS):
         more = look(state.trail.end, state.fixed, rivals=state.trail.rivals)
         fits = (*state.trail.fits, *more.fits)
@@ -73,7 +94,7 @@ def searched(
             break
     if state.timed is not None:
         state.retime(0.5)
-    return state.case, state.trail
+    return state
 
 
 class _State:
@@ -83,15 +104,16 @@ class _State:
         case: The case as it was reduced last.
         trail: The trail on its dataset.
         fixed: Effects that stay.
+        criteria: When an effect counts as found.
         timed: Effects with which the delay was found last; None if there is none.
     """
 
     def __init__(
         self, case: Case, trail: Trail, fixed: tuple[Effect, ...], criteria: Criteria
     ) -> None:
-        self.case, self.trail, self.fixed = case, trail, fixed
+        self.case, self.trail, self.fixed, self.criteria = case, trail, fixed, criteria
         self.timed: tuple[Effect, ...] | None = None
-        self._given, self._criteria = fixed, criteria
+        self._given = fixed
         self._grid, self._origin = case.dataset.effects, case.model.delays
         self._delays = case.dataset.delays[1:, 0].tolist()
         self._profiled, self._expanded = set(fixed), set(fixed)
@@ -155,7 +177,7 @@ class _State:
         """Make columns for what the residual suggests; whether it suggests anything."""
         had = self.case.dataset.effects
         self.case, self.trail = with_suggestions(
-            self.case, self.trail, self._criteria, known=self._grid, least_share=least_share
+            self.case, self.trail, self.criteria, known=self._grid, least_share=least_share
         )
         more = tuple(e for e in self.case.dataset.effects if e not in had)
         self._grid += more
@@ -164,7 +186,7 @@ class _State:
     def _find_episodes(self) -> bool:
         """Look for episodes, or anew at those that were found; whether there are any."""
         self.case, self.trail, found = with_episodes(
-            self.case, self.trail, alarm=self._criteria.alarm
+            self.case, self.trail, alarm=self.criteria.alarm
         )
         if not found and self._episodes:
             self.case, self.trail, found = with_refined_episodes(self.case, self.trail)
@@ -196,7 +218,7 @@ class _State:
         if to_profile(self.trail.end, self._grid, self._profiled):
             self.case, trail = with_plain_shapes(self.case, self.trail, self._grid, self._profiled)
             self._profiled.update(trail.end.unknowns.effects)
-            end = exchange(trail.end, self._given, self._criteria, split=True)
+            end = exchange(trail.end, self._given, self.criteria, split=True)
             self.trail = replace(trail, end=end)
         if to_expand(self.case.model, self.trail.end, self._expanded):
             self.case, self.trail = with_expansions(self.case, self.trail, self._expanded)

@@ -45,6 +45,7 @@ class Hypothesis:
         cv: The fits.
         effective: (nv,) effective number of samples.
         released: Effects of the model whose parameters were let go.
+        holds: Whether bodies are to stay within the assumed prior, whatever they could explain.
     """
 
     dataset: Dataset
@@ -55,6 +56,7 @@ class Hypothesis:
     cv: CrossValidation
     effective: Array
     released: tuple[Effect, ...] = ()
+    holds: bool = False
     _stripped: dict[tuple[Effect, ...], Hypothesis] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -77,6 +79,18 @@ class Hypothesis:
         """
         weight = np.ones(len(self.dataset.joints)) if joints is None else joints
         return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
+
+    @property
+    def way(self) -> float:
+        """How improbable the bodies are, as twice a log-likelihood: what their way costs.
+
+        The width of the inertial prior is not known well. So the squared distance q from the
+        model's bodies, by the assumed one, counts as by a t distribution: d log(1 + q / d).
+        """
+        d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
+        step = self.cv.fit_all()[:d] - self.unknowns.mean[:d]
+        known = self.looseness**2 * self.unknowns.information[:d, :d]
+        return float(d * np.log1p(step @ known @ step / d))
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""
