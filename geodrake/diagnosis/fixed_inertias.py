@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import kinds
-from geodrake.diagnosis.further_columns import with_columns
+from geodrake.diagnosis.further_columns import is_within, with_columns, without_inner_payloads
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.stepwise_search import Trail, search
@@ -17,7 +17,6 @@ from geodrake.diagnosis.trials import PENALTY, gain_of, quick_fit
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.evidence import Criteria, false_alarm_probability
 from geodrake.identification.logs.hypothesis import FIXED, Hypothesis, settle
 
@@ -80,7 +79,7 @@ def with_fixed_inertias(
         case, trail = _with_hidden_effects(case, trail)
         end, start = trail.end, trail.start
     most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
-    other = _unmoved(_without_inner_payloads(case, trail), fixed, criteria, most)
+    other = _unmoved(without_inner_payloads(case, trail)[1], fixed, criteria, most)
     if other is not None:
         gone = found - _added(other.end, fixed)
         rivals = gone.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in gone))
@@ -105,14 +104,6 @@ def _with_hidden_effects(case: Case, trail: Trail) -> tuple[Case, Trail]:
     hidden = [e for kind in kinds for joint in case.model.single_joints for e in kind.shaped(joint)]
     new = [effect for effect in hidden if effect not in case.dataset.effects]
     return with_columns(case, trail, [*case.dataset.effects, *new]) if new else (case, trail)
-
-
-def _without_inner_payloads(case: Case, trail: Trail) -> Trail:
-    """The trail without columns for masses on bodies that carry others: those are moved bodies."""
-    effects = [e for e in case.dataset.effects if not _is_within(case, e)]
-    effects += [e for e in trail.end.unknowns.effects if e not in effects]
-    same = len(effects) == len(case.dataset.effects)
-    return trail if same else with_columns(case, trail, effects)[1]
 
 
 def _unmoved(
@@ -216,7 +207,7 @@ def _answer(
     """
     added = [[e for e in t.end.unknowns.effects if e not in fixed] for t in trails]
     names = tuple(sorted({effect.name for effects in added for effect in effects}))
-    if not trails or any(_is_within(case, effect) for effect in added[0]):
+    if not trails or any(is_within(case, effect) for effect in added[0]):
         return FixedInertias(case, (), names)
     best, effects, found = trails[0], tuple(added[0]), found or {}
     new = {
@@ -236,11 +227,6 @@ def _convinces(before: Hypothesis, after: Hypothesis, criteria: Criteria) -> boo
     tried = len(after.dataset.effects)
     alarm = false_alarm_probability(gain_of(before, after), more, tried)
     return alarm <= criteria.alarm
-
-
-def _is_within(case: Case, effect: Effect) -> bool:
-    """Whether an effect is a mass on a body that carries others: rather a wrong body."""
-    return is_payload(effect) and effect.where[0] not in case.model.last_bodies
 
 
 def _widened(hypothesis: Hypothesis, looseness: float) -> Hypothesis:

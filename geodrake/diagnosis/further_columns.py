@@ -116,6 +116,29 @@ def with_columns(case: Case, trail: Trail, effects: Sequence[Effect]) -> tuple[C
     return replace(case, dataset=dataset), replace(trail, start=start, end=end)
 
 
+def without_inner_payloads(case: Case, trail: Trail) -> tuple[Case, Trail]:
+    """The case without columns for masses on bodies that carry others: those are moved bodies.
+
+    Args:
+        case: The case.
+        trail: A search on it; what it has found stays.
+    """
+    effects = [e for e in case.dataset.effects if not is_within(case, e)]
+    effects += [e for e in trail.end.unknowns.effects if e not in effects]
+    same = len(effects) == len(case.dataset.effects)
+    return (case, trail) if same else with_columns(case, trail, effects)
+
+
+def is_within(case: Case, effect: Effect) -> bool:
+    """Whether an effect is a mass on a body that carries others: rather a wrong body.
+
+    Args:
+        case: The case.
+        effect: The effect.
+    """
+    return is_payload(effect) and effect.where[0] not in case.model.last_bodies
+
+
 def with_fitted_loads(case: Case, trail: Trail) -> tuple[Case, Trail] | None:
     """The case with loads by the inertias of a trail's end; None where they are the case's.
 

@@ -23,6 +23,7 @@ from geodrake.diagnosis.further_columns import (
     with_fitted_loads,
     with_refined_episodes,
     with_suggestions,
+    without_inner_payloads,
 )
 from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
@@ -69,8 +70,8 @@ def searched(
     loose = trail.end.looseness
     if loose > 1.0 and not error_table(case.dataset, trail.end.held_out).is_noise:
         held = replace(trail.end.loosened(1.0 / loose), holds=True)
-        begin = replace(trail, end=held)
-        other = _run(_State(case, begin, tuple(fixed), criteria), tune=tune, progress=progress)
+        begin = without_inner_payloads(case, replace(trail, end=held))
+        other = _run(_State(*begin, tuple(fixed), criteria), tune=tune, progress=progress)
         if _is_likelier(other.trail.end, trail.end):
             return other.case, other.trail
     return case, trail

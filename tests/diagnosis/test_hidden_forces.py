@@ -353,11 +353,27 @@ class TestEffortScale:
             return effort
 
         recording = effort_log("arm6", 7, hidden)
+        log = dataclasses.replace(recording.log, effort_uncertainty=0.0)
+        recording = dataclasses.replace(recording, log=log)
         steps, found = assert_found(known, recording, {"effort_scale": (name,)})
         assert steps["effort_scale"][name]["gain_error"] == pytest.approx(0.08, abs=4e-3)
         motion = Motion(*random_states(), time=None)
         scaled, plain = found.model.effort(motion), known.effort(motion)
         np.testing.assert_allclose(scaled[:, joint], 1.08 * plain[:, joint], rtol=0.03, atol=0.05)
+
+    @pytest.mark.parametrize(("uncertainty", "named"), [(0.05, False), (0.02, True)])
+    def test_only_if_it_is_unusual(self, known, uncertainty, named):
+        """Gains of torque constants that are known to 5 % may be off by 8 %."""
+
+        def hidden(seen):
+            effort = rubbing(seen)
+            effort[:, 1] += 0.08 * (seen.load + effort)[:, 1]
+            return effort
+
+        log = effort_log("arm6", 7, hidden).log
+        log = dataclasses.replace(log, effort_uncertainty=uncertainty)
+        steps = explain(known, [log]).steps
+        assert ("effort_scale" in {step.effect for step in steps}) == named
 
     def test_nothing_where_nothing_changed(self, known):
         assert explain(known, [effort_log("arm6", 8, rubbing).log]).steps == ()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from effort_logs import effort_log
 from excitation_robots import MODELS
-from pendulum_logs import pendulum_log
+from pendulum_logs import friction, pendulum_log
 from rich.console import Console
 
 from geodrake.cli.tables import show_explanation
@@ -113,6 +113,31 @@ def test_terminal_report_and_numbers_tell_them(told):
             "probability": pytest.approx(0.2),
         }
     ]
+
+
+def test_probabilities_are_those_of_all_that_it_may_be(told):
+    """The finding, what was fitted in its place, what no data tell from it, and chance."""
+    (step,) = told.steps
+    step = replace(step, false_alarm_probability=0.1)
+    assert step.probabilities_of_rivals == (pytest.approx(0.5 * step.probability),)
+    others = sum(step.probabilities_of_rivals) + len(step.unfitted_rivals) * step.probability
+    assert step.probability + others == pytest.approx(0.9)
+
+
+def test_rivals_are_weighed_beside_what_else_was_found():
+    """Dry and viscous friction together are as good as what has both; either alone is not."""
+    log = pendulum_log(1, friction((0.3, 0.2), (0.3, 0.2)), seconds=20.0)
+    steps = explain(MODEL, [log]).steps
+    assert {step.effect for step in steps} == {"coulomb_friction", "viscous_friction"}
+    end = steps[-1].error_after
+    fitted = [rival for step in steps for rival in step.rivals]
+    assert {rival.effect for rival in fitted} == {"asymmetric_friction"}
+    for rival in fitted:
+        assert rival.error_of_choice == pytest.approx(end, rel=0.02)
+        assert rival.error == pytest.approx(end, rel=0.05)
+    for step in steps:
+        (probability,) = step.probabilities_of_rivals
+        assert 0.0 < probability < 0.5 < step.probability < 1.0
 
 
 def test_a_fitted_rival_keeps_its_own_place(told):
