@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from effort_logs import effort_log
 from excitation_robots import MODELS
-from pendulum_logs import friction, pendulum_log
+from pendulum_logs import pendulum_log
 from rich.console import Console
 
 from geodrake.cli.tables import show_explanation
@@ -50,6 +50,9 @@ def test_the_error_of_a_rival_is_that_of_adding_it(case):
     assert rival.error == pytest.approx(instead.error_after, rel=0.02)
     assert rival.error_of_choice == pytest.approx(step.error_after, rel=0.02)
     assert Criteria().tie < rival.tie_probability < 0.5
+    (probability,) = step.probabilities_of_rivals
+    assert 0.0 < probability < 0.5 < step.probability < 1.0
+    assert probability + step.probability == pytest.approx(1.0 - step.false_alarm_probability)
 
 
 def test_what_adds_the_same_is_no_rival():
@@ -124,20 +127,20 @@ def test_probabilities_are_those_of_all_that_it_may_be(told):
     assert step.probability + others == pytest.approx(0.9)
 
 
-def test_rivals_are_weighed_beside_what_else_was_found():
-    """Dry and viscous friction together are as good as what has both; either alone is not."""
-    log = pendulum_log(1, friction((0.3, 0.2), (0.3, 0.2)), seconds=20.0)
-    steps = explain(MODEL, [log]).steps
-    assert {step.effect for step in steps} == {"coulomb_friction", "viscous_friction"}
-    end = steps[-1].error_after
-    fitted = [rival for step in steps for rival in step.rivals]
-    assert {rival.effect for rival in fitted} == {"asymmetric_friction"}
-    for rival in fitted:
-        assert rival.error_of_choice == pytest.approx(end, rel=0.02)
-        assert rival.error == pytest.approx(end, rel=0.05)
-    for step in steps:
-        (probability,) = step.probabilities_of_rivals
-        assert 0.0 < probability < 0.5 < step.probability < 1.0
+@pytest.mark.parametrize("seed", [1, 2])
+def test_rivals_are_weighed_beside_what_else_was_found(seed):
+    """What a rival leaves is told as it is beside an effect that was found only later."""
+
+    def hidden(seen):
+        return {0: 2.0 * np.sign(seen.v[:, 0]), 1: 1.5 * seen.q[:, 1]}
+
+    log = effort_log("double_pendulum", seed, hidden, duration=16.0, share=0.02, pace=0.3).log
+    found = explain(MODEL, [log])
+    assert len(found.steps) > 1
+    for step in found.steps:
+        assert step.probability > 0.2
+        for rival in step.rivals:
+            assert rival.error_of_choice == pytest.approx(found.end.nrms, rel=0.05)
 
 
 def test_a_fitted_rival_keeps_its_own_place(told):
