@@ -22,19 +22,21 @@ from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
 
 _LEAST = 1e-6
 """A comparison of some blocks makes nothing more certain than this."""
+_ROUNDING = 1e-9
+"""Errors that differ by less are the same."""
 _RARER = 1.0 / 3.0
 """An effect is so much rarer than one that is less complex by one."""
 
 
 def weighed(
-    end: Hypothesis, bare: Hypothesis | None, where: Sequence[str], rivals: Sequence[FittedRival]
+    start: Hypothesis, end: Hypothesis, bare: Hypothesis | None, rivals: Sequence[FittedRival]
 ) -> tuple[FittedRival, ...]:
     """Rivals of a finding as they are beside everything else that was found, best first.
 
     Args:
+        start: Where the search began.
         end: What was found.
         bare: The same without the finding; None if it cannot be taken out.
-        where: Places of the finding.
         rivals: Its rivals, as they were when it was chosen.
 
     Returns:
@@ -43,24 +45,25 @@ def weighed(
     """
     found = []
     for rival in rivals:
-        other = None if bare is None else instead(bare, rival.names, where)
+        other = None if bare is None else instead(bare, rival.names, rival.where)
         if other is None:
             found.append(replace(rival, odds=_odds(rival.tie_probability, 0)))
         else:
-            chance = tie_probability(end.loss(), other.loss())
-            more = _complexity(other) - _complexity(end)
+            same = np.allclose(end.loss(), other.loss(), rtol=_ROUNDING)
+            chance = 0.5 if same else tie_probability(end.loss(), other.loss())
+            more = _complexity(other, start) - _complexity(end, start)
             seen = replace(rival, error=other.nrms, error_of_choice=end.nrms)
             found.append(replace(seen, tie_probability=chance, odds=_odds(chance, more)))
     return tuple(sorted(found, key=lambda rival: rival.error))
 
 
 def instead(bare: Hypothesis, names: Sequence[str], where: Sequence[str]) -> Hypothesis | None:
-    """A hypothesis with effects of some names, at given places if they can be there.
+    """A hypothesis with effects of some names at some places.
 
     Args:
         bare: The hypothesis without what they take the place of.
         names: Names of the effects.
-        where: Places of what they take the place of.
+        where: Their joints or bodies; all joints for a delay without any.
 
     Returns:
         None where they cannot be added.
@@ -68,11 +71,12 @@ def instead(bare: Hypothesis, names: Sequence[str], where: Sequence[str]) -> Hyp
     if names == (effect_of(Role.INERTIA).name,):
         return _looser(bare)
     if names == (effect_of(Role.DELAY).name,):
-        return _later(bare)
+        return _later(bare, where)
     offered = kinds(bare.dataset.effects, bare.unknowns.effects)
     same = next((kind for kind in offered if set(kind.names) == set(names)), None)
     if same is not None:
-        return bare.with_effects([e for p in _placed(bare, same, where) for e in p.effects])
+        packages = _placed(bare, same, where)
+        return bare.with_effects([e for p in packages for e in p.effects]) if packages else None
     if len(names) < 2:
         return None
     first = instead(bare, names[:1], where)
@@ -87,21 +91,26 @@ def _looser(bare: Hypothesis) -> Hypothesis | None:
     return max(others, key=lambda other: gain_of(bare, other), default=None)
 
 
-def _later(bare: Hypothesis) -> Hypothesis | None:
-    """With the delay of all efforts that is best, if others were tried."""
-    delays = [bare.dataset.delay_of_each(d) for d in range(len(bare.dataset.delays))]
-    late = [delay for delay in delays if delay != bare.delay]
-    return bare.delayed(late[int(np.argmax(bare.quick_gains(late)))]) if late else None
+def _later(bare: Hypothesis, where: Sequence[str]) -> Hypothesis | None:
+    """With the delay of some joints that is best, if others were tried."""
+    joints = bare.dataset.joints
+    late = [at for at, joint in enumerate(joints) if joint in where or not where]
+    tried = [
+        [delay if at in late else own for at, own in enumerate(bare.delay)]
+        for delay in range(len(bare.dataset.delays))
+    ]
+    others = [delays for delays in tried if tuple(delays) != bare.delay]
+    return bare.delayed(others[int(np.argmax(bare.quick_gains(others)))]) if others else None
 
 
 def _placed(bare: Hypothesis, kind: Kind, where: Sequence[str]) -> list[Package]:
-    """The best package of a kind at each of the given places, or at the best place of all."""
-    there = [place for place in kind.options if set(place) <= set(where)]
-    best = []
-    for place in there or kind.options:
-        options = kind.options[place]
-        best.append(max(try_packages(bare, options, 1), key=lambda trial: trial.score))
-    if not (kind.unite and there):
+    """The best package of a kind at each of some places; none where it cannot be there."""
+    best = [
+        max(try_packages(bare, options, 1), key=lambda trial: trial.score)
+        for place, options in kind.options.items()
+        if set(place) <= set(where)
+    ]
+    if best and not kind.unite:
         best = [max(best, key=lambda trial: trial.score)]
     return [trial.package for trial in best]
 
@@ -112,11 +121,16 @@ def _odds(no_worse: float, more: int) -> float:
     return float(chance / (1.0 - chance) * _RARER**more)
 
 
-def _complexity(hypothesis: Hypothesis) -> int:
-    """How complex a hypothesis is: the sum over its kinds of effects, delays and loose bodies."""
-    kinds_found = {type(effect) for effect in hypothesis.unknowns.effects}
-    if any(hypothesis.delay):
-        kinds_found.add(effect_of(Role.DELAY))
-    if hypothesis.looseness > 1.0:
-        kinds_found.add(effect_of(Role.INERTIA))
-    return sum(kind.complexity for kind in kinds_found)
+def _complexity(hypothesis: Hypothesis, start: Hypothesis) -> int:
+    """How complex a hypothesis is: the sum over its kinds of effects, delays and loose bodies.
+
+    Args:
+        hypothesis: The hypothesis.
+        start: Where the search began: the same delay and prior are no complexity.
+    """
+    found = {type(effect) for effect in hypothesis.unknowns.effects}
+    if hypothesis.delay != start.delay:
+        found.add(effect_of(Role.DELAY))
+    if hypothesis.looseness > 1.0 or start.looseness <= FIXED < hypothesis.looseness:
+        found.add(effect_of(Role.INERTIA))
+    return sum(kind.complexity for kind in found)

@@ -75,7 +75,8 @@ def _exchanged(
 ) -> Hypothesis:
     """The hypothesis with something else in the place of effects, if that is the better answer."""
     own = Package(gone, gone[0].where)
-    simpler, others = _simpler(hypothesis, own), _others(hypothesis, own, split)
+    simpler = _keeping_bases(hypothesis, own, _simpler(hypothesis, own))
+    others = _keeping_bases(hypothesis, own, _others(hypothesis, own, split))
     bare = hypothesis.stripped(*gone)
     as_it_is, *trials = try_packages(bare, [own, *simpler, *others], 1 + len(simpler) + len(others))
     better = [t for t in trials[len(simpler) :] if t.score > as_it_is.score + PENALTY]
@@ -87,6 +88,20 @@ def _exchanged(
     if best is not None and not _convinces(best, hypothesis, gone, criteria):
         return best
     return hypothesis
+
+
+def _keeping_bases(
+    hypothesis: Hypothesis, own: Package, packages: Sequence[Package]
+) -> list[Package]:
+    """Packages that leave no effect without what it refines."""
+    left = [e for e in hypothesis.unknowns.effects if e not in own.effects]
+    had = said_by(hypothesis.unknowns.effects)
+    based = [e for e in left if e.where == own.place and has_base(e, had)]
+    return [
+        package
+        for package in packages
+        if all(has_base(e, said_by([*left, *package.effects])) for e in based)
+    ]
 
 
 def _may_be_as_good(trial: Trial, as_it_is: Trial) -> bool:
@@ -106,7 +121,7 @@ def _best_of(hypothesis: Hypothesis, gone: Effects, trials: Sequence[Trial]) -> 
 
 
 def _simpler(hypothesis: Hypothesis, own: Package) -> list[Package]:
-    """Packages that are simpler: of less complexity, or one effect for two of no fewer parameters.
+    """Packages that are simpler: of less complexity, or one effect, of no more parameters, for two.
 
     Args:
         hypothesis: The hypothesis.
@@ -142,8 +157,7 @@ def _others(hypothesis: Hypothesis, own: Package, split: bool) -> list[Package]:
         for package in kind.options[own.place]
         if package.effects != own.effects and package.effects[0].name != effect.name
     ]
-    found = [*pairs, *(_shared(hypothesis, effect) if split else ())]
-    return [*found, *as_simple] if is_free(hypothesis, effect) else found
+    return [*pairs, *(_shared(hypothesis, effect) if split else ()), *as_simple]
 
 
 def _shared(hypothesis: Hypothesis, effect: Effect) -> list[Package]:

@@ -238,19 +238,19 @@ def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> list[Hy
     """The hypothesis with one effect that spares the inertias an improbable way, best first."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     packages = [p for kind in offered for place in kind.options.values() for p in place]
-    way, found = _way(hypothesis), list[tuple[float, Hypothesis]]()
+    way, found = _squared_distance(hypothesis), list[tuple[float, Hypothesis]]()
     for package in packages:
-        quick = way - _way(hypothesis, quick_fit(hypothesis, package).x.mean(0))
+        quick = way - _squared_distance(hypothesis, quick_fit(hypothesis, package).x.mean(0))
         if false_alarm_probability(quick, package.parameters, len(packages)) <= criteria.alarm:
             after = hypothesis.with_effects(package.effects)
-            gain, spared = gain_of(hypothesis, after), way - _way(after)
+            gain, spared = gain_of(hypothesis, after), way - _squared_distance(after)
             alarm = false_alarm_probability(gain + spared, package.parameters, len(packages))
             if alarm <= criteria.alarm and after.loss().sum() <= most:
                 found.append((gain + spared - PENALTY * package.parameters, after))
     return [after for _, after in sorted(found, key=lambda scored: -scored[0])]
 
 
-def _way(hypothesis: Hypothesis, x: Array | None = None) -> float:
+def _squared_distance(hypothesis: Hypothesis, x: Array | None = None) -> float:
     """How improbable inertial parameters are: squared distance from the model's by its prior."""
     n = 10 * len(hypothesis.dataset.bodies)
     known = hypothesis.unknowns.information[:n, :n]

@@ -1,4 +1,4 @@
-"""After a step forward: swap what is needlessly complex, drop what is no longer needed."""
+"""After a step forward: drop what is no longer needed, choose shapes anew."""
 
 from __future__ import annotations
 
@@ -32,7 +32,6 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 
 _BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
-_FITTED = 2  # the best by quick trials, beside that which reduces the error most
 
 
 def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:

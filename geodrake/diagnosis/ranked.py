@@ -21,7 +21,7 @@ class Ranked:
         gain: Twice the held-out log-likelihood ratio.
         parameters: How many parameters were added, shapes counted.
         alarm: Probability of a false alarm.
-        tied: Whether the best of those that can be cannot be distinguished from this one.
+        tied: Whether the logs cannot distinguish it from the best.
     """
 
     classes: tuple[type[Effect], ...]

@@ -209,7 +209,7 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    if hypothesis.holds or hypothesis.looseness > 1.0 or hypothesis.looseness <= FIXED:
+    if hypothesis.keeps_prior or hypothesis.looseness > 1.0 or hypothesis.looseness <= FIXED:
         return []
     others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
     bodies = hypothesis.dataset.bodies

@@ -7,6 +7,7 @@ effects. So as soon as a step brings one, the logs are reduced again with what l
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -69,9 +70,9 @@ def searched(
     case, trail = state.case, state.trail
     loose = trail.end.looseness
     if loose > 1.0 and not error_table(case.dataset, trail.end.held_out).is_noise:
-        held = replace(trail.end.loosened(1.0 / loose), holds=True)
+        held = replace(trail.end.loosened(1.0 / loose), keeps_prior=True)
         begin = without_inner_payloads(case, replace(trail, end=held))
-        other = _run(_State(*begin, tuple(fixed), criteria), tune=tune, progress=progress)
+        other = _run(state.continued(*begin), tune=tune, progress=None)
         if _is_likelier(other.trail.end, trail.end):
             return other.case, other.trail
     return case, trail
@@ -79,7 +80,7 @@ def searched(
 
 def _is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
     """Whether effects explain the logs better than bodies that go far, and pay for their way."""
-    return net_gain(loose, held) + loose.way - held.way > 0.0
+    return net_gain(loose, held) + loose.inertial_penalty - held.inertial_penalty > 0.0
 
 
 def _run(state: _State, *, tune: bool, progress: Progress | None) -> _State:
@@ -121,6 +122,18 @@ class _State:
         self._episodes: tuple[Effect, ...] = ()
         self._looked = False
         self._fadings: list[tuple[Effect, ...]] = []
+
+    def continued(self, case: Case, trail: Trail) -> _State:
+        """The same search with another end, that goes on for itself.
+
+        Args:
+            case: The case, its delays those of this one.
+            trail: The trail on its dataset.
+        """
+        other = copy(self)
+        other.case, other.trail, other._fadings = case, trail, []
+        other._profiled, other._expanded = set(self._profiled), set(self._expanded)
+        return other
 
     def to_pause(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis has something that is to be made exact before the search goes on."""

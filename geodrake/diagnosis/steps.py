@@ -80,7 +80,13 @@ def without_step(trail: Trail, step: Step) -> Trail | None:
         trail: The search.
         step: One of its steps.
     """
-    return next(group for group in _groups(trail) if group.name == step.effect).taken_from(trail)
+    places = set(step.where)
+    return next(
+        group
+        for group in _groups(trail)
+        if group.name == step.effect
+        and (not group.effects or {place for e in group.effects for place in e.where} == places)
+    ).taken_from(trail)
 
 
 def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
@@ -125,7 +131,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 _agreement(case, group.effects, errors[i], errors[i + 1]),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
-                _weighed(trail, group, where, rivals),
+                _weighed(trail, group, rivals),
                 systematic,
             )
         )
@@ -246,13 +252,11 @@ def _rivals(
     return tuple(sorted(tied - found))
 
 
-def _weighed(
-    trail: Trail, group: _Group, where: Sequence[str], rivals: Collection[str]
-) -> tuple[FittedRival, ...]:
+def _weighed(trail: Trail, group: _Group, rivals: Collection[str]) -> tuple[FittedRival, ...]:
     """The rivals of a group that were fitted, beside everything else that was found."""
     fitted = _fitted(trail, group.name, rivals)
     bare = group.taken_from(trail) if fitted else None
-    return weighed(trail.end, None if bare is None else bare.end, where, fitted)
+    return weighed(trail.start, trail.end, None if bare is None else bare.end, fitted)
 
 
 def _fitted(trail: Trail, effect: str, rivals: Collection[str]) -> tuple[FittedRival, ...]:

@@ -264,7 +264,7 @@ def _refined(
     hypothesis: Hypothesis, chosen: Ranked, fixed: Sequence[Effect], criteria: Criteria
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
-    simple = exchange(chosen.hypothesis, fixed, criteria, at=chosen.where)
+    simple = exchange(chosen.hypothesis, fixed, criteria, at=chosen.where or None)
     for found in dict.fromkeys((simple, chosen.hypothesis)):
         after = prune(reshape(found, fixed), fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)

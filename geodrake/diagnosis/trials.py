@@ -89,8 +89,12 @@ def net_gain(before: Hypothesis, after: Hypothesis) -> float:
         before: The one hypothesis.
         after: The other.
     """
-    more = len(after.unknowns.columns) - len(before.unknowns.columns)
-    return gain_of(before, after) - PENALTY * more
+    return gain_of(before, after) - PENALTY * (_parameters(after) - _parameters(before))
+
+
+def _parameters(hypothesis: Hypothesis) -> int:
+    """How many parameters the effects have, shapes that were tried on a grid counted."""
+    return sum(Package((e,), e.where).parameters for e in hypothesis.unknowns.effects)
 
 
 def open_joints(hypothesis: Hypothesis, least: float = SEARCH_MARGIN) -> list[str]:
@@ -160,7 +164,7 @@ def is_nothing(dataset: Dataset, effects: Sequence[Effect], x: Array) -> bool:
 
     A spring without stiffness is an offset, whatever its preload. A drag of nothing has no centre
     that could be elsewhere; its slopes, which have no sign, would stand for a force that drives. A
-    gain is nothing that is off by no more than gains are uncertain.
+    gain is nothing that is off, in the mean of the folds, by no more than gains are uncertain.
 
     Args:
         dataset: The reduced logs.

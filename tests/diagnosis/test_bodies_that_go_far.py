@@ -88,5 +88,9 @@ def test_the_way_of_bodies_does_not_depend_on_the_width_of_their_prior():
     for width in (1.0, LOOSE):
         other = start.loosened(width)
         step = other.cv.fit_all()[:60] - model_file().phi.ravel()
-        assert other.way == pytest.approx(60.0 * np.log1p(step @ known @ step / 60.0))
-    assert start.loosened(LOOSE).way > start.way > start.loosened(1e-3).way
+        assert other.inertial_penalty == pytest.approx(60.0 * np.log1p(step @ known @ step / 60.0))
+    assert (
+        start.loosened(LOOSE).inertial_penalty
+        > start.inertial_penalty
+        > start.loosened(1e-3).inertial_penalty
+    )

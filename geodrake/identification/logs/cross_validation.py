@@ -171,7 +171,7 @@ class CrossValidation:
         own_gram, own_rhs = self._assemble(unknowns.columns, unknowns.columns)
         gram = own_gram.sum(0) + unknowns.information
         rhs = own_rhs.sum(0) + unknowns.information @ unknowns.mean
-        return gram, rhs, self._solved(gram - own_gram, rhs - own_rhs, self._start)
+        return gram, rhs, self._solved(gram - own_gram, rhs - own_rhs, self._start, self._physical)
 
     @property
     def _fits(self) -> list[_Fit]:
@@ -209,11 +209,11 @@ class CrossValidation:
     def _assemble(self, left: Indices, right: Indices) -> tuple[Array, Array]:
         return normal_matrices(self.dataset, self.weights, left, right, delay=self.delay)
 
-    def _solved(self, grams: Array, rhs: Array, start: Array | None) -> list[_Fit]:
+    def _solved(self, grams: Array, rhs: Array, start: Array | None, physical: bool) -> list[_Fit]:
         """Fits of (F, p, p) normal matrices and (F, p) right sides, physical if asked for."""
         fits = self._within_bounds(grams, rhs)
         x, blocks = np.array([fit.x for fit in fits]), self.unknowns.inertia_blocks
-        beyond = np.flatnonzero(~are_physical(x, blocks)) if self._physical else np.zeros(0, int)
+        beyond = np.flatnonzero(~are_physical(x, blocks)) if physical else np.zeros(0, int)
         if len(beyond):
             begin = np.broadcast_to(self.unknowns.mean, x.shape) if start is None else start
             begin = inner_bodies(begin[beyond], blocks, self.dataset.payload)
@@ -287,7 +287,7 @@ class CrossValidation:
     def _whole(self) -> _Fit:
         gram, rhs, _ = self._solution
         near = self.held_out.x.mean(0, keepdims=True)  # physical, if each of them is
-        return self._solved(gram[None], rhs[None], near)[0]
+        return self._solved(gram[None], rhs[None], near, physical=True)[0]
 
     @cached_property
     def _covariance(self) -> Array:

@@ -45,7 +45,7 @@ class Hypothesis:
         cv: The fits.
         effective: (nv,) effective number of samples.
         released: Effects of the model whose parameters were let go.
-        holds: Whether bodies are to stay within the assumed prior, whatever they could explain.
+        keeps_prior: Whether bodies stay within the assumed prior, whatever they could explain.
     """
 
     dataset: Dataset
@@ -56,7 +56,7 @@ class Hypothesis:
     cv: CrossValidation
     effective: Array
     released: tuple[Effect, ...] = ()
-    holds: bool = False
+    keeps_prior: bool = False
     _stripped: dict[tuple[Effect, ...], Hypothesis] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -81,8 +81,8 @@ class Hypothesis:
         return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
 
     @property
-    def way(self) -> float:
-        """How improbable the bodies are, as twice a log-likelihood: what their way costs.
+    def inertial_penalty(self) -> float:
+        """How improbable the bodies are, as twice a log-likelihood.
 
         The width of the inertial prior is not known well. So the squared distance q from the
         model's bodies, by the assumed one, counts as by a t distribution: d log(1 + q / d).

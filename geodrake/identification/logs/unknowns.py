@@ -18,7 +18,8 @@ Indices = NDArray[np.intp]
 
 
 LARGEST = 10.0
-"""The effort of an effect, in deviations of its joint's, that is one standard deviation of it."""
+"""An effect's standard deviation is the size at which its largest effort is so many deviations of
+the joint's."""
 
 
 @dataclass(frozen=True, eq=False)
