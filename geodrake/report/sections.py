@@ -28,13 +28,14 @@ def steps_section(explanation: Explanation, units: Units) -> Section:
     text = (
         "Effects in the order of what they take away. After each, everything that may move was "
         "refitted. Blocks better is the share of the held-out stretches of data in which the "
-        "error falls where the effect acts: a finding to rely on lowers it in most. The false "
-        "alarm is the chance that an effect that is not there gains as much."
+        "error falls where the effect acts: a finding to rely on lowers it in most. Probability is "
+        "how likely the finding is, beside its rivals and chance; the false alarm is the chance "
+        "that an effect that is not there gains as much."
     )
     if any(step.rivals for step in explanation.steps):
         text += (
-            " Beside an effect that is indistinguishable stands the nrms with it instead, against "
-            "that with the effect itself when it was chosen."
+            " Behind what is indistinguishable stand its own probability, and the nrms with it "
+            "against that with the effect, beside all else that was found."
         )
     table = steps_table(explanation, units)
     return Section("What is missing", (text, *distinguishing_motions(explanation)), (table,))
