@@ -210,8 +210,11 @@ def refit_evidence(case: Case, start: Hypothesis, criteria: Criteria) -> tuple[f
 
     Returns:
         Twice the held-out log-likelihood ratio and the probability of a false alarm, or None where
-        they do not convince.
+        they do not convince, or where the bodies of a model that was fitted before stay within
+        what is known about them: then they are known better, and were not wrong.
     """
+    if case.model.information is not None and start.is_within_prior:
+        return None
     before = as_it_stands(case.dataset, case.model)
     gain = float(log_likelihood_gain(before.mse, start.held_out.mse, start.effective).sum())
     alarm = false_alarm_probability(gain, 2 * len(case.model.bodies), 1)

@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay, JointData, Settled
-from geodrake.identification.logs.evidence import effective_samples_of_each, log_likelihood_gain
+from geodrake.identification.logs.evidence import (
+    chi2_tail,
+    effective_samples_of_each,
+    log_likelihood_gain,
+)
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
 from geodrake.inertia import PARAMETERS_PER_BODY
 
@@ -21,6 +25,9 @@ Indices = NDArray[np.intp]
 
 FIXED = 1e-3
 """Inertias stay as they are if their prior is narrowed to this share of the assumed width."""
+
+_IMPROBABLE = 0.05
+"""Bodies are not where they may well be if chance takes them so far in less than this share."""
 
 _AT_ONCE = 16
 """So many fits have their residuals computed together."""
@@ -87,10 +94,22 @@ class Hypothesis:
         The width of the inertial prior is not known well. So the squared distance q from the
         model's bodies, by the assumed one, counts as by a t distribution: d log(1 + q / d).
         """
+        q, d = self._squared_distance, PARAMETERS_PER_BODY * len(self.dataset.bodies)
+        return float(d * np.log1p(q / d))
+
+    @property
+    def is_within_prior(self) -> bool:
+        """Whether the bodies are where they may well be, by what is known about them."""
+        d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
+        return chi2_tail(self._squared_distance, d) > _IMPROBABLE
+
+    @property
+    def _squared_distance(self) -> float:
+        """Squared distance of the bodies from the model's, by the assumed width of the prior."""
         d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
         step = self.cv.fit_all()[:d] - self.unknowns.mean[:d]
         known = self.looseness**2 * self.unknowns.information[:d, :d]
-        return float(d * np.log1p(step @ known @ step / d))
+        return float(step @ known @ step)
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""
