@@ -5,14 +5,15 @@ effect of its catalogue, two, none, or one that it has no name for. Robots, moti
 from point to point), noise (0.5, 1, 2 % of effort), bodies (those of the model file, or 20 % off
 in the geometric metric) and sizes (3 to 25 % of effort) are drawn at random. geodrake gets the log
 and the model file. Further studies: `--coverage N` of the intervals of found parameters under
-coloured noise, `--smallest N` of the smallest effect that is found, by bisection.
+coloured noise, `--disturbed N` of the same beside outside effects, `--kinds N` of kinds that are
+hard, `--smallest N` of the smallest effect that is found, by bisection.
 
     python diagrams/hidden_effects.py --json hidden_effects.json --figures figures
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -25,13 +26,15 @@ from adaptive.options import (
     whole_number,
     write_json,
 )
-from hidden.bars import Line, bars, confusions, coverage_line, smallest_lines
+from hidden.bars import Line, bars, confusions, coverage_lines, kind_lines, smallest_lines
 from hidden.draws import (
     COVERAGE,
     SMALLEST,
     Draw,
     all_draws,
     coverage_draws,
+    disturbed_draws,
+    kind_draws,
     smallest_draws,
     timing_draws,
 )
@@ -41,6 +44,15 @@ from rich.console import Console
 QUICK_EFFECTS = ("coulomb_friction", "effort_offset", "payload")
 QUICK_OUTSIDE = ("oscillation in time",)
 
+STUDIES = {
+    "draws": (6, "logs an effect and seed; 0 for none"),
+    "kinds": (0, "logs a hard kind and seed"),
+    "coverage": (0, "logs an effect and seed under coloured noise"),
+    "disturbed": (0, "the same beside an effect of no catalogue"),
+    "smallest": (0, "logs an effect and seed"),
+}
+"""The studies: how many logs by default, and of what."""
+
 
 def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     """A row of the table; the seed is in what was drawn."""
@@ -48,16 +60,18 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
     return {COVERAGE: coverage_of, SMALLEST: smallest_of}.get(draw.case, score_draw)(draw)
 
 
-def wanted_draws(draws: int, coverage: int, smallest: int, seeds: Iterable[int]) -> list[Draw]:
+def wanted_draws(logs: Mapping[str, int], seeds: Iterable[int]) -> list[Draw]:
     """What the options ask for, for one seed after the other."""
     return [
         each
         for seed in seeds
         for each in (
-            *all_draws(draws, seed),
-            *(timing_draws(seed) if draws else ()),
-            *coverage_draws(coverage, seed),
-            *smallest_draws(smallest, seed),
+            *all_draws(logs["draws"], seed),
+            *(timing_draws(seed) if logs["draws"] else ()),
+            *kind_draws(logs["kinds"], seed),
+            *coverage_draws(logs["coverage"], seed),
+            *disturbed_draws(logs["disturbed"], seed),
+            *smallest_draws(logs["smallest"], seed),
         )
     ]
 
@@ -111,18 +125,17 @@ def main() -> None:
         "--seeds", type=positive_number, default=1, help="seeds, from --seed on, that are pooled"
     )
     number = partial(parser.add_argument, type=whole_number, metavar="N")
-    number("--draws", default=6, help="logs an effect and seed; 0 for none")
-    number("--coverage", default=0, help="logs an effect and seed")
-    number("--smallest", default=0, help="logs an effect and seed")
+    for name, (count, words) in STUDIES.items():
+        number(f"--{name}", default=count, help=words)
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.seeds)
     wanted = (
         quick_draws(options.seed)
         if options.quick
-        else wanted_draws(options.draws, options.coverage, options.smallest, seeds)
+        else wanted_draws({name: getattr(options, name) for name in STUDIES}, seeds)
     )
     rows = run_draws(parser, options, run_draw, wanted)
-    lines = [*bars(rows), coverage_line(rows)]
+    lines = [*bars(rows), *kind_lines(rows), *coverage_lines(rows)]
     smallest = smallest_lines([row for row in rows if row["case"] == SMALLEST])
     report(Console(width=120), lines, smallest)
     confused = confusions(rows)

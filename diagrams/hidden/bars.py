@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
-from hidden.draws import COVERAGE, EXACT, LEAST_SHARE, NONE, OFF, ONE, TIMING, TWO, UNKNOWN
+from hidden.draws import COVERAGE, EXACT, KIND, LEAST_SHARE, NONE, OFF, ONE, TIMING, TWO, UNKNOWN
 from hidden.motions import SLOW
-from hidden.table import TRUTHS
+from hidden.table import KINDS, TRUTHS
 
 Row = Mapping[str, Any]
 FOUND_IN = 0.9
@@ -161,10 +161,27 @@ def _sureness(rows: Sequence[Row]) -> list[Line]:
     ]
 
 
-def coverage_line(rows: Sequence[Row]) -> Line:
-    """How often 95 % intervals hold the truth, under coloured noise."""
-    inside = [abs(z) <= 1.96 for r in _of(rows, COVERAGE) for z in r["off"]]
-    return share("coverage of 95 % intervals, coloured noise", inside, 0.9, highest=0.98)
+def coverage_lines(rows: Sequence[Row]) -> list[Line]:
+    """How often 95 % intervals hold the truth: under coloured noise, and beside outside effects."""
+    lines = []
+    for beside, hidden in (("coloured noise", 1), ("an outside effect beside", 2)):
+        off = [z for r in _of(rows, COVERAGE) if len(r["hidden"]) == hidden for z in r["off"]]
+        inside = [abs(z) <= 1.96 for z in off]
+        lines.append(share(f"coverage of 95 % intervals, {beside}", inside, 0.9, highest=0.98))
+    return lines
+
+
+def kind_lines(rows: Sequence[Row]) -> list[Line]:
+    """How often each of the hard kinds is among what a log may hide, and at its place."""
+    hard = _of(rows, KIND)
+    return [
+        share(
+            f"{name}: in the set, placed",
+            [r["in_set"] and r["placed"] is not False for r in hard if r["hidden"] == [name]],
+            0.9,
+        )
+        for name in KINDS
+    ]
 
 
 def smallest_lines(rows: Sequence[Row]) -> list[dict[str, Any]]:

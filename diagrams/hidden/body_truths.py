@@ -79,6 +79,15 @@ def drag(site: Site) -> Hidden:
 
 def touch(site: Site) -> Hidden:
     """A push at a point of a body during a few seconds, as of leaning on something soft."""
+    return _push(site, turning=False)
+
+
+def jet(site: Site) -> Hidden:
+    """The same of a jet or a tool, whose force turns with the body."""
+    return _push(site, turning=True)
+
+
+def _push(site: Site, *, turning: bool) -> Hidden:
     point, direction = site.rng.uniform(-0.1, 0.1, 3), site.rng.normal(size=3)
     direction /= np.linalg.norm(direction)
     begin, length = site.rng.uniform(0.2, 0.7), site.rng.uniform(2.0, 4.0)
@@ -87,7 +96,10 @@ def touch(site: Site) -> Hidden:
         J = seen.engine.jacobians(site.joint, point, seen.q)[:, :3]
         s = np.clip((seen.time - begin * seen.time[-1]) / length, 0.0, 1.0)
         push = np.minimum(1.0, 4.0 * np.sin(np.pi * s))
-        return size * push[:, None] * np.einsum("nij,i->nj", J, direction)
+        along = np.broadcast_to(direction, (len(J), 3))
+        if turning:
+            along = seen.engine.rotations(site.joint, seen.q) @ direction
+        return size * push[:, None] * np.einsum("nij,ni->nj", J, along)
 
     return Hidden(effort)
 

@@ -11,11 +11,12 @@ import numpy as np
 from hidden.engines import ENGINES
 from hidden.motions import FAST, MOTIONS
 from hidden.robots import PLANAR, robot_names
-from hidden.table import OUTSIDE, TRUTHS
+from hidden.table import COLOURED, KINDS, OUTSIDE, TRUTHS
 
 ONE, TWO, NONE, UNKNOWN = "one", "two", "none", "outside"
 COVERAGE, SMALLEST, TIMING = "coverage", "smallest", "timing"
-WHITE, COLOURED = "white", "coloured"
+KIND = "kind"
+WHITE = "white"
 EXACT, OFF = "exact", "off"
 NOISES = (0.005, 0.01, 0.02)
 LEAST_SHARE, MOST_SHARE = 0.03, 0.25
@@ -130,6 +131,15 @@ def all_draws(
     return found
 
 
+def kind_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
+    """Logs of the kinds that are hard."""
+    return [
+        draw(KIND, (name,), k, seed, **{**given, **fixed})
+        for name, (_, given) in KINDS.items()
+        for k in range(draws)
+    ]
+
+
 def timing_draws(seed: int) -> list[Draw]:
     """Logs of six joints and 10,000 samples."""
     fixed = {"robot": "arm6", "motion": FAST, "duration": 50.0, "rate": 200.0}
@@ -144,6 +154,17 @@ def coverage_draws(
     return [
         draw(COVERAGE, (name,), k, seed, **{**sure, **fixed})
         for name in effects
+        for k in range(draws)
+    ]
+
+
+def disturbed_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
+    """The same with an effect beside that is in no catalogue."""
+    rng = np.random.default_rng([seed, 3])
+    sure = {"motion": FAST, "prior": EXACT, "shares": (0.1, 0.05)}
+    return [
+        draw(COVERAGE, (name, str(rng.choice(tuple(OUTSIDE)))), k, seed, **{**sure, **fixed})
+        for name in COVERED
         for k in range(draws)
     ]
 

@@ -14,7 +14,7 @@ from hidden.engines import Engine, congruent, make_engine
 from hidden.motions import make_motion
 from hidden.outside import OTHER, OWN, Outside
 from hidden.robots import robot_file
-from hidden.table import OUTSIDE, TRUTHS
+from hidden.table import truth_of
 from hidden.truths import BODY, JOINT, PAIR, ROBOT, Array, Hidden, Seen, Site, Truth, smooth_sign
 
 _ENCODER, _TACHO = 1e-5, 2e-4  # rad, rad/s
@@ -89,7 +89,7 @@ def make_recording(draw: Draw, bodies: tuple[str, ...]) -> Recording:
     if draw.prior == OFF:
         engine.set_bodies(congruent(engine.bodies(), OFF_BY, on_robot))
     seen = _seen(draw, engine, on_motion)
-    kinds = [TRUTHS[name] if name in TRUTHS else OUTSIDE[name] for name in draw.hidden]
+    kinds = [truth_of(name) for name in draw.hidden]
     known = None
     if any(isinstance(kind, Truth) and kind.needs_known_inertia for kind in kinds):
         before = _seen(draw, engine, on_motion)

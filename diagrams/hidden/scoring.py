@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -196,23 +196,20 @@ def _seen_at(steps: Sequence[Step], secret: Secret) -> bool:
 def coverage_of(draw: Draw) -> dict[str, Any]:
     """How many of its standard deviations every found parameter is off."""
     recording = make_recording(draw, robot_model(draw.robot).bodies)
-    (secret,) = recording.secrets
-    off: list[float] = []
+    secret, off = recording.secrets[0], list[float]()
     for step in explain(robot_model(draw.robot), [recording.log]).steps:
         if step.effect == secret.name:
             place = secret.where[0] if secret.where else next(iter(step.parameters))
-            off = _deviations(step.parameters.get(place, {}), step.deviations, place, secret)
+            off = _deviations(step, place, secret)
     return {**asdict(draw), "off": off}
 
 
-def _deviations(
-    found: Mapping[str, float],
-    spread: Mapping[str, Mapping[str, float]],
-    place: str,
-    secret: Secret,
-) -> list[float]:
+def _deviations(step: Step, place: str, secret: Secret) -> list[float]:
+    """How many deviations, from noise and what is systematic, the secret's values are off."""
+    found, own = step.parameters.get(place, {}), step.deviations.get(place, {})
+    beside = step.systematic.get(place, {})
     return [
-        float((found[name] - value) / spread[place][name])
+        float((found[name] - value) / np.hypot(own[name], beside.get(name, 0.0)))
         for name, value in secret.values.items()
-        if name in found and spread.get(place, {}).get(name, np.nan) > 0.0
+        if name in found and own.get(name, np.nan) > 0.0
     ]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from geodrake.effects import catalogue
 from hidden import body_truths, truths
-from hidden.outside import OUTSIDE
+from hidden.motions import SLOW
+from hidden.outside import OUTSIDE, Outside
 from hidden.truths import BODY, JOINT, PAIR, ROBOT, Truth, joint_law, smooth_sign
 
-__all__ = ["OUTSIDE", "TRUTHS"]
+__all__ = ["KINDS", "OUTSIDE", "TRUTHS", "truth_of"]
 
+COLOURED = "coloured"
 DRY, WET = "coulomb_friction", "viscous_friction"
 
 _ALL = (
@@ -54,3 +56,22 @@ _KNOWN = {effect.name for effect in catalogue()} | {"wrong_inertia"}
 
 TRUTHS = {truth.name: truth for truth in _ALL if truth.name in _KNOWN}
 """Effects by name; those that geodrake does not know yet are left out."""
+
+KINDS = {
+    "wrench that turns with its body": (Truth("contact", BODY, body_truths.jet), {}),
+    "friction that fades to nothing": (
+        Truth("friction_drift", JOINT, truths.running_in, (DRY, WET)),
+        {},
+    ),
+    "delay in slow motion, coloured noise": (
+        TRUTHS["effort_delay"],
+        {"motion": SLOW, "colour": COLOURED},
+    ),
+    "tilt": (TRUTHS["gravity_tilt"], {}),
+}
+"""Kinds that other engines' logs showed to be hard, each with what of the draws is given."""
+
+
+def truth_of(name: str) -> Truth | Outside:
+    """What is hidden by a name of any of the tables."""
+    return TRUTHS.get(name) or (KINDS[name][0] if name in KINDS else OUTSIDE[name])

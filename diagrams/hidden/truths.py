@@ -182,6 +182,18 @@ def warming(site: Site) -> Hidden:
     return Hidden(effort)
 
 
+def running_in(site: Site) -> Hidden:
+    """Friction that falls as 1 / (1 + t / T)³, to nothing."""
+    time_constant = site.rng.uniform(5.0, 10.0)
+
+    def effort(seen: Seen, size: float) -> Array:
+        v = seen.v[:, site.joint]
+        left = (1.0 + seen.time / time_constant) ** -3
+        return seen.at(site.joint, size * left * (smooth_sign(v) + 0.7 * v))
+
+    return Hidden(effort)
+
+
 def gain(site: Site) -> Hidden:
     """A torque constant that is off."""
 

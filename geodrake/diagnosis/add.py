@@ -90,6 +90,7 @@ def add(
         after,
         (*case.notes, *filter(None, [fit.result.note])),
         changed_bodies(model, fit),
+        dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
     )
 
 

@@ -25,12 +25,13 @@ SHORTEST = 0.2
 FEW, ENOUGH = 120, 240
 """Steps of the search for a contact's times and point: on one of many bodies, and on the last."""
 
-_LEVER = 0.2  # m, by which forces and moments are made alike
+_UNFELT = 1e-4  # of what is felt most, N or N·m
 _SINGULAR = 0.05  # over the residuals' RMS in noise, of the direction that is felt most
 _LEAST_SINGULAR, _LARGEST_SINGULAR = 2e-3, 0.02
 _FARTHEST = 2.0  # m, of the point from the body's origin
 _SHARPEST = 1e-3  # s
 _STEPS = np.array([0.05, 0.05, 0.5, 0.1, 0.1, 0.1])  # first: s, s, logarithm, m, m, m
+_TIMES = 3  # of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +80,8 @@ class WrenchColumns:
 
     Attributes:
         near: (K, T, 15 d) what a constant wrench takes, over `size`, at the T instants that the
-            filter sees for each output: forces at Bo, their arms along x, y and z, and moments.
+            filter sees for each output: forces at Bo, their arms along x, y and z, and moments,
+            along the axes of the body where the contact turns with it.
         time: (N,) instants at the full rate.
         filter: The log's filter, whose kernel has T weights.
         rows: (K, d) which residuals are known.
@@ -91,20 +93,22 @@ class WrenchColumns:
     rows: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, window: ResidualWindow, body: str) -> WrenchColumns:
-        """Those of a body in a window.
+    def of(cls, window: ResidualWindow, contact: Episode) -> WrenchColumns:
+        """Those of a contact's body in a window.
 
         Args:
             window: The window.
-            body: Name of the body.
+            contact: A contact of the body, turning with it or not.
         """
-        motion, low_pass = window.bodies.motion(body), window.filter
+        motion, low_pass = window.bodies.motion(contact.body), window.filter
         dofs, R = list(motion.dofs), motion.rotation.transpose(0, 2, 1)
         angular, linear = (
             J[:, :, dofs].transpose(0, 2, 1) for J in (motion.angular, motion.linear)
         )
         arms = np.cross(angular[:, None], R[:, :, None])  # axis of the body, joint, force
         parts = np.concatenate([linear[:, None], arms, angular[:, None]], 1)
+        if contact.turning:
+            parts = parts @ motion.rotation[:, None]
         values = (parts / window.size[dofs, None]).reshape(len(parts), -1)
         width, step = len(low_pass.kernel), low_pass.decimation
         near = sliding_window_view(values, width, axis=0)[::step].swapaxes(1, 2)
@@ -131,13 +135,15 @@ def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) ->
         contact: Where the search starts.
         tries: Most steps of the search.
     """
-    felt = WrenchColumns.of(window, contact.body)
+    felt = WrenchColumns.of(window, contact)
     dofs = list(window.bodies.motion(contact.body).dofs)
     b = window.residual[:, dofs][felt.rows]
-    unit, cut = np.repeat([1.0, _LEVER], 3), _cut(b)
+    cut = _cut(b)
+    # A moment makes up for any point where it turns with the force.
+    steps: Array = _STEPS[:_TIMES] if contact.turning else _STEPS
 
     def moved(step: Array) -> Episode | None:
-        start, end, rise, x, y, z = step.tolist()
+        start, end, rise, x, y, z = np.pad(step, (0, len(_STEPS) - len(step))).tolist()
         start, end, rise = contact.start + start, contact.end + end, contact.rise * np.exp(rise)
         point = [contact.x + x, contact.y + y, contact.z + z]
         if end - start < 0.5 * SHORTEST or rise > 0.25 * (end - start):
@@ -152,14 +158,15 @@ def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) ->
         other = moved(step)
         if other is None:
             return 0.0
-        A = felt.columns(other) * unit
+        A = felt.columns(other)
+        A /= _sizes(A)
         values, vectors = np.linalg.eigh(A.T @ A)
         clear = values > max(cut**2 * values[-1], np.finfo(float).tiny)
         return float(np.sum(np.square((A.T @ b) @ vectors[:, clear]) / values[clear]))
 
-    simplex = np.vstack([np.zeros(len(_STEPS)), np.diag(_STEPS)])
+    start = np.zeros(len(steps))
+    simplex = np.vstack([start, np.diag(steps)])
     options = {"initial_simplex": simplex, "maxiter": tries, "xatol": 1e-3, "fatol": 1e-2}
-    start = np.zeros(len(_STEPS))
     found = minimize(lambda x: -explained(x), start, method="Nelder-Mead", options=options)
     return moved(found.x) or contact
 
@@ -169,8 +176,10 @@ def with_point(window: ResidualWindow, contact: Episode) -> Episode:
 
     Args:
         window: The window.
-        contact: The contact, with its point at Bo.
+        contact: The contact, with its point at Bo; it stays there if the wrench turns with it.
     """
+    if contact.turning:
+        return contact
     motion, rows = window.bodies.motion(contact.body), np.isfinite(window.residual)
     wrench = _wrench(columns(window, contact)[rows], window.residual[rows])
     force, moment = wrench[:3], wrench[3:]
@@ -183,8 +192,17 @@ def with_point(window: ResidualWindow, contact: Episode) -> Episode:
 
 def _wrench(A: Array, b: Array) -> Array:
     """(6,) least squares, without the directions that the joints hardly feel."""
-    unit = np.repeat([1.0, _LEVER], 3)
-    return np.asarray(np.linalg.lstsq(A * unit, b, rcond=_cut(b))[0] * unit)
+    sizes = _sizes(A)
+    return np.asarray(np.linalg.lstsq(A / sizes, b, rcond=_cut(b))[0] / sizes)
+
+
+def _sizes(A: Array) -> Array:
+    """(6,) norms of columns, by which forces and moments are made alike.
+
+    A joint at which little is felt otherwise is quiet, and what it feels of one moment stands out.
+    """
+    norms = np.linalg.norm(A, axis=0)
+    return np.maximum(norms, max(_UNFELT * float(norms.max(initial=0.0)), np.finfo(float).tiny))
 
 
 def _cut(b: Array) -> float:
@@ -241,8 +259,8 @@ def evidence(window: ResidualWindow, contact: Episode) -> Predicted:
     samples = np.array([effective_samples([joint]) if len(joint) else 0.0 for joint in left])
     floor = np.maximum(1e-3 * before, np.finfo(float).tiny)
     gain = samples * np.log(np.maximum(before, floor) / np.maximum(after, floor))
-    unit = np.repeat([1.0, _LEVER], 3)
-    felt = int(np.linalg.matrix_rank(A[known] * unit, rtol=_cut(window.residual[known])))
+    scaled = A[known] / _sizes(A[known])
+    felt = int(np.linalg.matrix_rank(scaled, rtol=_cut(window.residual[known])))
     share = float(1.0 - after.sum() / max(before.sum(), 1e-300))
     count = np.maximum((known & inside[:, None]).sum(0), 1)
     return Predicted(before / count, after / count, share, float(gain.sum()), felt)

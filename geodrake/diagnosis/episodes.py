@@ -226,18 +226,26 @@ def _contact(
     bodies = sorted(case.model.bodies, key=lambda name: len(window.bodies.motion(name).dofs))
     number = log_number(case.trajectories[window.log].name)
     kinds = [kind for kind in case.effect_classes if issubclass(kind, Episode)]
-    guesses = [k(b, window.start, window.end, _RISE, number) for k in kinds for b in bodies]
+    window_of = {"rise": _RISE, "log": number}
+    guesses = [
+        guess
+        for kind in kinds
+        for body in bodies
+        for guess in kind.in_window(body, window.start, window.end, **window_of)
+    ]
     shapes = [refined(window, with_point(window, guess), tries=FEW) for guess in guesses]
     tried_shapes = [(shape, evidence(window, shape)) for shape in shapes]
     best = max(found.share for _, found in tried_shapes)
     if best < 0.5 * _LEAST_SHARE:
         return None, best
     good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
-    contact = next((shape for shape, found in good if _explains_all(found)), good[0][0])
-    contact = refined(window, contact)
+    nearest = next((shape for shape, found in good if _explains_all(found)), good[0][0])
+    same = [(found.share, shape) for shape, found in good if shape.body == nearest.body]
+    contact = refined(window, max(same, key=lambda tried: tried[0])[1])
     found = evidence(window, contact)
     # Times, rise and point were looked for too, and the body.
-    chance = min(1.0, tried * len(bodies) * chi2_tail(found.gain, found.felt + 6))
+    chance = chi2_tail(found.gain, found.felt + contact.free_shapes)
+    chance = min(1.0, tried * len(guesses) * chance)
     convinces = found.share >= _LEAST_SHARE and chance <= alarm and _explains_all(found)
     return (contact if convinces else None), best
 

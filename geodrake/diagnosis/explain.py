@@ -180,6 +180,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         after if changed else before,
         (*case.notes, *more),
         changed_bodies(model, fit) if changed else (),
+        dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
     )
     end = freed(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)

@@ -9,6 +9,7 @@ import numpy as np
 
 from geodrake.diagnosis.delay import fine_delays, fitted_delays, late_together, seconds_of
 from geodrake.diagnosis.pruning import prune
+from geodrake.diagnosis.rest import share_of_motion
 from geodrake.diagnosis.stepwise_search import TIGHTER_PRIORS
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.shape import when_sliding
@@ -62,7 +63,16 @@ def final_fit(
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
     unknowns = freed(settled).unknowns
-    fit = fit_model(base, reopened.dataset, unknowns, weights, delays=delays)
+    share = share_of_motion(reopened, settled)
+    fit = fit_model(
+        base,
+        reopened.dataset,
+        unknowns,
+        weights,
+        effective=settled.effective,
+        of_motion=share,
+        delays=delays,
+    )
     return reopened, fit, end
 
 

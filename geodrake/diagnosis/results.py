@@ -107,8 +107,8 @@ class Step:
         rms_after: Joint -> held-out RMS after, N·m or N.
         rivals: Those of these effects that were fitted, best first; the others follow from what is
             known of the effects.
-        systematic: As `deviations`, those that come from the gains of the efforts, which are
-            known to the logs' `effort_uncertainty` only; more data do not narrow them.
+        systematic: As `deviations`, those that more data do not narrow: from the gains of the
+            efforts, known to the logs' `effort_uncertainty` only, and from what stays unexplained.
     """
 
     effect: str
@@ -162,6 +162,8 @@ class Explanation:
         notes: What was done to the logs and noticed about the model.
         bodies: What the final fit made of the model's bodies, the farthest change first; none
             where the model stays as it is.
+        of_motion: Joint -> share of its squared error at the end that goes with the motion: that a
+            smooth function of positions and velocities predicts on held-out data.
     """
 
     verdict: Verdict
@@ -174,3 +176,4 @@ class Explanation:
     after: Comparison
     notes: tuple[str, ...]
     bodies: tuple[BodyChange, ...] = ()
+    of_motion: Mapping[str, float] = field(default_factory=dict)

@@ -27,14 +27,14 @@ def reported_parameters(fitted: FittedEffect) -> tuple[dict[str, float], dict[st
 
 
 def systematic_parameters(fitted: FittedEffect, shifts: Array) -> dict[str, float]:
-    """Standard deviations of what an effect reports that come from uncertain gains of the efforts.
+    """Standard deviations of what an effect reports that do not come from noise.
 
     To first order, as the shifts are; shapes and what else has no deviation are left out.
 
     Args:
         fitted: The effect.
-        shifts: (nv, k) what its parameters change by if the gain of a joint's efforts is off by one
-            standard deviation; gains of different joints are independent.
+        shifts: (s, k) what its parameters change by with each of some independent causes, as the
+            gain of a joint's efforts, that is off by one standard deviation.
     """
     values, deviations = reported_parameters(fitted)
     squares = {name: 0.0 for name in values if name in deviations}
@@ -43,6 +43,12 @@ def systematic_parameters(fitted: FittedEffect, shifts: Array) -> dict[str, floa
         for name in squares:
             squares[name] += ((moved[name] - values[name]) / _SMALL) ** 2
     return {name: float(np.sqrt(square)) for name, square in squares.items()}
+
+
+def factor_of(covariance: Array) -> Array:
+    """(k, k) independent shifts, row by row, that have a covariance (k, k)."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(np.sqrt(np.maximum(values, 0.0))[:, None] * axes.T)
 
 
 def late_joints(joints: Sequence[str], start: Hypothesis, end: Hypothesis) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.step_values import (
+    factor_of,
     late_joints,
     reported_delays,
     reported_parameters,
@@ -348,15 +349,17 @@ def _values(case: Case, group: _Group, trail: Trail, fit: ModelFit) -> tuple[Val
 
 
 def _systematic(case: Case, group: _Group, fit: ModelFit) -> Values:
-    """What the uncertain gains of the efforts add to the deviations of a group's parameters."""
+    """What gains of efforts and what is unexplained add to deviations of a group's parameters."""
     values: Values = {}
-    if case.effort_uncertainty == 0.0:
-        return values
     for fitted in fit.model.effects:
-        if fitted.effect in group.effects and fitted.effect.role is not Role.SCALE:
-            own = fit.gain_shifts[:, fit.unknowns.span(fitted.effect)]
-            found = systematic_parameters(fitted, case.effort_uncertainty * own)
-            values.setdefault(fitted.effect.place, {}).update(found)
+        if fitted.effect in group.effects:
+            span = fit.unknowns.span(fitted.effect)
+            shifts = [factor_of(fit.error_covariance[span, span])]
+            if fitted.effect.role is not Role.SCALE:
+                shifts.append(case.effort_uncertainty * fit.gain_shifts[:, span])
+            if any(each.any() for each in shifts):
+                found = systematic_parameters(fitted, np.concatenate(shifts))
+                values.setdefault(fitted.effect.place, {}).update(found)
     return values
 
 

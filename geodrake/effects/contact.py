@@ -18,7 +18,8 @@ class Contact(Episode):
     effort = w(t) (J_vᵀ f + J_ωᵀ m), with the weight w of the window (see `Episode`).
 
     f (N) is the force that the body applies to what it touches, at its point P, and m (N·m) the
-    moment about P; both keep their direction in the world frame. What pushes the robot applies −f.
+    moment about P. What pushes the robot applies −f. Both keep their direction in the world frame,
+    as where something heavy is leaned on, or in the body's, as a tool's or a jet's.
     """
 
     name = "contact"
@@ -34,5 +35,8 @@ class Contact(Episode):
 
     def columns(self, body: BodyMotion, time: Array) -> Array:
         """[w J_vᵀ, w J_ωᵀ] (N, nv, 6) at the point P and instants (N,) since the log began, s."""
-        J = np.concatenate([body.jacobian_at(self.point), body.angular], 1)
-        return np.asarray(self.weight(time)[:, None, None] * J.transpose(0, 2, 1))
+        J = np.stack([body.jacobian_at(self.point), body.angular], 1)  # (N, 2, 3, nv)
+        if self.turning:
+            J = body.rotation[:, None].transpose(0, 1, 3, 2) @ J
+        columns = J.reshape(len(time), 6, -1).transpose(0, 2, 1)
+        return np.asarray(self.weight(time)[:, None, None] * columns)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 
@@ -36,6 +38,7 @@ class Episode(BodyEffect):
         x: Position of P from the body's origin Bo along x of the body's frame, m.
         y: The same along y.
         z: The same along z.
+        turning: 1 where what acts turns with the body, 0 where it keeps its direction in the world.
     """
 
     start: float
@@ -45,6 +48,7 @@ class Episode(BodyEffect):
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
+    turning: int = 0
 
     role = Role.EPISODE
     proposer = Proposer.EPISODE
@@ -60,6 +64,8 @@ class Episode(BodyEffect):
                 f"{self.name} needs a start before its end; it got {self.start} and {self.end} s."
             )
         require_positive(self, "rise")
+        if self.turning not in (0, 1):
+            raise ArgumentError(f"turning of {self.name} must be 0 or 1; it is {self.turning}.")
 
     @abc.abstractmethod
     def columns(self, body: BodyMotion, time: Array) -> Array:
@@ -86,7 +92,8 @@ class Episode(BodyEffect):
     @property
     def place(self) -> str:
         """The body and the window."""
-        return f"{self.body}, {self.start:.2f}–{self.end:.2f} s"
+        turning = " turning with it," if self.turning else ""
+        return f"{self.body},{turning} {self.start:.2f}–{self.end:.2f} s"
 
     @property
     def point(self) -> Array:
@@ -95,15 +102,29 @@ class Episode(BodyEffect):
 
     @property
     def reported_shape(self) -> dict[str, float]:
-        """Window and point; the number of the log says nothing to a reader."""
-        return {name: value for name, value in super().reported_shape.items() if name != "log"}
+        """Window and point: its place says whether it turns, and the log's number says nothing."""
+        shape = super().reported_shape.items()
+        return {name: value for name, value in shape if name not in ("log", "turning")}
 
     @property
     def free_shapes(self) -> int:
-        """Start, end, rise and place."""
-        return 6
+        """Start, end, rise and point, which is none where the wrench turns with the body."""
+        return 3 if self.turning else 6
 
     @classmethod
-    def candidates(cls, body: str) -> tuple[Episode, ...]:
+    def candidates(cls, body: str) -> tuple[Self, ...]:
         """The first second of a log; a diagnosis looks for the window instead."""
-        return (cls(body, 0.0, 1.0),)
+        return cls.in_window(body, 0.0, 1.0)
+
+    @classmethod
+    def in_window(cls, body: str, start: float, end: float, **shape: Any) -> tuple[Self, ...]:
+        """What may act on a body in a window: what keeps its direction, and what turns with it.
+
+        Args:
+            body: Name of the body.
+            start: t₀, s since the log began.
+            end: t₁, s since the log began.
+            shape: Other shape parameters.
+        """
+        make: Callable[..., Self] = cls
+        return tuple(make(body, start, end, **shape, turning=turning) for turning in (0, 1))

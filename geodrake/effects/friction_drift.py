@@ -71,5 +71,5 @@ class FrictionDrift(JointEffect):
 
     @property
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
-        """Dry friction or viscous friction."""
-        return ((CoulombFriction,), (ViscousFriction,))
+        """Dry friction or viscous friction, or nothing: what runs in may settle at none."""
+        return ((CoulombFriction,), (ViscousFriction,), ())

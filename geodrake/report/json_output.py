@@ -95,7 +95,7 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
     return {
         "verdict": explanation.verdict,
         "steps": [_step(step) for step in explanation.steps],
-        "error": _errors(**tables),
+        "error": {**_errors(**tables), "of_motion": dict(explanation.of_motion)},
         "bodies": bodies_dict(explanation.bodies),
         "failing": [_failing(case) for case in explanation.after.failing],
         "notes": list(explanation.notes),

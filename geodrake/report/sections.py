@@ -52,8 +52,9 @@ def parameters_section(explanation: Explanation, units: Units) -> Section:
     words = "Value ± standard deviation, where the fit knows one."
     if any(map(_has_noticed, explanation.steps)):
         words += (
-            " A second deviation comes from the gains of the efforts. More data do not narrow it: "
-            "a log with a payload of known mass does (--known-payload)."
+            " A second deviation comes from the gains of the efforts, and from what stays "
+            "unexplained. More data do not narrow it: a log with a payload of known mass does "
+            "(--known-payload), and what explains the rest."
         )
     text = (words,) if tables else ()
     return Section("Parameters found", text, tuple(tables), abreast=True)

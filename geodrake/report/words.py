@@ -17,6 +17,7 @@ from geodrake.report.numbers import Units, estimate, number, percent
 _MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
 _NEARLY_ALL = 0.9995
+_NOTABLE = 0.05  # share of what is left at a joint that goes with the motion
 _MOST_PLACES = 3
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 
@@ -175,7 +176,7 @@ def explanation_verdict(explanation: Explanation, units: Units) -> str:
         return f"Explained: {found}; {_noise_alone(end)}."
     rest = f"An error is left that nothing explains: {_against_noise(end)}."
     head = "Explained in part" if steps else "Unexplained"
-    return f"{head}: {found}. {rest}{_worst(explanation)}"
+    return f"{head}: {found}. {rest}{_worst(explanation)}{_of_motion(explanation)}"
 
 
 def draft_advice(explanation: Explanation) -> str:
@@ -198,7 +199,8 @@ def addition_verdict(explanation: Explanation, units: Units) -> str:
     found = listed([finding(step, units) for step in explanation.steps]) or "nothing"
     if explanation.verdict != "unexplained":
         return f"Added {found}; {_noise_alone(explanation.end)}."
-    return f"Added {found}. Left: {_against_noise(explanation.end)}.{_worst(explanation)}"
+    left = f"{_against_noise(explanation.end)}.{_worst(explanation)}{_of_motion(explanation)}"
+    return f"Added {found}. Left: {left}"
 
 
 def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
@@ -455,7 +457,21 @@ def _rest(explanation: Explanation) -> str:
     if explanation.verdict == "explained":
         return f"With that, only sensor noise is left.{_noise_level(explanation.end)}"
     left = "An error above the noise is left. " if explanation.steps else ""
-    return f"{left}{_noise(explanation.end)}{_worst(explanation)}"
+    return f"{left}{_noise(explanation.end)}{_worst(explanation)}{_of_motion(explanation)}"
+
+
+def _of_motion(explanation: Explanation) -> str:
+    """How much of what is left goes with the motion, as a sentence after a space."""
+    shares = sorted(explanation.of_motion.items(), key=lambda joint: -joint[1])
+    if not shares:
+        return ""
+    notable = [f"{percent(share)} at {joint}" for joint, share in shares if share >= _NOTABLE]
+    if not notable:
+        return (
+            " No smooth function of positions and velocities predicts any of it on held-out data: "
+            "it is coloured noise, or hangs on more than the logs hold."
+        )
+    return f" Of what is left, some function of the motion could remove {listed(notable)}."
 
 
 def _noise_level(errors: ErrorTable) -> str:

@@ -4,6 +4,7 @@ Logs are Pinocchio's inverse dynamics and Jacobians; the model file's bodies are
 """
 
 import dataclasses
+from itertools import product
 
 import numpy as np
 import pytest
@@ -33,8 +34,8 @@ ARM = load_model(MODELS / "arm6.urdf")
 FRICTION = np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])
 
 
-def pushed(joint, point, force, window, *, ramp=0.03, friction=0.0):
-    """Effort against a force (3,), in the world frame, at a point of a joint's body."""
+def pushed(joint, point, force, window, *, ramp=0.03, friction=0.0, turning=False):
+    """Effort against a force (3,) along the world's axes, or the body's, at a point of that."""
 
     def hidden(seen):
         start, end = window
@@ -46,17 +47,18 @@ def pushed(joint, point, force, window, *, ramp=0.03, friction=0.0):
             J = pin.computeJointJacobian(seen.model, seen.data, seen.q[i], joint)
             velocity = J[:3] - pin.skew(np.array(point)) @ J[3:]
             R = seen.data.oMi[joint].rotation
-            effort[i] -= on[i] * velocity.T @ R.T @ force
+            effort[i] -= on[i] * velocity.T @ (force if turning else R.T @ force)
         return effort
 
     return hidden
 
 
 class TestColumns:
-    def test_forces_do_work_at_their_point(self):
+    @pytest.mark.parametrize("turning", [0, 1])
+    def test_forces_do_work_at_their_point(self, turning):
         """Columns times velocities are the power of each force and moment."""
         motion, (plant, *_) = random_motion(), hand_robot()
-        contact = Contact("hand", -1.0, 1.0, 1e-3, 0, 0.1, -0.2, 0.3)
+        contact = Contact("hand", -1.0, 1.0, 1e-3, 0, 0.1, -0.2, 0.3, turning)
         columns = contact.regressor(motion)
         context, body = plant.CreateDefaultContext(), plant.GetBodyByName("hand")
         for i in range(5):
@@ -65,7 +67,8 @@ class TestColumns:
             V = plant.EvalBodySpatialVelocityInWorld(context, body)
             X_WB = plant.EvalBodyPoseInWorld(context, body)
             at_point = V.Shift(X_WB.rotation() @ np.array([0.1, -0.2, 0.3]))
-            expected = np.concatenate([at_point.translational(), at_point.rotational()])
+            R = X_WB.rotation().matrix() if turning else np.eye(3)
+            expected = np.concatenate([R.T @ at_point.translational(), R.T @ at_point.rotational()])
             np.testing.assert_allclose(columns[i].T @ motion.v[i], expected, atol=1e-12)
 
     def test_window(self):
@@ -89,6 +92,10 @@ class TestColumns:
         assert (
             not Contact("hand", -1.0, 1.0).regressor(dataclasses.replace(motion, time=None)).any()
         )
+
+    def test_turns_or_does_not(self):
+        with pytest.raises(ArgumentError, match="turning"):
+            Contact("hand", 0.0, 1.0, turning=2)
 
     def test_bad_windows(self):
         for arguments in [(2.0, 1.0), (0.0, np.inf), (0.0, 1.0, 0.0)]:
@@ -177,11 +184,11 @@ def test_columns_of_a_search():
     bodies = RobotBodies(ARM.tree, np.cumsum(0.02 * rng.normal(size=(len(time), 6)), 0), ARM.phi)
     size = rng.uniform(0.5, 2.0, 6)
     window = ResidualWindow(0, 1.5, 2.4, time, bodies, outputs, residual, size, low_pass)
-    for body in ARM.bodies:
-        contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3)
+    for body, turning in product(ARM.bodies, (0, 1)):
+        contact = Contact(body, 1.3, 2.6, 0.03, 0, 0.1, -0.2, 0.3, turning)
         dofs = list(bodies.motion(body).dofs)
         expected = columns(window, contact)[:, dofs][np.isfinite(residual[:, dofs])]
-        found = WrenchColumns.of(window, body).columns(contact)
+        found = WrenchColumns.of(window, contact).columns(contact)
         np.testing.assert_allclose(found, expected, atol=1e-13 * np.abs(expected).max())
 
 
@@ -215,6 +222,22 @@ class TestDiagnosis:
         floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
         assert found.end.nrms < 1.15 * floor
         assert found.verdict == "explained"
+
+    def test_a_force_that_turns_with_its_body(self, tmp_path):
+        """As that of a jet or a tool: its components along the body's axes are constant."""
+        force = np.array([12.0, 0.0, -30.0])
+        hidden = pushed(6, (0.0, 0.0, 0.1), force, (8.0, 11.0), turning=True)
+        found = explain(ARM, [effort_log("arm6", 3, hidden, off=0.2).log])
+        (step,) = found.steps
+        assert (step.effect, step.where, found.verdict) == ("contact", ("flange",), "explained")
+        ((place, values),) = step.parameters.items()
+        assert place.startswith("flange, turning with it, ")
+        assert (values["start"], values["end"]) == pytest.approx((8.0, 11.0), abs=0.02)
+        pushing = [-values[f"force_{axis}"] for axis in "xyz"]
+        np.testing.assert_allclose(pushing, force, atol=0.05 * np.linalg.norm(force))
+        save_model(found.model, tmp_path / "arm.yaml")
+        again = load_model(tmp_path / "arm.yaml")
+        assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
 
     def test_in_slow_motion(self):
         """The bodies' fit follows a push that lasts for a tenth of a slow log."""

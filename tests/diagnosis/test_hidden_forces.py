@@ -324,6 +324,17 @@ class TestFrictionDrift:
         assert settled + values["coulomb_change"] == pytest.approx(1.5 * size, rel=0.08)
         assert 4.0 < values["time_constant"] < 16.0
 
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_that_settles_at_none(self, seed):
+        def hidden(seen):
+            v = seen.v[:, 1]
+            return {1: 8.0 * (1.0 + seen.time / 6.0) ** -3 * (v / np.sqrt(v**2 + 1e-4) + v)}
+
+        steps = explain(model_file("arm6"), [effort_log("arm6", seed, hidden).log]).steps
+        assert ("friction_drift", ("shoulder_pitch",)) in [(s.effect, s.where) for s in steps]
+        beside = {"coulomb_friction", "viscous_friction"}
+        assert {step.effect for step in steps} <= {"friction_drift"} | beside
+
     def test_not_where_friction_stays(self):
         found = explain(model_file("arm6"), [effort_log("arm6", 5, rubbing, off=0.2).log])
         assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}

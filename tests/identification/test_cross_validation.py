@@ -619,6 +619,36 @@ def test_a_gain_that_is_fitted_moves_nothing_else(model):
     assert not elbow.any()
 
 
+@pytest.mark.parametrize("joint", [0, 1])
+def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset, model, joint):
+    """By a second fit, to efforts with an error that goes with the parameter as no other does."""
+    unknowns = with_effects(dataset, model_unknowns(dataset, model), *EFFECTS[:4])
+    worth, mse = np.zeros(2), 1e-4
+    worth[joint] = WEIGHTS[joint] * mse * dataset.data[joint].samples.sum()
+    share = np.arange(2) == joint
+    fit = fit_model(model, dataset, unknowns, WEIGHTS, effective=worth, of_motion=share)
+    data = dataset.data[joint]
+    local = data.local(unknowns.columns)
+    rows = [np.concatenate([block.A for block in fold]) for fold in data.rows]
+    efforts = [np.concatenate([block.b for block in fold]) for fold in data.rows]
+    for k in range(len(unknowns.columns) - 4, len(unknowns.columns)):
+        if local[k] < 0:
+            continue
+        own = np.zeros(len(data.columns))
+        own[local[local >= 0]] = np.linalg.inv(fit.result.information)[k, local >= 0]
+        errors = [A @ own for A in rows]
+        size = np.sqrt(mse * data.samples.sum() / sum(e @ e for e in errors))
+        factors = [
+            np.linalg.qr(np.column_stack([A, b + size * e[:, None]]), "r")
+            for A, b, e in zip(rows, efforts, errors, strict=True)
+        ]
+        other = list(dataset.data)
+        other[joint] = replace(data, factors=np.array(factors))
+        moved = solve_surely(fit_problem(replace(dataset, data=tuple(other)), unknowns, WEIGHTS))
+        deviation = np.sqrt(fit.error_covariance[k, k])
+        assert moved.x[k] - fit.result.x[k] == pytest.approx(2.0 * deviation, rel=1e-3)
+
+
 def test_a_payload_is_as_large_as_its_robot(model):
     """In whatever units the robot is given."""
     units = np.repeat([1.0, 0.2, 0.04], [1, 3, 6]) * 7.0  # 5 m and 1/7 kg

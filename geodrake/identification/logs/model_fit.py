@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from geodrake.effects import FittedEffect, Role
+from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
 from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, Delay, is_payload
+from geodrake.identification.logs.systematic import error_covariance, gain_shifts
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     inertial_unknowns,
     pullback_information,
 )
-from geodrake.identification.normal_equations import cholesky, solved
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model.robot_model import RobotModel
@@ -124,41 +124,6 @@ def held_out_physical(
     return hold_out(dataset, unknowns.columns, x, delay=delay)
 
 
-def gain_shifts(
-    dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, *, known: bool
-) -> Array:
-    """(nv, p) what the parameters of a fit change by with the gain of each joint's efforts.
-
-    A wrong gain 1 + g of joint j moves them by g times its row, to first order; that of a joint
-    whose gain is fitted moves nothing else. It acts on the measured effort, of which known payloads
-    are a part. It has gone into a model that was fitted to efforts of the same gains before: then
-    what it moves is only what has changed since.
-
-    Args:
-        dataset: The reduced logs.
-        unknowns: What was fitted.
-        weights: (nv,) weight of a squared residual of each joint.
-        fit: The fit.
-        known: Whether the prior is that of a model which was fitted before.
-    """
-    pulls = np.zeros((len(dataset.joints), len(unknowns.columns)))
-    fitted = {effect.where[0] for effect in unknowns.effects if effect.role is Role.SCALE}
-    for j, (data, weight) in enumerate(zip(dataset.data, weights, strict=True)):
-        if dataset.joints[j] in fitted:
-            continue
-        local = data.local(unknowns.columns)
-        if known:
-            gram = data.products(local, local).sum(axis=2)
-            pull = gram @ (fit.x - unknowns.mean)
-        else:
-            pull = data.products(np.array([len(data.columns)]), local)[0].sum(axis=1)
-        carried = np.append(data.carried.sum(axis=0), 0.0)[local]  # 0 where the joint sees nothing
-        pulls[j] = weight * (pull + carried)
-    scale = 1.0 / np.sqrt(np.diag(fit.information))
-    factor = cholesky(fit.information * scale[:, None] * scale)
-    return (scale[:, None] * solved(factor, scale[:, None] * pulls.T)).T
-
-
 @dataclass(frozen=True, eq=False)
 class ModelFit:
     """A model fitted to logs.
@@ -169,6 +134,8 @@ class ModelFit:
         result: The solution, with its information matrix.
         unknowns: What was fitted.
         gain_shifts: (nv, p) what the parameters change by with the gain of each joint's efforts.
+        error_covariance: (p, p) how far the parameters may be off by what stays unexplained.
+        of_motion: (nv,) share of each joint's squared error that goes with the motion.
     """
 
     model: RobotModel
@@ -176,6 +143,8 @@ class ModelFit:
     result: FitResult
     unknowns: Unknowns
     gain_shifts: Array
+    error_covariance: Array
+    of_motion: Array
 
 
 def fit_model(
@@ -184,6 +153,8 @@ def fit_model(
     unknowns: Unknowns,
     weights: Array,
     *,
+    effective: Array | None = None,
+    of_motion: Array | None = None,
     delays: Sequence[FittedEffect] = (),
 ) -> ModelFit:
     """Fit, hold out, and put the result into the model.
@@ -193,6 +164,8 @@ def fit_model(
         dataset: The logs, their efforts already advanced by the model's delay.
         unknowns: What the fit may move.
         weights: (nv,) weight of a squared residual of each joint.
+        effective: (nv,) samples that the residuals are worth.
+        of_motion: (nv,) share of the squared residual that goes with the motion; none if None.
         delays: Effort delays that the fitted model has.
     """
     result = solve_surely(fit_problem(dataset, unknowns, weights))
@@ -211,7 +184,10 @@ def fit_model(
     )
     known = model.information is not None
     shifts = gain_shifts(dataset, unknowns, weights, result, known=known)
-    return ModelFit(fitted, held_out, result, unknowns, shifts)
+    share = np.zeros(len(weights)) if of_motion is None else of_motion
+    samples = dataset.samples.sum(axis=0) if effective is None else effective
+    off = error_covariance(dataset, unknowns, weights, result, samples * share)
+    return ModelFit(fitted, held_out, result, unknowns, shifts, off, share)
 
 
 def as_it_stands(dataset: Dataset, model: RobotModel) -> HeldOut:

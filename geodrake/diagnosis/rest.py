@@ -1,0 +1,115 @@
+"""What is left of an error, and how much of it goes with the motion: that no noise does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.residuals import (
+    JointResidual,
+    filtered_columns,
+    full_motion,
+    joint_residuals,
+)
+from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.model_errors import NOISE_MARGIN
+from geodrake.logs.smoothing import Segment
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_FREQUENCIES = 100  # of random features
+_WIDTHS = (1.0, 3.0)  # over which functions vary, in deviations of the signals
+_RIDGES = (1e-3, 1e-2, 1e-1, 1.0)  # over the mean square of the features
+_MOST = 4_000  # samples that are looked at
+
+
+def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
+    """(nv,) share of each joint's squared error that a smooth function of the motion could remove.
+
+    Functions of all positions, and of position, velocity and direction of the joint itself and one
+    other, are fitted without each fold and predict it: sums of waves of random frequencies with a
+    ridge, which approximate a Gaussian process (Rahimi and Recht, 2007). The best one counts. No
+    function of the motion predicts noise, whatever its colour.
+
+    Args:
+        case: The case.
+        hypothesis: What was found.
+
+    Returns:
+        Shares from 0 to 1; 0 where only sensor noise is left.
+    """
+    motion = full_motion(case)
+    joints = zip(
+        joint_residuals(case, hypothesis),
+        error_table(case.dataset, hypothesis.held_out).joints,
+        case.dataset.data,
+        strict=True,
+    )
+    shares = np.zeros(len(case.dataset.joints))
+    for j, (residual, error, data) in enumerate(joints):
+        if error.rms > NOISE_MARGIN * error.floor:
+            folds = np.repeat(
+                np.arange(len(data.rows)), [sum(len(r.time) for r in fold) for fold in data.rows]
+            )
+            shares[j] = _predictable(case, motion, residual, folds)
+    return shares
+
+
+def _predictable(
+    case: Case, motion: Sequence[tuple[int, Segment]], joint: JointResidual, folds: Indices
+) -> float:
+    """Share of the squared residual of a joint that the best function of the motion predicts."""
+    own = case.model.joints.index(joint.joint)
+    columns = filtered_columns(case, motion, joint, map(_signals, (s for _, s in motion)))
+    seen = np.flatnonzero(np.isfinite(columns).all(axis=1))
+    seen = seen[:: max(1, len(seen) // _MOST)]
+    if len(seen) < 2 * len(np.unique(folds)):
+        return 0.0
+    b, at = joint.residual[seen], folds[seen]
+    signals = columns[seen].reshape(len(seen), 3, -1)
+    moving = signals.std(axis=0) > 0.0
+    scaled = signals / np.where(moving, signals.std(axis=0), np.inf)
+    others = [k for k in range(signals.shape[2]) if k == own or moving[:, k].any()]
+    groups = [scaled[:, 0], *(scaled[:, :, sorted({own, k})] for k in others)]
+    best = max(
+        1.0 - np.square(left).sum() / np.square(b).sum()
+        for group in groups
+        for features in _waves(group.reshape(len(seen), -1))
+        for left in _held_out(features, b, at)
+    )
+    return float(np.clip(best, 0.0, 1.0))
+
+
+def _signals(segment: Segment) -> Array:
+    """(N, 3 n) position, velocity and direction of motion of all joints."""
+    v = segment.velocity
+    slow = np.maximum(0.01 * np.abs(v).max(axis=0), np.finfo(float).tiny)
+    return np.concatenate([segment.position, v, np.tanh(v / slow)], axis=1)
+
+
+def _waves(signals: Array) -> Iterator[Array]:
+    """(N, 2 m + 1) waves of random frequencies over signals (N, k), narrow ones first."""
+    rng = np.random.default_rng(0)
+    frequencies = rng.normal(size=(signals.shape[1], _FREQUENCIES))
+    for width in _WIDTHS:
+        angle = signals @ frequencies / width
+        yield np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(angle))])
+
+
+def _held_out(features: Array, b: Array, folds: Indices) -> Iterator[Array]:
+    """(N,) what is left of b in each fold by ridge regressions on all others, one a ridge."""
+    parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
+    grams = np.array([features[rows].T @ features[rows] for rows in parts])
+    moments = np.array([features[rows].T @ b[rows] for rows in parts])
+    total, moment = grams.sum(axis=0), moments.sum(axis=0)
+    unit = len(b) * np.eye(len(total))
+    for ridge in _RIDGES:
+        x = np.linalg.solve(total - grams + ridge * unit, (moment - moments)[..., None])[..., 0]
+        left = np.empty(len(b))
+        for rows, own in zip(parts, x, strict=True):
+            left[rows] = b[rows] - features[rows] @ own
+        yield left
