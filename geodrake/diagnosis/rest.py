@@ -14,6 +14,7 @@ from geodrake.diagnosis.residuals import (
     joint_residuals,
 )
 from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.evidence import Criteria, false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import NOISE_MARGIN
 from geodrake.logs.smoothing import Segment
@@ -32,8 +33,9 @@ def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
 
     Functions of all positions, and of position, velocity and direction of the joint itself and one
     other, are fitted without each fold and predict it: sums of waves of random frequencies with a
-    ridge, which approximate a Gaussian process (Rahimi and Recht, 2007). The best one counts. No
-    function of the motion predicts noise, whatever its colour.
+    ridge, which approximate a Gaussian process (Rahimi and Recht, 2007). The best one counts,
+    chosen by every other fold for the rest, if that is no chance. No function of the motion
+    predicts noise, whatever its colour.
 
     Args:
         case: The case.
@@ -75,13 +77,21 @@ def _predictable(
     scaled = signals / np.where(moving, signals.std(axis=0), np.inf)
     others = [k for k in range(signals.shape[2]) if k == own or moving[:, k].any()]
     groups = [scaled[:, 0], *(scaled[:, :, sorted({own, k})] for k in others)]
-    best = max(
-        1.0 - np.square(left).sum() / np.square(b).sum()
-        for group in groups
-        for features in _waves(group.reshape(len(seen), -1))
-        for left in _held_out(features, b, at)
+    losses = np.array(
+        [
+            loss
+            for group in groups
+            for features in _waves(group.reshape(len(seen), -1))
+            for loss in _held_out(features, b, at)
+        ]
     )
-    return float(np.clip(best, 0.0, 1.0))
+    even, odd = losses[:, ::2], losses[:, 1::2]
+    left = np.empty(losses.shape[1])
+    left[::2] = even[odd.sum(axis=1).argmin()]
+    left[1::2] = odd[even.sum(axis=1).argmin()]
+    share = float(1.0 - left.sum() / np.square(b).sum())
+    gain = -joint.effective * np.log1p(-max(share, 0.0))
+    return share if false_alarm_probability(gain, 1, len(losses)) <= Criteria.alarm else 0.0
 
 
 def _signals(segment: Segment) -> Array:
@@ -101,7 +111,7 @@ def _waves(signals: Array) -> Iterator[Array]:
 
 
 def _held_out(features: Array, b: Array, folds: Indices) -> Iterator[Array]:
-    """(N,) what is left of b in each fold by ridge regressions on all others, one a ridge."""
+    """(F,) squared error of b in each fold by ridge regressions on all others, one a ridge."""
     parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
     grams = np.array([features[rows].T @ features[rows] for rows in parts])
     moments = np.array([features[rows].T @ b[rows] for rows in parts])
@@ -109,7 +119,5 @@ def _held_out(features: Array, b: Array, folds: Indices) -> Iterator[Array]:
     unit = len(b) * np.eye(len(total))
     for ridge in _RIDGES:
         x = np.linalg.solve(total - grams + ridge * unit, (moment - moments)[..., None])[..., 0]
-        left = np.empty(len(b))
-        for rows, own in zip(parts, x, strict=True):
-            left[rows] = b[rows] - features[rows] @ own
-        yield left
+        pairs = zip(parts, x, strict=True)
+        yield np.array([np.square(b[rows] - features[rows] @ own).sum() for rows, own in pairs])

@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
-from geodrake.logs.spectrum import spectral_density
+from geodrake.logs.spectrum import BLACKMAN_HARRIS, spectral_density
 
 Array = NDArray[np.float64]
 
 _LEAST_BINS = 12  # of a spectrum in a band
+_PASSBANDS = 4  # that a passband is cut into
+_STEP = 1.2  # ratio of the frequencies of neighbouring bands
+_WIDE = 3  # steps over which a spectrum falls
 
 
 def quiet_density(
@@ -50,3 +53,47 @@ def quiet_density(
         inside = frequency >= min(lowest, frequency[-1])
         levels.append(np.median(density[inside], axis=0) / median)
     return np.min(levels, axis=0)
+
+
+def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[Array, Array]:
+    """Spectral densities of signals below a bandwidth.
+
+    Args:
+        signal: (N, n) samples.
+        rate: Sampling rate, Hz.
+        bandwidth: Where the band ends, Hz.
+
+    Returns:
+        (n,) mean, and (n,) that of the quietest part of the band, squared units per Hz.
+    """
+    signal = np.asarray(signal, float)
+    length = min(len(signal), max(64, round(16 * rate / bandwidth)))
+    frequency, density = spectral_density(signal, rate, length)
+    within = np.flatnonzero(frequency < bandwidth)
+    parts = [density[part].mean(axis=0) for part in np.array_split(within, _PASSBANDS) if len(part)]
+    return density[within].mean(axis=0), np.min(parts, axis=0)
+
+
+def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
+    """(n,) frequencies at which the spectra of signals fall most, as at the end of a filter, Hz.
+
+    Args:
+        signal: (N, n) samples.
+        rate: Sampling rate, Hz.
+        bandwidth: About where the signals end, Hz.
+    """
+    signal = np.asarray(signal, float)
+    length = min(len(signal), max(64, round(32 * rate / bandwidth)))
+    frequency, density = spectral_density(signal, rate, length, window=BLACKMAN_HARRIS)
+    lowest, highest = 6.0 * rate / length, 0.45 * rate  # each band has a bin of the spectrum
+    edges = lowest * _STEP ** np.arange(int(np.log(highest / lowest) / np.log(_STEP)))
+    level = np.array(
+        [
+            np.log(
+                np.maximum(density[(frequency >= low) & (frequency < _STEP * low)], 1e-300)
+            ).mean(axis=0)
+            for low in edges
+        ]
+    )
+    fall = level[:-_WIDE] - level[_WIDE:]
+    return edges[fall.argmax(axis=0)] * _STEP ** (0.5 * (_WIDE + 1))

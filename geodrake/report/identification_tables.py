@@ -93,7 +93,7 @@ def identification_verdict(found: ModelIdentification) -> str:
     )
     if found.sweep:
         words += f" (chosen by held-out error from {len(found.sweep)})"
-    if found.after.floor_nrms > 0:
+    if found.after.shows_noise:
         words += f"; the sensor noise is {number(found.after.floor_nrms)}"
     words += "."
     if found.at_boundary:

@@ -341,10 +341,10 @@ def diagnosis_lead(diagnosis: Diagnosis) -> tuple[str, ...]:
 def comparison_headline(comparison: Comparison) -> str:
     """The answer of a comparison in a sentence."""
     errors = comparison.errors
-    return (
-        f"The model errs by {in_words(errors.nrms)} of the efforts' standard deviation; sensor "
-        f"noise alone would make {in_words(errors.floor_nrms)}."
-    )
+    words = f"The model errs by {in_words(errors.nrms)} of the efforts' standard deviation"
+    if not errors.shows_noise:
+        return f"{words}; the logs show no sensor noise."
+    return f"{words}; sensor noise alone would make {in_words(errors.floor_nrms)}."
 
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
@@ -412,7 +412,7 @@ def _by_name(step: Step) -> Mapping[str, Mapping[str, float]]:
 def _against_noise(errors: ErrorTable) -> str:
     """How an error compares with the noise floor."""
     nrms, floor = errors.nrms, errors.floor_nrms
-    if floor <= 0:
+    if not errors.shows_noise:
         return f"nrms {number(nrms)}, without measurable sensor noise"
     words = f"nrms {number(nrms)}, {number(nrms / floor)} times the sensor noise of {number(floor)}"
     beyond = [
@@ -476,13 +476,13 @@ def _of_motion(explanation: Explanation) -> str:
 
 def _noise_level(errors: ErrorTable) -> str:
     """What noise alone makes, as a sentence after a space, where all that is left is noise."""
-    if errors.floor_nrms <= 0:
+    if not errors.shows_noise:
         return ""
     return f" Sensor noise alone would make {in_words(errors.floor_nrms)}."
 
 
 def _noise(errors: ErrorTable) -> str:
-    if errors.floor_nrms <= 0:
+    if not errors.shows_noise:
         return "The logs show no sensor noise to compare the error with."
     return (
         f"Sensor noise alone would make {in_words(errors.floor_nrms)}, so a better model could "

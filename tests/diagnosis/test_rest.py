@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from effort_logs import effort_log
 from excitation_robots import MODELS
+from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
-from geodrake.diagnosis import rest_correlates
+from geodrake.diagnosis import explain, rest_correlates
 from geodrake.diagnosis.explain import investigate
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
@@ -38,6 +39,23 @@ def test_the_brake_is_told_by_joint_and_motion_in_less_time_than_the_search():
     assert {c.joint for c in correlates} == {"wrist_pitch"}
     assert correlates[0].words == WORDS + "elbow_pitch"
     assert correlates[0].share > 0.95
+    shares = found.explanation.of_motion
+    assert shares.pop("wrist_pitch") > 0.7
+    assert max(shares.values()) == 0.0
+
+
+def test_what_goes_with_time_alone_or_with_nothing_does_not_go_with_the_motion():
+    """An oscillation at one joint, coloured noise at the other."""
+    rng = np.random.default_rng(3)
+
+    def hidden(seen):
+        noise = lfilter([1.0], [1.0, -0.97], rng.normal(size=len(seen.time)))
+        return {0: 0.5 * np.sin(11.0 * seen.time), 1: 0.1 * noise}
+
+    log = effort_log("double_pendulum", 2, hidden, duration=24.0, share=0.01).log
+    found = explain(load_model(PENDULUM), [log])
+    assert found.verdict == "unexplained"
+    assert max(found.of_motion.values()) < 0.05
 
 
 def run(*arguments):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, multisine, pendulum_log
+from scipy.signal import butter, sosfiltfilt
 
 from geodrake import load_model
 from geodrake.effects import (
@@ -26,7 +27,7 @@ from geodrake.identification.logs.coherent_bandwidth import (
     prepare_for_model,
 )
 from geodrake.identification.logs.log_slices import INERTIA, Layout, LogSlice
-from geodrake.identification.logs.noise import noise_floor
+from geodrake.identification.logs.noise import filtered_below, noise_floor
 from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.logs.folds import validation_blocks
@@ -326,6 +327,31 @@ def test_noise_floor_behind_dry_friction(model):
     assert np.all(found > 0.9 * expected)
     # The instants of reversal are known to a sample only, so a third of the excess stays.
     assert np.all(found - expected < 0.35 * (without - expected))
+
+
+@pytest.mark.parametrize("cutoff", [10.0, 25.0])
+def test_noise_floor_of_efforts_that_were_filtered_before(model, cutoff):
+    """Above the cutoff there is nothing to see; below, noise is what a fitted model leaves."""
+    log, sections = pendulum_log(12), butter(8, cutoff, fs=200.0, output="sos")
+    smooth = replace(log, effort=sosfiltfilt(sections, log.effort, axis=0))
+    plain, filtered = (prepare_logs([each], bandwidth=5.0) for each in (log, smooth))
+    expected = NOISE * plain[0].filter.noise_gain
+    np.testing.assert_allclose(noise_floor(filtered, model, fitted=True), expected, rtol=0.25)
+    assert np.all(noise_floor(filtered, model) < 0.01 * expected)  # nothing is taken for noise yet
+    assert filtered_below(plain[0]) == np.inf
+    assert filtered_below(filtered[0]) == pytest.approx(cutoff, rel=0.4)
+
+
+def test_noise_floor_is_never_more_than_a_model_leaves(model):
+    """Noise that grows with the frequency is larger above the bandwidth than below."""
+    log = pendulum_log(13, noise=(0.0, 0.0))
+    steps = np.random.default_rng(0).normal(size=log.effort.shape)
+    blue = replace(log, effort=log.effort + NOISE * np.gradient(steps, axis=0))
+    trajectories = prepare_logs([blue], bandwidth=8.0)
+    low_pass = trajectories[0].filter
+    rms = np.sqrt(np.mean(low_pass.apply(blue.effort - log.effort) ** 2, axis=0))
+    assert np.all(noise_floor(trajectories) > 1.4 * rms)
+    np.testing.assert_allclose(noise_floor(trajectories, model), rms, rtol=0.2)
 
 
 def test_noise_floor_is_that_of_the_filtered_noise():

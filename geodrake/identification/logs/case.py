@@ -20,6 +20,7 @@ from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
+from geodrake.identification.logs.noise import filtered_below
 from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import Unknowns
@@ -173,13 +174,17 @@ def open_case(
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
     if candidates:
-        known = joints_with_known_gain(model, [log.payloads for log in matched])
-        effects += candidate_effects(model, peak_speeds(trajectories), extra, known_gains=known)
+        gains = joints_with_known_gain(model, [log.payloads for log in matched])
+        effects += candidate_effects(model, peak_speeds(trajectories), extra, known_gains=gains)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
     shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow
-    dataset = reduce_logs(model, trajectories, folds, effects=effects, delays=delays, shared=shared)
-    notes = [*model.notes, *hints]
+    known = not candidates and model.information is not None
+    dataset = reduce_logs(
+        model, trajectories, folds, effects=effects, delays=delays, fitted=known, shared=shared
+    )
+    hints += [_filtered_note(trajectory) for trajectory in trajectories]
+    notes = [*model.notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     most = int(dataset.still.argmax())
     if dataset.still[most] > 0.0:
@@ -230,7 +235,12 @@ def reopen(case: Case, model: RobotModel) -> Case:
         model: A model with the joints and bodies of the case's.
     """
     dataset = reduce_logs(
-        model, case.trajectories, case.folds, effects=effects_of(model), shared=case.shared
+        model,
+        case.trajectories,
+        case.folds,
+        effects=effects_of(model),
+        fitted=True,
+        shared=case.shared,
     )
     return replace(case, model=model, dataset=dataset, kept=KeptMotion(), loads=None)
 
@@ -317,6 +327,18 @@ def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
         for log in logs
         if log.fingerprint in model.fitted_to
     ]
+
+
+def _filtered_note(trajectory: Trajectory) -> str:
+    """That efforts were filtered before, in words; nothing if they were not."""
+    end = filtered_below(trajectory)
+    if not np.isfinite(end):
+        return ""
+    return (
+        f"{trajectory.name}: its efforts hold hardly anything above {end:.2g} Hz, as if they had "
+        "been filtered before; their noise is taken to be that of the quietest part of what a "
+        "fitted model leaves below"
+    )
 
 
 def _check_efforts(log: JointLog) -> None:

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+LEAST_NOISE = 1e-4
+"""No sensor of efforts has less noise than this share of their deviation."""
+
 NOISE_MARGIN = 1.25
 """All joints together err by noise alone up to this many times their noise floor.
 
@@ -84,6 +87,11 @@ class ErrorTable:
     def floor_nrms(self) -> float:
         """The nrms of the noise floor."""
         return float(np.sqrt(np.mean([(joint.floor / joint.std) ** 2 for joint in self.joints])))
+
+    @property
+    def shows_noise(self) -> bool:
+        """Whether the floor may be that of a sensor: efforts that were filtered show none."""
+        return self.floor_nrms >= LEAST_NOISE
 
     @property
     def is_noise(self) -> bool:

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.delays import delayed_by
+from geodrake.identification.logs.model_errors import LEAST_NOISE
 from geodrake.logs.motion import Motion, Trajectory
 from geodrake.logs.smoothing import Segment
-from geodrake.logs.white_noise import quiet_density
+from geodrake.logs.white_noise import passband_density, quiet_density, steepest_fall
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 
@@ -26,19 +27,23 @@ def noise_floor(
     model: RobotModel | None = None,
     *,
     sign_width: ArrayLike = 0.0,
+    fitted: bool = False,
 ) -> Array:
     """RMS of the sensors' noise in efforts after filtering, if the noise is white.
 
     Above the motion's bandwidth the effort's spectrum holds what sensors and power electronics
     add. The quietest band there, continued into the passband, is the floor: coloured noise below
     it looks like an effect, and is not counted. Jumps of dry friction reach beyond the bandwidth
-    too; a model fitted to the logs takes them away.
+    too; a model fitted to the logs takes them away. Noise is never more than such a model leaves.
+    Where there is less above the bandwidth than any sensor's noise, efforts were filtered before:
+    the floor is then that of the quietest part of what the model leaves below.
 
     Args:
         trajectories: The prepared logs.
         model: A model; the floor is then that of its residuals where they are quieter than the
             efforts, as those of a model fitted to the logs are.
         sign_width: (nv,) speed below which the direction of motion is not known, for the model.
+        fitted: Whether the model was fitted to these logs.
 
     Returns:
         (n,) floor of each joint, N·m or N.
@@ -54,11 +59,37 @@ def noise_floor(
             if robot is not None:
                 residual = _residual(start, robot, sign_width, trajectory.began)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
+                mean, quietest = passband_density(residual, rate, bandwidth)
+                if fitted:
+                    density = np.where(_is_silent(density, start), quietest, density)
+                density = np.minimum(density, mean)
                 carried = _carried(start, robot, trajectory, sign_width)
                 power += len(segment) * carried
             power += len(segment) * density * gain**2 * rate / 2.0
             weight += len(segment)
     return np.sqrt(power / weight)
+
+
+def filtered_below(trajectory: Trajectory) -> float:
+    """Where the efforts of a log end, Hz, as they were filtered before; infinite if they were not.
+
+    Args:
+        trajectory: The prepared log.
+    """
+    bandwidth, ends = trajectory.filter.bandwidth, []
+    for segment in trajectory.segments:
+        start, rate = segment[:_SAMPLES], 1.0 / segment.period
+        silent = _is_silent(quiet_density(start.effort, rate, bandwidth), start)
+        if not silent.all():
+            return np.inf
+        ends.append(steepest_fall(start.effort, rate, bandwidth))
+    return float(np.median(np.concatenate(ends)))
+
+
+def _is_silent(density: Array, segment: Segment) -> NDArray[np.bool_]:
+    """(n,) whether white noise of a density is less than any sensor of efforts has."""
+    rms = np.sqrt(density * 0.5 / segment.period)
+    return np.asarray(rms < LEAST_NOISE * segment.effort.std(axis=0))
 
 
 def _carried(

@@ -59,6 +59,7 @@ def reduce_logs(
     effects: Sequence[Effect],
     delays: Sequence[ArrayLike] = (0.0,),
     floor: Array | None = None,
+    fitted: bool = False,
     shared: SharedRows | None = None,
 ) -> Dataset:
     """Reduce logs to the triangular factors of every fold and joint.
@@ -71,6 +72,7 @@ def reduce_logs(
         delays: Delays to try on top of the model's, s, of all joints or (nv,) of each; the first
             must be 0.
         floor: (nv,) noise floor, if it is known already.
+        fitted: Whether the model was fitted to these logs, for the noise floor.
         shared: What earlier reductions of the same logs by the same robot have in common with this
             one; used and filled.
 
@@ -113,7 +115,9 @@ def reduce_logs(
             for columns, joint in zip(layout.columns, boxes, strict=True)
         ),
         _effort_deviation(model.joints, boxes),
-        noise_floor(trajectories, model, sign_width=layout.sign_width) if floor is None else floor,
+        noise_floor(trajectories, model, sign_width=layout.sign_width, fitted=fitted)
+        if floor is None
+        else floor,
         trajectories[0].filter.bandwidth,
         np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
         payload_reference(model.phi),
