@@ -16,7 +16,6 @@ from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.further_columns import with_columns, with_episodes
 from geodrake.diagnosis.proposals import suggested_of
 from geodrake.diagnosis.results import Explanation
-from geodrake.diagnosis.search import LOOSER_PRIORS
 from geodrake.diagnosis.steps import steps_of
 from geodrake.diagnosis.stepwise_search import Trail, tuned
 from geodrake.diagnosis.trials import gain_of
@@ -25,6 +24,7 @@ from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.criteria import LOOSER_PRIORS
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
 from geodrake.identification.models.bodies import changed_bodies

@@ -13,19 +13,17 @@ import numpy as np
 
 from geodrake.diagnosis.candidates import Kind, Package, kinds
 from geodrake.diagnosis.results import FittedRival
-from geodrake.diagnosis.search import LOOSER_PRIORS
 from geodrake.diagnosis.trials import gain_of, try_packages
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.role import Role
+from geodrake.identification.logs.criteria import FIXED, LOOSER_PRIORS, RARER
 from geodrake.identification.logs.evidence import tie_probability
-from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
+from geodrake.identification.logs.hypothesis import Hypothesis
 
 _LEAST = 1e-6
 """A comparison of some blocks makes nothing more certain than this."""
 _ROUNDING = 1e-9
 """Errors that differ by less are the same."""
-_RARER = 1.0 / 3.0
-"""An effect is so much rarer than one that is less complex by one."""
 
 
 def weighed(
@@ -118,7 +116,7 @@ def _placed(bare: Hypothesis, kind: Kind, where: Sequence[str]) -> list[Package]
 def _odds(no_worse: float, more: int) -> float:
     """Odds of a hypothesis, by its chance to be no worse and by how much more complex it is."""
     chance = float(np.clip(no_worse, _LEAST, 1.0 - _LEAST))
-    return float(chance / (1.0 - chance) * _RARER**more)
+    return float(chance / (1.0 - chance) * RARER**more)
 
 
 def _complexity(hypothesis: Hypothesis, start: Hypothesis) -> int:

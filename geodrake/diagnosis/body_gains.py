@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.criteria import FIXED, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
-from geodrake.identification.logs.evidence import Criteria, log_likelihood_gain
-from geodrake.identification.logs.hypothesis import FIXED, Hypothesis, settle
+from geodrake.identification.logs.evidence import log_likelihood_gain
+from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.inertia import PARAMETERS_PER_BODY
 
 

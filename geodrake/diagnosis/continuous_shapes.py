@@ -10,9 +10,10 @@ from geodrake.diagnosis.further_columns import with_columns
 from geodrake.diagnosis.pruning import reshape
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)

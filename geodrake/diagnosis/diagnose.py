@@ -12,17 +12,17 @@ from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.fixed_inertias import with_fixed_inertias
 from geodrake.diagnosis.further_columns import with_episodes, with_suggestions
-from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
 from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, tuned
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.evidence import Criteria, false_alarm_probability
+from geodrake.identification.logs.criteria import DOMINANT, PENALTY, Criteria
+from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_fit import as_it_stands, effects_of, model_unknowns
 from geodrake.logs.motion import JointLog

@@ -30,8 +30,9 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.episode import Episode
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, error_table, reduced
-from geodrake.identification.logs.evidence import Criteria, chi2_tail
-from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
+from geodrake.identification.logs.criteria import FIXED, Criteria
+from geodrake.identification.logs.evidence import chi2_tail
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.folds import set_apart
 from geodrake.logs.smoothing import Segment
 

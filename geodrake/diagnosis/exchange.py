@@ -19,16 +19,10 @@ from geodrake.diagnosis.candidates import (
     simple_at,
 )
 from geodrake.diagnosis.shapes import variants
-from geodrake.diagnosis.trials import (
-    PENALTY,
-    Trial,
-    acted_upon,
-    gain_of,
-    net_gain,
-    try_packages,
-)
+from geodrake.diagnosis.trials import Trial, acted_upon, gain_of, net_gain, try_packages
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.evidence import SEVERAL, Criteria, tie_probability
+from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
+from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _FITTED = 2  # the best by quick trials, beside that which reduces the error most

@@ -28,16 +28,13 @@ from geodrake.effects.lookup import effect_of
 from geodrake.errors import IdentificationError
 from geodrake.identification.logs.case import Case, at_bandwidth, error_table, open_case
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit, effects_of, model_unknowns
 from geodrake.identification.models.bodies import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
-
-_NO_MORE = 1.05
-"""One explanation errs no more than another up to this many times its error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +106,7 @@ def investigate(
         how = f"at which {other.effect.name} shows"
         there = at_bandwidth(case, other.bandwidth, candidates=True, how=how)
         again = _investigated(there, criteria, None)
-        if _explains_more(again, found, other):
+        if _explains_more(again, found, other, criteria):
             if progress is not None:
                 words = f"{other.effect.name} at {other.bandwidth:.3g} Hz"
                 progress(words, again.explanation.end.nrms)
@@ -117,7 +114,9 @@ def investigate(
     return found
 
 
-def _explains_more(after: Investigation, before: Investigation, other: OtherBandwidth) -> bool:
+def _explains_more(
+    after: Investigation, before: Investigation, other: OtherBandwidth, criteria: Criteria
+) -> bool:
     """Whether an investigation at another bandwidth has an effect and is the better one for it.
 
     Where all was explained, nothing else may be new, but that bodies are wrong, and what was
@@ -132,7 +131,10 @@ def _explains_more(after: Investigation, before: Investigation, other: OtherBand
         return False
     own = before.case.trajectories[0].filter.bandwidth
     was, now = errors_of(before.hypothesis), errors_at(after.case, after.hypothesis, own)
-    return after.explanation.verdict == "explained" and now.nrms <= _NO_MORE * was.nrms
+    return (
+        after.explanation.verdict == "explained"
+        and now.nrms <= (1.0 + criteria.reduction) * was.nrms
+    )
 
 
 def _with_bandwidth_notes(after: Investigation, before: Investigation) -> Investigation:

@@ -10,12 +10,11 @@ import numpy as np
 from geodrake.diagnosis.delay import fine_delays, fitted_delays, late_together, seconds_of
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.rest import share_of_motion
-from geodrake.diagnosis.stepwise_search import TIGHTER_PRIORS
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.shape import when_sliding
 from geodrake.identification.logs.case import Case, reopen
+from geodrake.identification.logs.criteria import TIGHTER_PRIORS, Criteria
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.evidence import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.identification.logs.model_fit import ModelFit, effects_of, fit_model
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior

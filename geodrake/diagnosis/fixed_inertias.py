@@ -13,12 +13,13 @@ from geodrake.diagnosis.further_columns import is_within, with_columns, without_
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.stepwise_search import Trail, search
-from geodrake.diagnosis.trials import PENALTY, gain_of, quick_fit
+from geodrake.diagnosis.trials import gain_of, quick_fit
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.evidence import Criteria, false_alarm_probability
-from geodrake.identification.logs.hypothesis import FIXED, Hypothesis, settle
+from geodrake.identification.logs.criteria import FIXED, PENALTY, SEVERAL, Criteria
+from geodrake.identification.logs.evidence import false_alarm_probability
+from geodrake.identification.logs.hypothesis import Hypothesis, settle
 
 Array = NDArray[np.float64]
 
@@ -30,8 +31,6 @@ _FEW = 3
 Effects of one kind may have more, if all bodies stay then.
 """
 _ITERATIONS = 6
-_SEVERAL = 4.0
-"""Effects stand for moved inertias only if the error without moving is this many times larger."""
 _REST = 0.01
 """Effects may leave this share of what moved bodies explain."""
 _WIDTHS = (FIXED, 10.0 * FIXED, 100.0 * FIXED)
@@ -124,7 +123,7 @@ def _unmoved(
     found = _added(end, start.unknowns.effects)
     unmoved = float(_widened(end, FIXED).loss().sum())
     # Beside effects, bodies that move a little are only not quite those of the model.
-    if unmoved <= (_SEVERAL if found else 1.0) * most:
+    if unmoved <= (SEVERAL if found else 1.0) * most:
         return None
     rest = _REST * (unmoved - most)
 

@@ -14,13 +14,13 @@ from geodrake.diagnosis.episodes import find_episodes, refined_episodes
 from geodrake.diagnosis.proposals import suggested
 from geodrake.diagnosis.search import convincing
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
+from geodrake.identification.logs.criteria import PENALTY, Criteria
 from geodrake.identification.logs.dataset import Dataset, is_payload
-from geodrake.identification.logs.evidence import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.inertia import is_physical
 from geodrake.logs.folds import dealt_out

@@ -20,7 +20,7 @@ from geodrake.effects.role import Proposer
 from geodrake.errors import LogError
 from geodrake.identification.logs.case import Case, at_bandwidth, error_table, reduced
 from geodrake.identification.logs.coherent_bandwidth import coherent_bandwidth
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.criteria import MOST, Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
@@ -29,9 +29,6 @@ _PROPOSERS = {Proposer.PLAY: loose_joints, Proposer.BENDING: elastic_joints}
 
 _HIGHEST = 30.0
 """Play is looked for up to this bandwidth, Hz: samples cost time, and blows show below it."""
-
-_CLEARLY_LESS = 0.5
-"""A soft joint counts if it leaves at most this share of the error, or nothing but noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,7 @@ class OtherBandwidth:
         Args:
             errors: Those with the effect.
         """
-        return errors.is_noise or errors.nrms <= _CLEARLY_LESS * self.known.nrms
+        return errors.is_noise or errors.nrms <= MOST * self.known.nrms
 
 
 def other_bandwidths(

@@ -12,11 +12,10 @@ from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.search import with_ties
 from geodrake.diagnosis.trials import gain_of, open_joints, try_packages
 from geodrake.effects.base import Effect
+from geodrake.identification.logs.criteria import MOST, Criteria
 from geodrake.identification.logs.cross_validation import normal_matrices
-from geodrake.identification.logs.evidence import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 
-_MOST = 0.5  # of the squared error
 _FITTED = 4  # pairs of a joint that are fitted in full
 _CANCELLED = 9.0  # times the power of two effects together, in one of them
 
@@ -36,7 +35,7 @@ def rank_pairs(
         joints: Where to look; by default at joints that err by clearly more than noise.
     """
     dataset, where = hypothesis.dataset, open_joints(hypothesis) if joints is None else joints
-    criteria = replace(criteria, reduction=max(criteria.reduction, _MOST))
+    criteria = replace(criteria, reduction=max(criteria.reduction, MOST))
     effects, present = dataset.effects, hypothesis.unknowns.effects
     pairs = {joint: hidden_pairs(effects, present, joint) for joint in where}
     tried, ranked = sum(map(len, pairs.values())), []

@@ -21,16 +21,13 @@ from geodrake.diagnosis.residuals import (
 from geodrake.effects import Effect
 from geodrake.effects.role import Proposer
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.evidence import Criteria, chi2_tail
+from geodrake.identification.logs.criteria import DOMINANT, SUGGESTED, Criteria
+from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
 
-DOMINANT = 0.3
-"""A suggestion comes first if it explains at least this share of a joint's squared error."""
-
-_ALARM = 3e-5  # of one joint and kind, about 40 a log; what is offered must still convince
 _FEW = 5.0  # waves in the range of motion
 _FEW_WAVES = (-0.6, -0.3, 0.0, 0.3)  # distances of the orders tried, in resolutions
 _MANY_WAVES = (-0.15, 0.0, 0.15)
@@ -95,7 +92,7 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
 def _is_clear(proposal: Proposal, alarm: float) -> bool:
     """Whether what the residual shows is more than chance, as many as are looked for."""
     # Noise never has so large a share that the error is made mostly of it.
-    return proposal.alarm <= (alarm if proposal.share >= DOMINANT else _ALARM)
+    return proposal.alarm <= (alarm if proposal.share >= DOMINANT else SUGGESTED)
 
 
 def _may_be_hidden(proposal: Proposal) -> bool:

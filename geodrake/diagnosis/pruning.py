@@ -12,7 +12,6 @@ from geodrake.diagnosis.candidates import (
 )
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
-    PENALTY,
     Trial,
     acted_upon,
     asked_of,
@@ -23,14 +22,10 @@ from geodrake.diagnosis.trials import (
     try_package,
 )
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.evidence import (
-    Criteria,
-    chi2_tail,
-    log_likelihood_gain,
-)
+from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
+from geodrake.identification.logs.evidence import chi2_tail, log_likelihood_gain
 from geodrake.identification.logs.hypothesis import Hypothesis
 
-_BY_FAR = 4.0  # times what a criterion asks for
 _NEARLY_ALL = 0.8  # of the folds
 
 
@@ -91,9 +86,9 @@ def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Trial | None:
 def _by_far(trial: Trial, criteria: Criteria) -> bool:
     """Whether an effect passes all criteria by far."""
     return (
-        trial.reduction > _BY_FAR * criteria.reduction
+        trial.reduction > SEVERAL * criteria.reduction
         and trial.agreement >= max(criteria.agreement, _NEARLY_ALL)
-        and trial.gain > _BY_FAR**2 * PENALTY * trial.package.parameters
+        and trial.gain > SEVERAL**2 * PENALTY * trial.package.parameters
     )
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geodrake.diagnosis.trials import PENALTY
 from geodrake.effects import Effect, Role
+from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 

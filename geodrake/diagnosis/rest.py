@@ -14,9 +14,9 @@ from geodrake.diagnosis.residuals import (
     joint_residuals,
 )
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.evidence import Criteria, false_alarm_probability
+from geodrake.identification.logs.criteria import NOISE_MARGIN, Criteria
+from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import NOISE_MARGIN
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ from geodrake.diagnosis.candidates import Kind, Package, kinds
 from geodrake.diagnosis.delay import delayed_at
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.trials import (
-    PENALTY,
     Trial,
     acted_upon,
     asked_of,
@@ -22,22 +21,23 @@ from geodrake.diagnosis.trials import (
 )
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
+from geodrake.identification.logs.criteria import (
+    FIXED,
+    LOOSER_PRIORS,
+    MOST,
+    PENALTY,
+    SEVERAL,
+    Criteria,
+)
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.evidence import (
-    SEVERAL,
-    Criteria,
     false_alarm_probability,
     fold_agreement,
     tie_probability,
 )
-from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.unknowns import effect_prior
-
-_MOSTLY = 0.5  # of a joint's squared error, that a delay of its own must explain
-_NEAR = 0.5  # of the largest gain: places that are fitted in full before one of them is named
-LOOSER_PRIORS = (3.0, 10.0, 30.0)
-"""To see if inertias are wrong, their prior is made so many times wider."""
 
 
 def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteria) -> list[Trial]:
@@ -62,7 +62,7 @@ def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteri
     if kind.unite or len(found) < 2:
         return found
     most = max(trial.gain for trial in found)
-    near = [trial for trial in found if trial.gain >= _NEAR * most]
+    near = [trial for trial in found if trial.gain >= MOST * most]
     return [max(near, key=lambda trial: _settled_score(hypothesis, trial))]
 
 
@@ -195,7 +195,7 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
         at = dataset.joints.index(name)
         errors = hypothesis.cv.errors_at_delays(at).sum(axis=1)
         best = int(errors.argmin())
-        if errors[best] <= (1.0 - _MOSTLY) * errors[hypothesis.delay[at]]:
+        if errors[best] <= (1.0 - MOST) * errors[hypothesis.delay[at]]:
             found += _whole(
                 hypothesis,
                 [delayed_at(hypothesis, (at,), best)],

@@ -26,13 +26,12 @@ from geodrake.diagnosis.further_columns import (
     with_suggestions,
     without_inner_payloads,
 )
-from geodrake.diagnosis.proposals import DOMINANT
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
 from geodrake.diagnosis.trials import net_gain
 from geodrake.effects import Effect, Role
 from geodrake.identification.logs.case import Case, error_table, reduced
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.criteria import DOMINANT, Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]

@@ -24,9 +24,9 @@ from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import (
-    Criteria,
     false_alarm_probability,
     fold_agreement,
     log_likelihood_gain,

@@ -11,14 +11,11 @@ from geodrake.diagnosis.pruning import prune, reshape
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import choose, rank
-from geodrake.diagnosis.trials import PENALTY, gain_of, open_joints
+from geodrake.diagnosis.trials import gain_of, open_joints
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.evidence import Criteria, tie_probability
+from geodrake.identification.logs.criteria import PENALTY, RESTART_MARGIN, TIGHTER_PRIORS, Criteria
+from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
-from geodrake.identification.logs.model_errors import RESTART_MARGIN
-
-TIGHTER_PRIORS = (0.1, 1.0 / 3.0, 1.0)
-"""The data choose among these widths of the inertial prior, as shares of the assumed one."""
 
 Progress = Callable[[str, float], None]
 """Called with what is going on, in words, and the held-out nrms so far."""

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
+from geodrake.identification.logs.criteria import MOST, PENALTY, SEARCH_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
-from geodrake.identification.logs.model_errors import SEARCH_MARGIN
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.model.robot_model import RobotModel
 
@@ -32,13 +32,10 @@ _SLOW = 0.15
 _DOUBLINGS = 7
 _HARDLY = 1.01
 """A wider transition is tried while the squared error stays below this multiple of the last one."""
-_CLEARLY = 0.5
-"""A transition speed counts if it leaves at most this share of the squared error at its joint.
-
-Real friction fades with the way from a reversal on rather than with the speed, so that a speed
-found where joints turn round does not hold where they creep (UR10e, wrist 2: 16 % less error in
-motions like that of the fit, 34 % more from point to point).
-"""
+# A transition speed counts if it takes away most of the squared error at its joint. Real friction
+# fades with the way from a reversal on rather than with the speed, so that a speed found where
+# joints turn round does not hold where they creep (UR10e, wrist 2: 16 % less error in motions like
+# that of the fit, 34 % more from point to point).
 _BETWEEN = (2.0**-0.5, 2.0**0.5, 2.0**-0.25, 2.0**0.25)
 """Multiples of the best width so far that are tried one after the other."""
 
@@ -61,13 +58,13 @@ def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None
     tried &= error > np.square(SEARCH_MARGIN * case.dataset.noise_floor)
     if not tried.any():
         return None
-    tried &= _share_of_slow(end, _SLOW * peak) > _CLEARLY
+    tried &= _share_of_slow(end, _SLOW * peak) > MOST
     if not tried.any():
         return None
     before = sign_widths(case.model, case.trajectories)
     best = _best_widths(case, end, least, _MOST * peak, tried)
     width = np.where(tried, best, before)
-    clear = _errors(case, end, width) <= _CLEARLY * error
+    clear = _errors(case, end, width) <= MOST * error
     if not clear.any():
         return None
     fading = np.zeros(len(least)) if known is None else known

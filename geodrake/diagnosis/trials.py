@@ -11,32 +11,27 @@ from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
 from geodrake.effects.base import Effect, Proposer, Role
+from geodrake.identification.logs.criteria import (
+    MORE_THAN_HALF,
+    MOST,
+    PENALTY,
+    SEARCH_MARGIN,
+    USUAL_GAIN,
+    Criteria,
+)
 from geodrake.identification.logs.cross_validation import ExtraColumns, HeldOut
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import (
-    Criteria,
     false_alarm_probability,
     fold_agreement,
     log_likelihood_gain,
 )
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
-from geodrake.identification.logs.model_errors import SEARCH_MARGIN
 from geodrake.identification.logs.unknowns import effect_prior
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-
-_COMMON = 0.5
-"""An effect is likely at all joints if more than this share of them has it."""
-
-_MORE_THAN_HALF = 0.51
-
-_USUAL_GAIN = 2.0
-"""A gain is usual that is off by so many of its standard deviations, `effort_uncertainty`."""
-
-PENALTY = 6.0
-"""A parameter must bring this gain for a hypothesis with it to be preferred."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +172,7 @@ def is_nothing(dataset: Dataset, effects: Sequence[Effect], x: Array) -> bool:
         if sizes.shape[1] and (sizes <= 0.0).all(axis=1).mean() > 0.5:
             return True
         if effect.role is Role.SCALE:
-            usual = _USUAL_GAIN * dataset.gain_uncertainty[dataset.joints.index(effect.where[0])]
+            usual = USUAL_GAIN * dataset.gain_uncertainty[dataset.joints.index(effect.where[0])]
             if np.abs(own.mean()) < usual:
                 return True
     return False
@@ -221,9 +216,9 @@ def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -
     fewest = min(
         len({e.where for e in effects if e.name == name and e.places == "joint"}) for name in names
     )
-    if fewest <= max(_COMMON * joints, 1):
+    if fewest <= max(MOST * joints, 1):
         return criteria
-    return replace(criteria, agreement=min(criteria.agreement, _MORE_THAN_HALF))
+    return replace(criteria, agreement=min(criteria.agreement, MORE_THAN_HALF))
 
 
 def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:

@@ -29,8 +29,8 @@ from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.rivals import Rival, imitations, known_sizes, typical_sizes
 from geodrake.excitation.separation import Pair, Separation
 from geodrake.excitation.target import Target, make_target
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.identification.logs.model_fit import SPREAD
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.model.robot_model import RobotModel

@@ -10,7 +10,7 @@ from geodrake.boundary.escaping import printable
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.effects import catalogue
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
 from geodrake.report.numbers import Units, estimate, number, percent
 

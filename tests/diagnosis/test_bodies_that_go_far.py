@@ -16,7 +16,7 @@ from effort_logs import MODELS, effort_log
 from geodrake import load_model
 from geodrake.diagnosis.search_rounds import searched
 from geodrake.identification.logs.case import open_case
-from geodrake.identification.logs.evidence import Criteria
+from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
 

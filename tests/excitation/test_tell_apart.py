@@ -25,7 +25,7 @@ from geodrake.excitation import (
     make_separation,
     motion_limits,
 )
-from geodrake.identification.logs.model_fit import SPREAD
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.unknowns import pullback_information
 from geodrake.logs.motion import Motion
 from geodrake.model.saved_model import load_model

@@ -20,9 +20,8 @@ from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.stepwise_search import Progress
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import error_table, open_case
-from geodrake.identification.logs.evidence import Criteria
-from geodrake.identification.logs.hypothesis import FIXED, Hypothesis
-from geodrake.identification.logs.model_errors import NOISE_MARGIN
+from geodrake.identification.logs.criteria import FIXED, NOISE_MARGIN, Criteria
+from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.logs.motion import JointLog

@@ -14,11 +14,11 @@ from geodrake.diagnosis.drafting.results import Correlate
 from geodrake.diagnosis.drafting.screening import Screen, best_sums
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
-from geodrake.diagnosis.trials import PENALTY, gain_of
+from geodrake.diagnosis.trials import gain_of
 from geodrake.identification.logs.case import Case
+from geodrake.identification.logs.criteria import PENALTY, Criteria
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import (
-    Criteria,
     false_alarm_probability,
     fold_agreement,
     tie_probability,

@@ -149,16 +149,7 @@ def open_case(
     """
     logs = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    read = [
-        match_joints(log, model.joints)
-        if isinstance(log, JointLog)
-        else read_log(log, joints=model.joints)
-        for log in logs
-    ]
-    matched = _with_names_of_their_own(read)
-    check_repeated(matched)
-    for log in matched:
-        _check_efforts(log)
+    matched = _matched(model, logs)
     uniform = [make_uniform(log) for log in matched]
     limits = effort_limits(model.plant)
     hints = [hint for each in uniform for hint in _hints(each.log, limits)]
@@ -186,14 +177,7 @@ def open_case(
     hints += [_filtered_note(trajectory) for trajectory in trajectories]
     notes = [*model.notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
-    most = int(dataset.still.argmax())
-    if dataset.still[most] > 0.0:
-        notes.append(
-            "left out of fit and errors: samples at which a joint stands still, where dry friction "
-            f"may be anything ({100 * dataset.still[most]:.0f} % of {model.joints[most]}'s, the "
-            "most of all joints)"
-        )
-    notes.append(f"validated on {len(folds)} held-out folds")
+    notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += _trained_on(model, matched)
     fingerprints = tuple(log.fingerprint for log in matched)
     said = tuple(dict.fromkeys(notes))
@@ -310,6 +294,34 @@ def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Ser
                 for rows in blocks
             ]
     return tuple(found)
+
+
+def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[JointLog]:
+    """Logs read if they are files, joints in the model's order, each with a name of its own."""
+    matched = _with_names_of_their_own(
+        [
+            match_joints(log, model.joints)
+            if isinstance(log, JointLog)
+            else read_log(log, joints=model.joints)
+            for log in logs
+        ]
+    )
+    check_repeated(matched)
+    for log in matched:
+        _check_efforts(log)
+    return matched
+
+
+def _still_notes(dataset: Dataset) -> list[str]:
+    """That samples at rest are left out, in words; empty if no joint ever rests."""
+    most = int(dataset.still.argmax())
+    if dataset.still[most] == 0.0:
+        return []
+    return [
+        "left out of fit and errors: samples at which a joint stands still, where dry friction "
+        f"may be anything ({100 * dataset.still[most]:.0f} % of {dataset.joints[most]}'s, the most "
+        "of all joints)"
+    ]
 
 
 def _with_names_of_their_own(logs: Sequence[JointLog]) -> list[JointLog]:

@@ -7,47 +7,19 @@ worth, and errors are always those of data that the fit did not see.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, stdtr
 
-from geodrake.boundary.arguments import number
+from geodrake.identification.logs.criteria import MOST
 
 Array = NDArray[np.float64]
 
-_HARDLY, _NO_RISE, _HALF = 0.01, 0.05, 0.5  # of a fold's loss
+_HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss
 _FEW = 2  # folds
 _AT_ONCE = 100_000  # numbers that are transformed together
-_CLEARLY = 2.0
-SEVERAL = 4.0
-"""No hypothesis ties with another if it leaves so many times the squared error at a joint.
-
-Few or coloured samples may hide that what is simple leaves so much.
-"""
-
-
-@dataclass(frozen=True)
-class Criteria:
-    """When a candidate counts as found.
-
-    Attributes:
-        alarm: Largest probability of a false alarm, over all candidates tried.
-        reduction: Least share of the squared error at the joints acted upon that must go.
-        agreement: Least share of the folds in which the error must fall.
-        tie: Two hypotheses are no tie if the better one is better with probability 1 − tie.
-    """
-
-    alarm: float = 0.01
-    reduction: float = 0.05
-    agreement: float = 0.7
-    tie: float = 0.05
-
-    def __post_init__(self) -> None:
-        for name in ("alarm", "reduction", "agreement", "tie"):
-            number(getattr(self, name), name, lower=0.0, upper=1.0)
 
 
 def effective_samples(blocks: Sequence[Array]) -> float:
@@ -153,9 +125,9 @@ def fold_agreement(before: Array, after: Array) -> float:
     if not seen.any():
         return 0.0
     change = (after - before)[seen] / before[seen]
-    if np.sum(change < -_HALF) >= _FEW:
+    if np.sum(change < -MOST) >= _FEW:
         return float(np.mean(change < _NO_RISE))
-    if np.mean(change < -_HARDLY) <= 0.5:
+    if np.mean(change < -_HARDLY) <= MOST:
         return float(np.mean(change < 0.0))
     return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))
 
@@ -175,7 +147,7 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
     """
     seen = (loss_a > 0.0) | (loss_b > 0.0)
     probability = _paired_t((loss_b - loss_a)[seen])
-    if loss_b.sum() >= _CLEARLY * loss_a.sum():
+    if loss_a.sum() <= MOST * loss_b.sum():
         both = (loss_a > 0.0) & (loss_b > 0.0)
         ratios = np.log(loss_b[both] / loss_a[both])
         probability = min(probability, _paired_t(ratios)) if len(ratios) else probability

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
+from geodrake.identification.logs.criteria import IMPROBABLE
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay, JointData, Settled
 from geodrake.identification.logs.evidence import (
@@ -22,12 +23,6 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-FIXED = 1e-3
-"""Inertias stay as they are if their prior is narrowed to this share of the assumed width."""
-
-_IMPROBABLE = 0.05
-"""Bodies are not where they may well be if chance takes them so far in less than this share."""
 
 _AT_ONCE = 16
 """So many fits have their residuals computed together."""
@@ -101,7 +96,7 @@ class Hypothesis:
     def is_within_prior(self) -> bool:
         """Whether the bodies are where they may well be, by what is known about them."""
         d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        return chi2_tail(self._squared_distance, d) > _IMPROBABLE
+        return chi2_tail(self._squared_distance, d) > IMPROBABLE
 
     @property
     def _squared_distance(self) -> float:

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
-from geodrake.identification.logs.model_fit import SPREAD, effects_of, fit_problem
+from geodrake.identification.logs.model_fit import effects_of, fit_problem
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     effect_prior,

@@ -7,33 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE, NOISE_MARGIN
+
 Array = NDArray[np.float64]
-
-LEAST_NOISE = 1e-4
-"""No sensor of efforts has less noise than this share of their deviation."""
-
-NOISE_MARGIN = 1.25
-"""All joints together err by noise alone up to this many times their noise floor.
-
-A formula is searched at every joint that errs by more, as that may be all that is above the noise.
-"""
-
-JOINT_NOISE_MARGIN = 1.6
-"""One joint errs by noise alone up to this many times its floor, which is known less well.
-
-It counts beside `NOISE_MARGIN`: the others' noise must not cover up one joint at which most of the
-squared error is something else.
-"""
-
-SEARCH_MARGIN = 1.5
-"""Pairs and fading friction are tried at joints that err by more than this times their floor."""
-
-RESTART_MARGIN = 3.0
-"""What was found at a joint is replaced by a pair if it leaves more than this times the floor.
-
-That is twice `SEARCH_MARGIN`: an error so large is no small effect that is missing beside the
-others, but a sign that the first of them were compromises.
-"""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
 from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.fit import FitResult
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, Delay, is_payload
 from geodrake.identification.logs.systematic import error_covariance, gain_shifts
@@ -27,9 +28,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.reduction import triangular_factor
 
 Array = NDArray[np.float64]
-
-SPREAD = 0.3
-"""A model file knows its inertias to about 30 %, as a geometric distance."""
 
 
 def model_unknowns(dataset: Dataset, model: RobotModel, *, spread: float = SPREAD) -> Unknowns:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.delays import delayed_by
-from geodrake.identification.logs.model_errors import LEAST_NOISE
+from geodrake.identification.logs.criteria import LEAST_NOISE
 from geodrake.logs.motion import Motion, Trajectory
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.white_noise import passband_density, quiet_density, steepest_fall

@@ -7,18 +7,12 @@ from numpy.typing import NDArray
 
 from geodrake.effects import Role
 from geodrake.identification.fit import FitResult
+from geodrake.identification.logs.criteria import WORTH
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.identification.normal_equations import cholesky, solved
 
 Array = NDArray[np.float64]
-
-_WORTH = 4.0
-"""What goes with the motion and stays unexplained is worth so many samples, however long logs are.
-
-It is a function of the motion that is the same whenever the motion repeats: part of it, half of its
-size in the mean, goes with any one column.
-"""
 
 
 def gain_shifts(
@@ -61,7 +55,7 @@ def error_covariance(
 
     With A the information of the fit and G_j the weighted normal matrix of joint j, noise gives
     Σ_j A⁻¹ G_j A⁻¹, if samples are counted by what they are worth. Of the part of the residual that
-    is no noise, all n_j of them are worth no more than `_WORTH`.
+    is no noise, all n_j of them are worth no more than `WORTH`.
 
     Args:
         dataset: The reduced logs.
@@ -73,7 +67,7 @@ def error_covariance(
     gram = np.zeros((len(unknowns.columns),) * 2)
     for data, weight, samples in zip(dataset.data, weights, of_motion, strict=True):
         local = data.local(unknowns.columns)
-        gram += samples / _WORTH * weight * data.products(local, local).sum(axis=2)
+        gram += samples / WORTH * weight * data.products(local, local).sum(axis=2)
     return _moved(fit, _moved(fit, gram).T)
 
 

@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.effects.base import Effect
+from geodrake.identification.logs.criteria import LARGEST
 from geodrake.identification.logs.dataset import Dataset, is_payload
 from geodrake.inertia import PARAMETERS_PER_BODY, from_mass_com_inertia, pullback_metric
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-
-
-LARGEST = 10.0
-"""An effect's standard deviation is the size at which its largest effort is so many deviations of
-the joint's."""
 
 
 @dataclass(frozen=True, eq=False)

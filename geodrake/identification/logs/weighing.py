@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import IdentificationError
+from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.log_fits import LogFits, regularizer_scale
-from geodrake.identification.logs.model_fit import SPREAD
 
 Array = NDArray[np.float64]
 
