@@ -178,21 +178,35 @@ class CrossValidation:
         return self._solution[2]
 
     def at_delay(self, delay: Delay) -> HeldOut:
-        """Held-out errors against the effort with another delay, all else as it is.
+        """Held-out errors against the effort with another delay, refitted with the same weights.
+
+        Where bodies are kept from what cannot be, to first order.
 
         Args:
             delay: Index of the effort column, of all joints or of each.
         """
-        columns, unknowns = self.unknowns.columns, self.unknowns
-        if any(fit.constrained for fit in self._fits):
-            return CrossValidation(self.dataset, unknowns, self.weights, delay=delay).held_out
-        none = np.zeros(0, np.intp)
-        _, own = normal_matrices(self.dataset, self.weights, none, columns, delay=delay)
-        rhs = own.sum(0) + unknowns.information @ unknowns.mean - own
-        x = np.array([f.solve(r[:, None])[:, 0] for f, r in zip(self._fits, rhs, strict=True)])
-        if np.any((x < self._lower) | (x > self._upper)):
-            return CrossValidation(self.dataset, unknowns, self.weights, delay=delay).held_out
+        columns, none = self.unknowns.columns, np.zeros(0, np.intp)
+        own, new = (
+            normal_matrices(self.dataset, self.weights, none, columns, delay=late)[1]
+            for late in (self.delay, delay)
+        )
+        change = (new - own).sum(0) - (new - own)
+        x = np.array([self._pushed(*each) for each in zip(self._fits, change, strict=True)])
         return hold_out(self.dataset, columns, x, delay=delay)
+
+    def _pushed(self, fit: _Fit, change: Array) -> Array:
+        """(p,) the minimizer of a fit once the right side of its normal equations has changed."""
+        if fit.constrained:
+            x = fit.x + fit.solve(change[:, None])[:, 0]
+            return np.clip(x, self.unknowns.lower, self.unknowns.upper)
+        x = fit.unbounded + fit.solve(change[:, None])[:, 0]
+        if np.any((x < self._lower) | (x > self._upper)):
+            triangle, scale = np.tril(fit.factor), fit.scale
+            right = (triangle @ (triangle.T @ (x / scale))) / scale
+            scaled = triangle @ triangle.T - RIDGE * np.eye(len(x))
+            gram = scaled / (scale[:, None] * scale)
+            return self._bounded(x, gram, right, (scaled, scale))
+        return np.asarray(x)
 
     def physical(self, start: Array | None = None) -> CrossValidation:
         """These fits with physical bodies; themselves if they are so already.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import IMPROBABLE
+from geodrake.identification.logs.criteria import FIXED, IMPROBABLE
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
 from geodrake.identification.logs.dataset import Dataset, Delay, JointData, Settled
 from geodrake.identification.logs.evidence import (
@@ -281,17 +281,22 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
         if _alike(weights, before):
             break
-    was, start = hypothesis.cv, None
-    if len(was.held_out.x) == len(dataset.folds):
-        start = unknowns.carried(was.unknowns, was.held_out.x)
-    physical = cv.physical(start)
-    if physical is not cv:
+    physical = cv if hypothesis.looseness <= 1.001 * FIXED else _physical(hypothesis, cv)
+    if physical is not cv:  # bodies that are fixed are those of the model
         cv = physical
         effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
         weights = _deserved_weights(dataset, cv.held_out, effective / samples)
     sse, x = cv.held_out.sse, cv.held_out.x
     dataset.settled[question] = Settled(cv.weights, sse, x, weights, effective)
     return replace(hypothesis, weights=weights, cv=cv, effective=effective)
+
+
+def _physical(hypothesis: Hypothesis, cv: CrossValidation) -> CrossValidation:
+    """The fits with physical bodies, begun at those of the hypothesis if it has the same folds."""
+    was, start = hypothesis.cv, None
+    if len(was.held_out.x) == len(hypothesis.dataset.folds):
+        start = hypothesis.unknowns.carried(was.unknowns, was.held_out.x)
+    return cv.physical(start)
 
 
 def _fingerprint(unknowns: Unknowns, weights: Array, effective: Array) -> bytes:
