@@ -142,6 +142,7 @@ class CrossValidation:
         held_out: The held-out errors, if they are known already.
         start: (F, p) parameters of like fits with physical bodies, to save some steps.
         physical: Whether bodies are kept physical.
+        fits: The fits, if they are known already.
     """
 
     def __init__(
@@ -154,8 +155,9 @@ class CrossValidation:
         held_out: HeldOut | None = None,
         start: Array | None = None,
         physical: bool = True,
+        fits: list[_Fit] | None = None,
     ) -> None:
-        self._start, self._physical = start, physical
+        self._start, self._physical, self._known_fits = start, physical, fits
         self.dataset, self.unknowns, self.weights = dataset, unknowns, weights
         self.delay = dataset.delay_of_each(delay)
         self.held_out = self._hold_out() if held_out is None else held_out
@@ -175,7 +177,34 @@ class CrossValidation:
 
     @property
     def _fits(self) -> list[_Fit]:
-        return self._solution[2]
+        return self._solution[2] if self._known_fits is None else self._known_fits
+
+    def less(self, unknowns: Unknowns, kept: Indices) -> CrossValidation:
+        """These fits without some of the unknowns, with the same weights.
+
+        Args:
+            unknowns: What the fit may move still.
+            kept: (p,) places of those among the unknowns of these fits.
+        """
+        if any(fit.constrained for fit in self._fits):  # bodies are to be physical anew
+            return CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
+        none = np.zeros((len(self.dataset.folds), len(kept)))
+        held = HeldOut(self.held_out.sse, self.dataset.samples, none)
+        args = self.dataset, unknowns, self.weights
+        other = CrossValidation(*args, delay=self.delay, held_out=held)
+        fits = [other._of_more(fit, kept) for fit in self._fits]
+        return CrossValidation(*args, delay=self.delay, fits=fits)
+
+    def _of_more(self, fit: _Fit, kept: Indices) -> _Fit:
+        """The fit of these unknowns from that of more, without the others."""
+        triangle, scale = np.tril(fit.factor), fit.scale[kept]
+        right = (triangle @ (triangle.T @ (fit.unbounded / fit.scale)))[kept] / scale
+        scaled = (triangle @ triangle.T)[np.ix_(kept, kept)] - RIDGE * np.eye(len(kept))
+        factor = cholesky(scaled)
+        x = unbounded = scale * solved(factor, scale * right)
+        if np.any((x < self._lower) | (x > self._upper)):
+            x = self._bounded(x, scaled / (scale[:, None] * scale), right, (scaled, scale))
+        return _Fit(x, unbounded, factor, scale)
 
     def at_delay(self, delay: Delay) -> HeldOut:
         """Held-out errors against the effort with another delay, refitted with the same weights.

@@ -126,8 +126,10 @@ class Hypothesis:
         """
         if gone not in self._stripped:
             self._stripped.clear()
-            unknowns = self._less(gone)
-            cv = CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
+            unknowns, kept = self._less(gone), np.ones(len(self.unknowns.columns), bool)
+            for effect in gone:
+                kept[self.unknowns.span(effect)] = False
+            cv = self.cv.less(unknowns, np.flatnonzero(kept))
             self._stripped[gone] = replace(self, unknowns=unknowns, cv=cv)
         return self._stripped[gone]
 
