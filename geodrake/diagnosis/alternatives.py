@@ -64,8 +64,10 @@ def instead(bare: Hypothesis, names: Sequence[str], where: Sequence[str]) -> Hyp
         where: Their joints or bodies; all joints for a delay without any.
 
     Returns:
-        None where they cannot be added.
+        None where they cannot be added, or are there already.
     """
+    present = {(e.name, place) for e in bare.unknowns.effects for place in e.where}
+    names = tuple(n for n in names if not where or not {(n, p) for p in where} <= present)
     if names == (effect_of(Role.INERTIA).name,):
         return _looser(bare)
     if names == (effect_of(Role.DELAY).name,):

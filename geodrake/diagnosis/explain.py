@@ -20,7 +20,7 @@ from geodrake.diagnosis.other_bandwidth import (
 from geodrake.diagnosis.results import Explanation, Step, Verdict
 from geodrake.diagnosis.search_rounds import searched
 from geodrake.diagnosis.stated_mass import stated_mass_notes
-from geodrake.diagnosis.steps import refit_step, steps_of, without_step
+from geodrake.diagnosis.steps import refit_step, steps_of, with_likelier_rival, without_step
 from geodrake.diagnosis.stepwise_search import Progress, Trail
 from geodrake.diagnosis.transition_speed import transition_speed_notes
 from geodrake.effects import Effect, Role
@@ -191,16 +191,25 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
 def _helpful(
     case: Case, trails: Sequence[Trail], criteria: Criteria
 ) -> tuple[Case, ModelFit, Trail, tuple[Step, ...]]:
-    """The final fit and the steps to it, less what does not lower its error on held-out data."""
-    while True:
-        after, fit, trail = _finished(case, trails, criteria)
-        steps = steps_of(case, trail, fit)
-        if not steps or steps[-1].error_after < steps[-1].error_before:
-            return after, fit, trail, steps
+    """The final fit and the steps to it, less what does not lower its error on held-out data.
+
+    A rival that proves likelier than a finding, once all else is known, takes its place.
+    """
+    after, fit, trail = _finished(case, trails, criteria)
+    steps = steps_of(case, trail, fit)
+    while (other := with_likelier_rival(trail, steps)) is not None:
+        found = _finished(case, (other,), criteria)
+        others = steps_of(case, found[2], found[1])
+        if not others or others[-1].error_after >= steps[-1].error_after:
+            break
+        (after, fit, trail), steps = found, others
+    while steps and steps[-1].error_after >= steps[-1].error_before:
         less = without_step(trail, steps[-1])
         if less is None:
-            return after, fit, trail, steps
-        trails = (less,)
+            break
+        after, fit, trail = _finished(case, (less,), criteria)
+        steps = steps_of(case, trail, fit)
+    return after, fit, trail, steps
 
 
 def _finished(

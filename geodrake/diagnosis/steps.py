@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.alternatives import weighed
+from geodrake.diagnosis.alternatives import instead, weighed
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.results import FittedRival, Step
@@ -24,7 +24,7 @@ from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.criteria import Criteria
+from geodrake.identification.logs.criteria import MOST, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.evidence import (
     false_alarm_probability,
@@ -88,6 +88,27 @@ def without_step(trail: Trail, step: Step) -> Trail | None:
         if group.name == step.effect
         and (not group.effects or {place for e in group.effects for place in e.where} == places)
     ).taken_from(trail)
+
+
+def with_likelier_rival(trail: Trail, steps: Sequence[Step]) -> Trail | None:
+    """A trail in which a rival takes the place of a finding; None if no rival is likelier.
+
+    Args:
+        trail: The search.
+        steps: Its steps, with their rivals.
+    """
+    for step in steps:
+        for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True):
+            less = without_step(trail, step) if probability > MOST else None
+            end = None if less is None else instead(less.end, rival.names, rival.where)
+            if less is not None and end is not None:
+                also = {step.effect, *trail.rivals.get(step.effect, ())}
+                new = {name: tuple(sorted(also - {name})) for name in rival.names}
+                error, chance = rival.error_of_choice, 1.0 - rival.tie_probability
+                lost = FittedRival(step.effect, step.where, rival.names, error, rival.error, chance)
+                fits = (*trail.fits, lost)
+                return replace(less, end=end, rivals={**trail.rivals, **new}, fits=fits)
+    return None
 
 
 def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
