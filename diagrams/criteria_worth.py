@@ -1,8 +1,8 @@
 """What the numbers that decide what is found are worth: each halved and doubled.
 
 Logs of the benchmark of hidden effects, one effect or two in each, are explained with every number
-of `geodrake.identification.logs.criteria` at half its value, as it is, and at twice. A number that
-changes no answer is no number that was fitted to a log; one that changes many is said to be so.
+of `geodrake.identification.logs.criteria` at half its value, as it is, and at twice, each alone. A
+number that changes no answer was not fitted to a log.
 
     python diagrams/criteria_worth.py --seed 91 --json criteria_worth.json
 """
@@ -16,13 +16,17 @@ from dataclasses import asdict, dataclass, fields
 from inspect import isfunction
 from typing import Any
 
-from adaptive.options import make_parser, run_draws, show, write_json
+import numpy as np
+from adaptive.options import make_parser, positive_number, run_draws, show, write_json
 from hidden.draws import ONE, TWO, Draw, all_draws
 from hidden.scoring import score_draw
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from rich.console import Console
 
 from geodrake.identification.logs import criteria
 from geodrake.identification.logs.criteria import Criteria
+from geodrake.report import style
 
 FACTORS = (0.5, 2.0)
 _QUICK = ("PENALTY", "agreement")
@@ -63,32 +67,29 @@ def with_number(name: str, factor: float) -> Iterator[None]:
         return
     value = numbers()[name]
     new = changed(value, factor)
-    if name.islower():
-        init: Any = Criteria.__init__
-        before = init.__defaults__
-        at = [field.name for field in fields(Criteria)].index(name)
-        init.__defaults__ = (*before[:at], new, *before[at + 1 :])
-        try:
-            yield
-        finally:
-            init.__defaults__ = before
-        return
-    modules = [
-        module
-        for key, module in list(sys.modules.items())
-        if key.startswith("geodrake.") and getattr(module, name, None) == value
-    ]
+    geodrakes = [module for key, module in list(sys.modules.items()) if key.startswith("geodrake.")]
+    init: Any = Criteria.__init__
+    before, own = init.__defaults__, [field.name for field in fields(Criteria)]
+    if name in own:
+        k = own.index(name)
+        init.__defaults__ = (*before[:k], new, *before[k + 1 :])
+        setattr(Criteria, name, new)
+    modules = [m for m in geodrakes if name in own or getattr(m, name, None) == value]
     _exchange(modules, name, value, new)
     try:
         yield
     finally:
         _exchange(modules, name, new, value)
+        init.__defaults__ = before
+        if name in own:
+            setattr(Criteria, name, value)
 
 
 def _exchange(modules: Sequence[Any], name: str, old: Any, new: Any) -> None:
     """Another value in modules that have it, and where it is the default of an argument there."""
     for module in modules:
-        setattr(module, name, new)
+        if hasattr(module, name):
+            setattr(module, name, new)
         for function in filter(isfunction, vars(module).values()):
             if function.__module__ == module.__name__:
                 defaults, by_name = function.__defaults__, function.__kwdefaults__
@@ -113,12 +114,13 @@ def run_trial(trial: Trial, *, seed: int) -> dict[str, Any]:
     }
 
 
-def trials(seed: int, *, quick: bool) -> list[Trial]:
-    """All of them, those with the numbers as they are first."""
+def trials(seed: int, logs: int, *, quick: bool) -> list[Trial]:
+    """All of them, those with the numbers as they are first, of so many logs drawn at random."""
     short = {"robot": "double_pendulum", "duration": 12.0, "rate": 100.0} if quick else {}
     more = {"effects": ("coulomb_friction", "payload"), "outside": ()} if quick else {}
     draws = [d for d in all_draws(1, seed, **more, **short) if d.case in (ONE, TWO)]
-    draws = draws[:2] if quick else draws
+    order = np.random.default_rng(seed).permutation(len(draws))
+    draws = [draws[k] for k in order[: 2 if quick else logs]]
     names = _QUICK if quick else tuple(numbers())
     shifts = [(n, f) for n in names for f in FACTORS if not (n in _SHARES and f > 1.0)]
     return [Trial(name, factor, draw) for name, factor in [("", 1.0), *shifts] for draw in draws]
@@ -143,13 +145,39 @@ def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
+    parser.add_argument("--logs", type=positive_number, default=14, metavar="N", help="logs")
     options = parser.parse_args()
-    rows = run_draws(parser, options, run_trial, trials(options.seed, quick=options.quick))
+    wanted = trials(options.seed, options.logs, quick=options.quick)
+    rows = run_draws(parser, options, run_trial, wanted)
     lines = table(rows)
     columns = {"number": "", "value": "", "× 1": ""}
     columns |= {key: "" for f in FACTORS for key in (f"× {f:g}", f"others at × {f:g}")}
     show(Console(width=120), "What the criteria are worth: logs that are right", columns, lines)
     write_json(options.json, {"lines": lines, "rows": rows})
+    if options.figures:
+        options.figures.mkdir(parents=True, exist_ok=True)
+        changes_figure(lines).savefig(options.figures / "criteria_worth.png")
+
+
+def changes_figure(lines: Sequence[dict[str, Any]]) -> Figure:
+    """How many answers each number changes, halved and doubled."""
+    named = [line for line in lines if line["value"]]
+    figure = style.new_figure(1.1 + 0.27 * len(named))
+    axes = figure.subplots()
+    for k, (factor, colour) in enumerate(zip(FACTORS, (style.AFTER, style.BEFORE), strict=True)):
+        counts = [line.get(f"others at × {factor:g}", 0) for line in named]
+        places = np.arange(len(named)) + 0.4 * (k - 0.5)
+        axes.barh(places, counts, height=0.36, color=colour, label=f"× {factor:g}")
+    axes.set_yticks(range(len(named)), [f"{line['number']} = {line['value']}" for line in named])
+    axes.set_ylim(len(named) - 0.4, -0.6)
+    most = max((max(p.get_width() for p in bars) for bars in axes.containers), default=0)
+    axes.set_xlim(0, max(1, most))
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    style.polish(axes, grid="x")
+    axes.legend(frameon=False)
+    title = "Logs whose answer changes with a criterion"
+    axes.set_title(title, loc="left", **style.plain(fontweight="bold"))
+    return figure
 
 
 if __name__ == "__main__":

@@ -160,13 +160,13 @@ def coverage_draws(
 
 def disturbed_draws(draws: int, seed: int, **fixed: object) -> list[Draw]:
     """The same with an effect beside that is in no catalogue."""
-    rng = np.random.default_rng([seed, 3])
     sure = {"motion": FAST, "prior": EXACT, "shares": (0.1, 0.05)}
-    return [
-        draw(COVERAGE, (name, str(rng.choice(tuple(OUTSIDE)))), k, seed, **{**sure, **fixed})
-        for name in COVERED
-        for k in range(draws)
-    ]
+    found = []
+    for at, name in enumerate(COVERED):
+        for k in range(draws):
+            beside = np.random.default_rng([seed, 3, at, k]).choice(tuple(OUTSIDE))
+            found.append(draw(COVERAGE, (name, str(beside)), k, seed, **{**sure, **fixed}))
+    return found
 
 
 def smallest_draws(

@@ -16,7 +16,7 @@ from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.trials import gain_of, try_packages
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.role import Role
-from geodrake.identification.logs.criteria import FIXED, LOOSER_PRIORS, RARER
+from geodrake.identification.logs.criteria import LOOSER_PRIORS, RARER
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 
@@ -85,7 +85,7 @@ def instead(bare: Hypothesis, names: Sequence[str], where: Sequence[str]) -> Hyp
 
 def _looser(bare: Hypothesis) -> Hypothesis | None:
     """With the width of the inertial prior that is best, if that is wider."""
-    widths = [1.0] if bare.looseness <= FIXED else []
+    widths = [1.0] if bare.has_fixed_bodies else []
     widths += LOOSER_PRIORS if bare.looseness <= 1.0 else []
     others = [bare.loosened(width / bare.looseness) for width in widths]
     return max(others, key=lambda other: gain_of(bare, other), default=None)
@@ -131,6 +131,6 @@ def _complexity(hypothesis: Hypothesis, start: Hypothesis) -> int:
     found = {type(effect) for effect in hypothesis.unknowns.effects}
     if hypothesis.delay != start.delay:
         found.add(effect_of(Role.DELAY))
-    if hypothesis.looseness > 1.0 or start.looseness <= FIXED < hypothesis.looseness:
+    if hypothesis.looseness > 1.0 or (start.has_fixed_bodies and not hypothesis.has_fixed_bodies):
         found.add(effect_of(Role.INERTIA))
     return sum(kind.complexity for kind in found)

@@ -131,13 +131,16 @@ def hidden_pairs(
 ) -> tuple[Package, ...]:
     """All pairs of effects at a joint, of every shape, each of which may hide the other.
 
+    What comes on top of others is in a pair only where these are there already.
+
     Args:
         effects: Every effect that has columns in the dataset, the shapes of a grid included.
         present: Effects of the hypothesis.
         joint: The joint.
     """
-    place = (joint,)
-    offered = kinds_at(effects, present, place)
+    place, said = (joint,), said_by(present)
+    based = [effect for effect in effects if has_base(effect, said, alone=False)]
+    offered = kinds_at(based, present, place)
     singles = [kind.options[place] for kind in offered if kind.unite and len(kind.classes) == 1]
     return tuple(
         Package((*one.effects, *other.effects), place)
@@ -173,13 +176,16 @@ def said_by(effects: Iterable[Effect]) -> Places:
     )
 
 
-def has_base(effect: Effect, said: Places) -> bool:
+def has_base(effect: Effect, said: Places, *, alone: bool = True) -> bool:
     """Whether all that an effect refines, if it does, is among what is said by others.
 
     Args:
         effect: The effect.
         said: Names and places of the other effects, as `said_by` gives them.
+        alone: Whether one that may come alone may do so here.
     """
     return not effect.refines or any(
-        all((base.name, effect.where) in said for base in bases) for bases in effect.refines
+        all((base.name, effect.where) in said for base in bases)
+        for bases in effect.refines
+        if bases or alone
     )

@@ -25,13 +25,13 @@ SHORTEST = 0.2
 FEW, ENOUGH = 120, 240
 """Steps of the search for a contact's times and point: on one of many bodies, and on the last."""
 
-_UNFELT = 1e-4  # of what is felt most, N or N·m
+_UNFELT = 1e-4  # of the column that is felt most
 _SINGULAR = 0.05  # over the residuals' RMS in noise, of the direction that is felt most
 _LEAST_SINGULAR, _LARGEST_SINGULAR = 2e-3, 0.02
 _FARTHEST = 2.0  # m, of the point from the body's origin
 _SHARPEST = 1e-3  # s
 _STEPS = np.array([0.05, 0.05, 0.5, 0.1, 0.1, 0.1])  # first: s, s, logarithm, m, m, m
-_TIMES = 3  # of them
+_STEPS_IN_TIME = 3  # of them, the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def refined(window: ResidualWindow, contact: Episode, *, tries: int = ENOUGH) ->
     b = window.residual[:, dofs][felt.rows]
     cut = _cut(b)
     # A moment makes up for any point where it turns with the force.
-    steps: Array = _STEPS[:_TIMES] if contact.turning else _STEPS
+    steps: Array = _STEPS[:_STEPS_IN_TIME] if contact.turning else _STEPS
 
     def moved(step: Array) -> Episode | None:
         start, end, rise, x, y, z = np.pad(step, (0, len(_STEPS) - len(step))).tolist()
@@ -199,7 +199,8 @@ def _wrench(A: Array, b: Array) -> Array:
 def _sizes(A: Array) -> Array:
     """(6,) norms of columns, by which forces and moments are made alike.
 
-    A joint at which little is felt otherwise is quiet, and what it feels of one moment stands out.
+    Each counts alike, but one that is hardly felt: a quiet joint that feels one moment alone would
+    make that column larger than all others by far.
     """
     norms = np.linalg.norm(A, axis=0)
     return np.maximum(norms, max(_UNFELT * float(norms.max(initial=0.0)), np.finfo(float).tiny))

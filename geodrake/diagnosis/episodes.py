@@ -73,7 +73,7 @@ def find_episodes(
     scale = _scaled(case, hypothesis)
     windows = _unknown_windows(case, hypothesis, scale)
     noise = error_table(case.dataset, hypothesis.held_out).is_noise
-    if not windows and not noise and hypothesis.looseness > FIXED:
+    if not windows and not noise and not hypothesis.has_fixed_bodies:
         # Bodies that are free to follow a contact spread its error all over the log.
         hypothesis = hypothesis.loosened(FIXED / hypothesis.looseness)
         scale = _scaled(case, hypothesis)
@@ -241,10 +241,10 @@ def _contact(
         return None, best
     good = [(s, found) for s, found in tried_shapes if found.share >= _AS_GOOD * best]
     nearest = next((shape for shape, found in good if _explains_all(found)), good[0][0])
-    same = [(found.share, shape) for shape, found in good if shape.body == nearest.body]
-    contact = refined(window, max(same, key=lambda tried: tried[0])[1])
+    same = [(_explains_all(f), f.share, s) for s, f in good if s.body == nearest.body]
+    contact = refined(window, max(same, key=lambda each: each[:2])[2])
     found = evidence(window, contact)
-    # Times, rise and point were looked for too, and the body.
+    # Times, rise and point were looked for too, the body, and whether it turns.
     chance = chi2_tail(found.gain, found.felt + contact.free_shapes)
     chance = min(1.0, tried * len(guesses) * chance)
     convinces = found.share >= _LEAST_SHARE and chance <= alarm and _explains_all(found)

@@ -141,8 +141,8 @@ def _with_bandwidth_notes(after: Investigation, before: Investigation) -> Invest
     """The investigation with a note on its bandwidth and, if that is lower, on what is above it."""
     own, now = (each.case.trajectories[0].filter.bandwidth for each in (before, after))
     note = f"errors are those at {now:.3g} Hz: compare others with --bandwidth {now:.3g}"
-    if now < own:
-        above = errors_at(after.case, after.hypothesis, own)
+    above = errors_at(after.case, after.hypothesis, own)
+    if now < own and above.shows_noise:
         note += (
             f"; at {own:.3g} Hz, {above.nrms / above.floor_nrms:.1f} times the noise is left, as a "
             "log hardly shows how soft joints swing there"
@@ -193,11 +193,11 @@ def _helpful(
 ) -> tuple[Case, ModelFit, Trail, tuple[Step, ...]]:
     """The final fit and the steps to it, less what does not lower its error on held-out data.
 
-    A rival that proves likelier than a finding, once all else is known, takes its place.
+    A rival takes the place of a finding that proves improbable beside it once all else is known.
     """
     after, fit, trail = _finished(case, trails, criteria)
     steps = steps_of(case, trail, fit)
-    while (other := with_likelier_rival(trail, steps)) is not None:
+    while (other := with_likelier_rival(trail, steps, criteria)) is not None:
         found = _finished(case, (other,), criteria)
         others = steps_of(case, found[2], found[1])
         if not others or others[-1].error_after >= steps[-1].error_after:

@@ -62,7 +62,8 @@ def final_fit(
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse
     unknowns = freed(settled).unknowns
-    share = share_of_motion(reopened, settled)
+    alarm = (criteria or Criteria()).alarm
+    share = share_of_motion(reopened, settled, alarm=alarm)
     fit = fit_model(
         base,
         reopened.dataset,

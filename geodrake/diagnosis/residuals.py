@@ -17,7 +17,8 @@ from geodrake.logs.smoothing import Segment
 Array = NDArray[np.float64]
 
 _SAMPLES = 100_000  # of a segment that are looked at, and of all together that are kept
-_SLOW = 0.01  # share of its peak speed below which a joint's direction of motion is doubtful
+SLOW = 0.01
+"""Below this share of a joint's peak speed its direction of motion is doubtful."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class JointResidual:
 
     def direction(self, v: Array) -> Array:
         """Direction of motion at velocities v of the joint, smoothed at the slowest."""
-        return np.tanh(v / max(_SLOW * float(np.abs(self.v).max()), np.finfo(float).tiny))
+        return np.tanh(v / max(SLOW * float(np.abs(self.v).max()), np.finfo(float).tiny))
 
     def part(self, rows: NDArray[np.bool_]) -> JointResidual:
         """Some of its rows."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.residuals import (
+    SLOW,
     JointResidual,
     filtered_columns,
     full_motion,
@@ -17,6 +18,7 @@ from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import NOISE_MARGIN, Criteria
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -28,7 +30,7 @@ _RIDGES = (1e-3, 1e-2, 1e-1, 1.0)  # over the mean square of the features
 _MOST = 4_000  # samples that are looked at
 
 
-def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
+def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = Criteria.alarm) -> Array:
     """(nv,) share of each joint's squared error that a smooth function of the motion could remove.
 
     Functions of all positions, and of position, velocity and direction of the joint itself and one
@@ -40,6 +42,7 @@ def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
     Args:
         case: The case.
         hypothesis: What was found.
+        alarm: Largest probability of a false alarm.
 
     Returns:
         Shares from 0 to 1; 0 where only sensor noise is left.
@@ -57,26 +60,31 @@ def share_of_motion(case: Case, hypothesis: Hypothesis) -> Array:
             folds = np.repeat(
                 np.arange(len(data.rows)), [sum(len(r.time) for r in fold) for fold in data.rows]
             )
-            shares[j] = _predictable(case, motion, residual, folds)
+            shares[j] = _predictable(case, motion, residual, folds, alarm=alarm)
     return shares
 
 
 def _predictable(
-    case: Case, motion: Sequence[tuple[int, Segment]], joint: JointResidual, folds: Indices
+    case: Case,
+    motion: Sequence[tuple[int, Segment]],
+    joint: JointResidual,
+    folds: Indices,
+    *,
+    alarm: float,
 ) -> float:
     """Share of the squared residual of a joint that the best function of the motion predicts."""
+    speeds = peak_speeds(case.trajectories)
     own = case.model.joints.index(joint.joint)
-    columns = filtered_columns(case, motion, joint, map(_signals, (s for _, s in motion)))
+    columns = filtered_columns(case, motion, joint, (_signals(s, speeds) for _, s in motion))
     seen = np.flatnonzero(np.isfinite(columns).all(axis=1))
     seen = seen[:: max(1, len(seen) // _MOST)]
     if len(seen) < 2 * len(np.unique(folds)):
         return 0.0
     b, at = joint.residual[seen], folds[seen]
     signals = columns[seen].reshape(len(seen), 3, -1)
-    moving = signals.std(axis=0) > 0.0
-    scaled = signals / np.where(moving, signals.std(axis=0), np.inf)
-    others = [k for k in range(signals.shape[2]) if k == own or moving[:, k].any()]
-    groups = [scaled[:, 0], *(scaled[:, :, sorted({own, k})] for k in others)]
+    scaled = signals / np.maximum(signals.std(axis=0), np.finfo(float).tiny)
+    moving = np.flatnonzero(speeds)
+    groups = [scaled[:, 0, moving], *(scaled[:, :, sorted({own, k})] for k in moving.tolist())]
     losses = np.array(
         [
             loss
@@ -91,13 +99,12 @@ def _predictable(
     left[1::2] = odd[even.sum(axis=1).argmin()]
     share = float(1.0 - left.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))
-    return share if false_alarm_probability(gain, 1, len(losses)) <= Criteria.alarm else 0.0
+    return share if false_alarm_probability(gain, 1, len(losses)) <= alarm else 0.0
 
 
-def _signals(segment: Segment) -> Array:
-    """(N, 3 n) position, velocity and direction of motion of all joints."""
-    v = segment.velocity
-    slow = np.maximum(0.01 * np.abs(v).max(axis=0), np.finfo(float).tiny)
+def _signals(segment: Segment, speeds: Array) -> Array:
+    """(N, 3 n) position, velocity and direction of motion of all joints, with peak speeds (n,)."""
+    v, slow = segment.velocity, np.maximum(SLOW * speeds, np.finfo(float).tiny)
     return np.concatenate([segment.position, v, np.tanh(v / slow)], axis=1)
 
 

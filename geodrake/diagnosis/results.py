@@ -162,8 +162,9 @@ class Explanation:
         notes: What was done to the logs and noticed about the model.
         bodies: What the final fit made of the model's bodies, the farthest change first; none
             where the model stays as it is.
-        of_motion: Joint -> share of its squared error at the end that goes with the motion: that a
-            smooth function of positions and velocities predicts on held-out data.
+        of_motion: Joint -> share of its squared error that goes with the motion: that a smooth
+            function of positions and velocities predicts on held-out data. Of the final model;
+            without a step, of the model refitted within its prior.
     """
 
     verdict: Verdict

@@ -22,7 +22,6 @@ from geodrake.diagnosis.trials import (
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.criteria import (
-    FIXED,
     LOOSER_PRIORS,
     MOST,
     PENALTY,
@@ -209,7 +208,7 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    if hypothesis.keeps_prior or hypothesis.looseness > 1.0 or hypothesis.looseness <= FIXED:
+    if hypothesis.keeps_prior or hypothesis.looseness > 1.0 or hypothesis.has_fixed_bodies:
         return []
     others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
     bodies = hypothesis.dataset.bodies

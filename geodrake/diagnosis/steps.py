@@ -90,16 +90,18 @@ def without_step(trail: Trail, step: Step) -> Trail | None:
     ).taken_from(trail)
 
 
-def with_likelier_rival(trail: Trail, steps: Sequence[Step]) -> Trail | None:
-    """A trail in which a rival takes the place of a finding; None if no rival is likelier.
+def with_likelier_rival(trail: Trail, steps: Sequence[Step], criteria: Criteria) -> Trail | None:
+    """A trail in which a rival takes the place of a finding; None if no finding is improbable.
 
     Args:
         trail: The search.
         steps: Its steps, with their rivals.
+        criteria: Findings less probable than its `tie` are improbable beside one likelier rival.
     """
     for step in steps:
         for rival, probability in zip(step.rivals, step.probabilities_of_rivals, strict=True):
-            less = without_step(trail, step) if probability > MOST else None
+            improbable = step.probability < criteria.tie and probability > MOST
+            less = without_step(trail, step) if improbable else None
             end = None if less is None else instead(less.end, rival.names, rival.where)
             if less is not None and end is not None:
                 also = {step.effect, *trail.rivals.get(step.effect, ())}
@@ -375,7 +377,7 @@ def _systematic(case: Case, group: _Group, fit: ModelFit) -> Values:
     for fitted in fit.model.effects:
         if fitted.effect in group.effects:
             span = fit.unknowns.span(fitted.effect)
-            shifts = [factor_of(fit.error_covariance[span, span])]
+            shifts = [factor_of(fit.unexplained_covariance[span, span])]
             if fitted.effect.role is not Role.SCALE:
                 shifts.append(case.effort_uncertainty * fit.gain_shifts[:, span])
             if any(each.any() for each in shifts):

@@ -25,7 +25,7 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_MOST = 0.1
+_FASTEST = 0.1
 """Dry friction fades below this share of a joint's peak speed at most."""
 _SLOW = 0.15
 """If friction fades, most of a joint's squared error is below this share of its peak speed."""
@@ -54,7 +54,7 @@ def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None
     end, known, error = trail.end, case.model.fading_speed, trail.end.held_out.mse
     least = sign_widths(replace(case.model, fading_speed=None), case.trajectories)
     peak = peak_speeds(case.trajectories)
-    tried = _rubbing(case.dataset.joints, end.unknowns.effects) & (least < _MOST * peak)
+    tried = _rubbing(case.dataset.joints, end.unknowns.effects) & (least < _FASTEST * peak)
     tried &= error > np.square(SEARCH_MARGIN * case.dataset.noise_floor)
     if not tried.any():
         return None
@@ -62,7 +62,7 @@ def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None
     if not tried.any():
         return None
     before = sign_widths(case.model, case.trajectories)
-    best = _best_widths(case, end, least, _MOST * peak, tried)
+    best = _best_widths(case, end, least, _FASTEST * peak, tried)
     width = np.where(tried, best, before)
     clear = _errors(case, end, width) <= MOST * error
     if not clear.any():

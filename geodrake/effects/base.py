@@ -232,7 +232,8 @@ class Effect(CheckedFields, abc.ABC):
     def refines(self) -> tuple[tuple[type[Effect], ...], ...]:
         """What it comes on top of: one of these sets of effects must be at its place already.
 
-        Nothing for most effects. Alone, a refinement would be a compromise of what it refines.
+        Nothing for most effects. Alone, a refinement would be a compromise of what it refines,
+        unless an empty set is among them.
         """
         return ()
 

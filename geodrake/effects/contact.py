@@ -38,5 +38,5 @@ class Contact(Episode):
         J = np.stack([body.jacobian_at(self.point), body.angular], 1)  # (N, 2, 3, nv)
         if self.turning:
             J = body.rotation[:, None].transpose(0, 1, 3, 2) @ J
-        columns = J.reshape(len(time), 6, -1).transpose(0, 2, 1)
+        columns = J.reshape(len(J), 6, J.shape[-1]).transpose(0, 2, 1)
         return np.asarray(self.weight(time)[:, None, None] * columns)

@@ -28,9 +28,9 @@ class FrictionDrift(JointEffect):
 
     effort = e^{−t/T} (F sgn v + c v), with F in N·m and c in N·m·s/rad, t s after the log began.
 
-    It goes on top of `coulomb_friction` and `viscous_friction`, which have the settled values. F
-    and c are positive where grease warms up, but need not be. Where time is not known the joint
-    has settled.
+    It goes on top of `coulomb_friction` and `viscous_friction`, which have the settled values,
+    if these are not none. F and c are positive where grease warms up, but need not be. Where time
+    is not known the joint has settled.
 
     Attributes:
         time_constant: T, s.

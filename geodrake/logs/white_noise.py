@@ -13,7 +13,7 @@ from geodrake.logs.spectrum import BLACKMAN_HARRIS, spectral_density
 Array = NDArray[np.float64]
 
 _LEAST_BINS = 12  # of a spectrum in a band
-_PASSBANDS = 4  # that a passband is cut into
+_PARTS = 4  # of a passband
 _STEP = 1.2  # ratio of the frequencies of neighbouring bands
 _WIDE = 3  # steps over which a spectrum falls
 
@@ -69,8 +69,9 @@ def passband_density(signal: ArrayLike, rate: float, bandwidth: float) -> tuple[
     signal = np.asarray(signal, float)
     length = min(len(signal), max(64, round(16 * rate / bandwidth)))
     frequency, density = spectral_density(signal, rate, length)
-    within = np.flatnonzero(frequency < bandwidth)
-    parts = [density[part].mean(axis=0) for part in np.array_split(within, _PASSBANDS) if len(part)]
+    # The slowest bins lack what is taken away with the mean.
+    within = np.flatnonzero((frequency > 1.5 * rate / length) & (frequency < bandwidth))
+    parts = [density[part].mean(axis=0) for part in np.array_split(within, _PARTS) if len(part)]
     return density[within].mean(axis=0), np.min(parts, axis=0)
 
 
@@ -95,5 +96,7 @@ def steepest_fall(signal: ArrayLike, rate: float, bandwidth: float) -> Array:
             for low in edges
         ]
     )
+    if len(edges) <= _WIDE:
+        return np.full(signal.shape[1], bandwidth)
     fall = level[:-_WIDE] - level[_WIDE:]
-    return edges[fall.argmax(axis=0)] * _STEP ** (0.5 * (_WIDE + 1))
+    return np.asarray(edges[fall.argmax(axis=0)] * _STEP ** (0.5 * (_WIDE + 1)))

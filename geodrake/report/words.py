@@ -468,10 +468,15 @@ def _of_motion(explanation: Explanation) -> str:
     notable = [f"{percent(share)} at {joint}" for joint, share in shares if share >= _NOTABLE]
     if not notable:
         return (
-            " No smooth function of positions and velocities predicts any of it on held-out data: "
-            "it is coloured noise, or hangs on more than the logs hold."
+            " No smooth function of positions and velocities predicts a notable part of it: it is "
+            "coloured noise, or depends on something else."
         )
-    return f" Of what is left, some function of the motion could remove {listed(notable)}."
+    shown, more = notable[:_MOST_NAMED], len(notable) - _MOST_NAMED
+    shown += [f"less at {more} more"] if more > 0 else []
+    return (
+        " Some function of positions and velocities could remove of the squared error that is left "
+        f"{listed(shown)}."
+    )
 
 
 def _noise_level(errors: ErrorTable) -> str:

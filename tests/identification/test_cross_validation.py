@@ -645,7 +645,7 @@ def test_what_is_unexplained_moves_a_parameter_by_two_deviations_at_most(dataset
         other = list(dataset.data)
         other[joint] = replace(data, factors=np.array(factors))
         moved = solve_surely(fit_problem(replace(dataset, data=tuple(other)), unknowns, WEIGHTS))
-        deviation = np.sqrt(fit.error_covariance[k, k])
+        deviation = np.sqrt(fit.unexplained_covariance[k, k])
         assert moved.x[k] - fit.result.x[k] == pytest.approx(2.0 * deviation, rel=1e-3)
 
 

@@ -56,7 +56,7 @@ def test_quick_gains_of_a_delay_are_those_of_a_fit_to_it():
     case = open_case(model, [log], candidates=True, bandwidth=6.0)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     fits = [
-        CrossValidation(case.dataset, start.unknowns, start.weights, delay=delay)
+        CrossValidation(case.dataset, start.unknowns, start.cv.weights, delay=delay)
         for delay in (0, 1)
     ]
     gains = start.quick_gains([0, 1])

@@ -170,11 +170,11 @@ def open_case(
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
     shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow
-    known = not candidates and model.information is not None
+    known = not candidates and all(log.fingerprint in model.fitted_to for log in matched)
     dataset = reduce_logs(
         model, trajectories, folds, effects=effects, delays=delays, fitted=known, shared=shared
     )
-    hints += [_filtered_note(trajectory) for trajectory in trajectories]
+    hints += [_filtered_note(trajectory, fitted=known or candidates) for trajectory in trajectories]
     notes = [*model.notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
@@ -341,15 +341,20 @@ def _trained_on(model: RobotModel, logs: Sequence[JointLog]) -> list[str]:
     ]
 
 
-def _filtered_note(trajectory: Trajectory) -> str:
-    """That efforts were filtered before, in words; nothing if they were not."""
+def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
+    """That efforts were filtered before, in words; nothing if they were not.
+
+    Args:
+        trajectory: The prepared log.
+        fitted: Whether there is a model fitted to it, or will be.
+    """
     end = filtered_below(trajectory)
     if not np.isfinite(end):
         return ""
     return (
         f"{trajectory.name}: its efforts hold hardly anything above {end:.2g} Hz, as if they had "
-        "been filtered before; their noise is taken to be that of the quietest part of what a "
-        "fitted model leaves below"
+        "been filtered before"
+        + ("; the quietest part of what a fitted model leaves is taken for noise" if fitted else "")
     )
 
 

@@ -1,7 +1,8 @@
-"""The numbers that decide what is found, all in one place.
+"""The numbers by which explanations are compared, and that several parts of a diagnosis share.
 
-What else is a number in the code says how finely something is computed or looked for, and stands
-where that is done. BENCHMARKS, "What the criteria are worth", tells what other values would change.
+What one search alone asks for, such as a window of a contact or a formula, stands there; and so do
+numbers that say how finely something is computed. BENCHMARKS, "What the criteria are worth", tells
+what other values would change.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ PENALTY = 6.0
 """
 
 MOST = 0.5
-"""Most of a squared error, of joints or of folds is more than this share."""
+"""Most of something, such as a squared error, joints or folds, is more than this share."""
 
 MORE_THAN_HALF = 0.51
 """Share of the folds that must agree on what most joints of a robot have already."""
 
 SEVERAL = 4.0
-"""Several times as much: no tie where a joint is left so much more, nothing to ask where it is."""
+"""Several times as much: no tie, for example, where so many times the error of a joint is left."""
 
 RARER = 1.0 / 3.0
 """An effect is so much rarer than one that is less complex by one."""

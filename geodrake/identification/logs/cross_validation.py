@@ -188,23 +188,11 @@ class CrossValidation:
         """
         if any(fit.constrained for fit in self._fits):  # bodies are to be physical anew
             return CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay)
-        none = np.zeros((len(self.dataset.folds), len(kept)))
-        held = HeldOut(self.held_out.sse, self.dataset.samples, none)
-        args = self.dataset, unknowns, self.weights
-        other = CrossValidation(*args, delay=self.delay, held_out=held)
-        fits = [other._of_more(fit, kept) for fit in self._fits]
-        return CrossValidation(*args, delay=self.delay, fits=fits)
-
-    def _of_more(self, fit: _Fit, kept: Indices) -> _Fit:
-        """The fit of these unknowns from that of more, without the others."""
-        triangle, scale = np.tril(fit.factor), fit.scale[kept]
-        right = (triangle @ (triangle.T @ (fit.unbounded / fit.scale)))[kept] / scale
-        scaled = (triangle @ triangle.T)[np.ix_(kept, kept)] - RIDGE * np.eye(len(kept))
-        factor = cholesky(scaled)
-        x = unbounded = scale * solved(factor, scale * right)
-        if np.any((x < self._lower) | (x > self._upper)):
-            x = self._bounded(x, scaled / (scale[:, None] * scale), right, (scaled, scale))
-        return _Fit(x, unbounded, factor, scale)
+        fits, blocks = [fit.less(kept, unknowns) for fit in self._fits], unknowns.inertia_blocks
+        left = np.array([fit.x for fit in fits])
+        were = are_physical(self.held_out.x, self.unknowns.inertia_blocks).all()
+        known = None if were and not are_physical(left, blocks).all() else fits
+        return CrossValidation(self.dataset, unknowns, self.weights, delay=self.delay, fits=known)
 
     def at_delay(self, delay: Delay) -> HeldOut:
         """Held-out errors against the effort with another delay, refitted with the same weights.
@@ -229,13 +217,7 @@ class CrossValidation:
             x = fit.x + fit.solve(change[:, None])[:, 0]
             return np.clip(x, self.unknowns.lower, self.unknowns.upper)
         x = fit.unbounded + fit.solve(change[:, None])[:, 0]
-        if np.any((x < self._lower) | (x > self._upper)):
-            triangle, scale = np.tril(fit.factor), fit.scale
-            right = (triangle @ (triangle.T @ (x / scale))) / scale
-            scaled = triangle @ triangle.T - RIDGE * np.eye(len(x))
-            gram = scaled / (scale[:, None] * scale)
-            return self._bounded(x, gram, right, (scaled, scale))
-        return np.asarray(x)
+        return _within(x, fit.right(x), (fit.scaled, fit.scale), self.unknowns)
 
     def physical(self, start: Array | None = None) -> CrossValidation:
         """These fits with physical bodies; themselves if they are so already.
@@ -289,30 +271,9 @@ class CrossValidation:
         for f, factor in enumerate(choleskies(scaled)):
             scale = scales[f]
             x = unbounded = scale * solved(factor, scale * rhs[f])
-            if np.any((x < self._lower) | (x > self._upper)):
-                x = self._bounded(x, grams[f], rhs[f], (scaled[f], scale))
+            x = _within(x, rhs[f], (scaled[f], scale), self.unknowns)
             fits.append(_Fit(x, unbounded, factor, scale))
         return fits
-
-    @cached_property
-    def _lower(self) -> Array:
-        """(p,) lower bounds with some room for rounding."""
-        return self.unknowns.lower - _ROUNDING
-
-    @cached_property
-    def _upper(self) -> Array:
-        return self.unknowns.upper + _ROUNDING
-
-    def _bounded(self, x: Array, gram: Array, rhs: Array, scaled: tuple[Array, Array]) -> Array:
-        """The minimizer (p,) within the bounds, from that without them."""
-        free = np.ones(len(x), bool)
-        matrix, scale = scaled
-        while np.any(outside := (x < self._lower) | (x > self._upper)):
-            free &= ~outside
-            x = np.clip(x, self.unknowns.lower, self.unknowns.upper)
-            right = scale[free] * (rhs[free] - gram[np.ix_(free, ~free)] @ x[~free])
-            x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
-        return x
 
     def fit_all(self) -> Array:
         """(p,) parameters fitted to all folds."""
@@ -467,6 +428,43 @@ class _Fit:
 
     def slope(self, x: Array) -> Array:
         """(p,) slope of half the weighted squared error at other parameters (p,)."""
+        return self.right(x - self.unbounded)
+
+    def right(self, x: Array) -> Array:
+        """(p,) product of the normal matrix with parameters (p,)."""
         triangle = np.tril(self.factor)
-        step = (x - self.unbounded) / self.scale
-        return np.asarray((triangle @ (triangle.T @ step)) / self.scale)
+        return np.asarray((triangle @ (triangle.T @ (x / self.scale))) / self.scale)
+
+    @property
+    def scaled(self) -> Array:
+        """(p, p) scaled normal matrix, without the ridge of its factor."""
+        triangle = np.tril(self.factor)
+        return np.asarray(triangle @ triangle.T - RIDGE * np.eye(len(triangle)))
+
+    def less(self, kept: Indices, unknowns: Unknowns) -> _Fit:
+        """The fit of some of the parameters, at places (k,), without the others."""
+        scale, right = self.scale[kept], self.right(self.unbounded)[kept]
+        scaled = self.scaled[np.ix_(kept, kept)]
+        factor = cholesky(scaled)
+        unbounded = scale * solved(factor, scale * right)
+        return _Fit(_within(unbounded, right, (scaled, scale), unknowns), unbounded, factor, scale)
+
+
+def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknowns) -> Array:
+    """The minimizer (p,) within the bounds of unknowns, from that without them.
+
+    Args:
+        x: (p,) the minimizer without bounds.
+        rhs: (p,) right side of the normal equations.
+        scaled: Their matrix (p, p) of unit diagonal, and by what (p,) it was scaled.
+        unknowns: The unknowns.
+    """
+    free, (matrix, scale) = np.ones(len(x), bool), scaled
+    lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING
+    while np.any(outside := (x < lower) | (x > upper)):
+        free &= ~outside
+        x = np.clip(x, unknowns.lower, unknowns.upper)
+        held = (matrix[np.ix_(free, ~free)] @ (x[~free] / scale[~free])) / scale[free]
+        right = scale[free] * (rhs[free] - held)
+        x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
+    return x

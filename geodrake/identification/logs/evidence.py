@@ -17,7 +17,7 @@ from geodrake.identification.logs.criteria import MOST
 
 Array = NDArray[np.float64]
 
-_HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss
+_HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss, and of the mean one
 _FEW = 2  # folds
 _AT_ONCE = 100_000  # numbers that are transformed together
 
@@ -115,7 +115,7 @@ def fold_agreement(before: Array, after: Array) -> float:
     Play, for example, shows only in the folds where a load changes its sign. Where the loss falls
     clearly in more than half of the folds, one in which it hardly changes therefore counts half, as
     in a sign test; and where it is halved in two or more, each predicted by the others, only those
-    count against it in which it rises.
+    count against it in which it rises, by a notable share of what folds lose in the mean.
 
     Args:
         before: (F,) loss of every fold before; folds without samples have none.
@@ -126,7 +126,7 @@ def fold_agreement(before: Array, after: Array) -> float:
         return 0.0
     change = (after - before)[seen] / before[seen]
     if np.sum(change < -MOST) >= _FEW:
-        return float(np.mean(change < _NO_RISE))
+        return float(np.mean((after - before)[seen] < _NO_RISE * before[seen].mean()))
     if np.mean(change < -_HARDLY) <= MOST:
         return float(np.mean(change < 0.0))
     return float(np.mean(np.where(np.abs(change) > _HARDLY, change < 0.0, 0.5)))

@@ -24,6 +24,8 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+_ROUNDED = 1.0 + 1e-9
+
 _AT_ONCE = 16
 """So many fits have their residuals computed together."""
 
@@ -83,6 +85,11 @@ class Hypothesis:
         return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
 
     @property
+    def has_fixed_bodies(self) -> bool:
+        """Whether bodies stay as the model has them."""
+        return self.looseness <= _ROUNDED * FIXED
+
+    @property
     def inertial_penalty(self) -> float:
         """How improbable the bodies are, as twice a log-likelihood.
 
@@ -120,7 +127,7 @@ class Hypothesis:
         return settle(replace(self, unknowns=self._less(effects)))
 
     def stripped(self, *gone: Effect) -> Hypothesis:
-        """This hypothesis less some of its effects, refitted with the weights that it has.
+        """This hypothesis less some of its effects, refitted with the weights of its fits.
 
         The last one is kept, as several questions are asked of it.
         """
@@ -167,11 +174,7 @@ class Hypothesis:
 
     def quick_gains(self, delays: Sequence[Delay]) -> list[float]:
         """Twice the held-out log-likelihood ratio of other delays, the weights as they are."""
-        # With these weights it would err a little differently, which nobody asks.
-        cv = CrossValidation(
-            self.dataset, self.unknowns, self.weights, delay=self.delay, held_out=self.held_out
-        )
-        before, after = self.held_out.mse, [cv.at_delay(delay).mse for delay in delays]
+        before, after = self.held_out.mse, [self.cv.at_delay(delay).mse for delay in delays]
         return [float(log_likelihood_gain(before, mse, self.effective).sum()) for mse in after]
 
     def moved_columns(self, dataset: Dataset) -> Indices:
@@ -283,8 +286,10 @@ def settle(hypothesis: Hypothesis, *, iterations: int = 2) -> Hypothesis:
         before, weights = weights, _deserved_weights(dataset, cv.held_out, effective / samples)
         if _alike(weights, before):
             break
-    physical = cv if hypothesis.looseness <= 1.001 * FIXED else _physical(hypothesis, cv)
-    if physical is not cv:  # bodies that are fixed are those of the model
+    # Bodies that are fixed are those of the model; payloads beside them are to be physical still.
+    only_bodies = len(unknowns.inertia_blocks) == len(dataset.bodies)
+    physical = cv if hypothesis.has_fixed_bodies and only_bodies else _physical(hypothesis, cv)
+    if physical is not cv:
         cv = physical
         effective = effective_per_joint(dataset, unknowns.columns, cv.held_out, delay=delay)
         weights = _deserved_weights(dataset, cv.held_out, effective / samples)

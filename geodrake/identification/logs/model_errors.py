@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, LEAST_NOISE, NOISE_MARGIN
+from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, NOISE_MARGIN
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class ErrorTable:
     @property
     def shows_noise(self) -> bool:
         """Whether the floor may be that of a sensor: efforts that were filtered show none."""
-        return self.floor_nrms >= LEAST_NOISE
+        return self.floor_nrms > 0.0
 
     @property
     def is_noise(self) -> bool:

@@ -16,7 +16,7 @@ from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, Delay, is_payload
-from geodrake.identification.logs.systematic import error_covariance, gain_shifts
+from geodrake.identification.logs.systematic import gain_shifts, unexplained_covariance
 from geodrake.identification.logs.unknowns import (
     Unknowns,
     inertial_unknowns,
@@ -132,7 +132,7 @@ class ModelFit:
         result: The solution, with its information matrix.
         unknowns: What was fitted.
         gain_shifts: (nv, p) what the parameters change by with the gain of each joint's efforts.
-        error_covariance: (p, p) how far the parameters may be off by what stays unexplained.
+        unexplained_covariance: (p, p) how far the parameters may be off by what stays unexplained.
         of_motion: (nv,) share of each joint's squared error that goes with the motion.
     """
 
@@ -141,7 +141,7 @@ class ModelFit:
     result: FitResult
     unknowns: Unknowns
     gain_shifts: Array
-    error_covariance: Array
+    unexplained_covariance: Array
     of_motion: Array
 
 
@@ -184,7 +184,7 @@ def fit_model(
     shifts = gain_shifts(dataset, unknowns, weights, result, known=known)
     share = np.zeros(len(weights)) if of_motion is None else of_motion
     samples = dataset.samples.sum(axis=0) if effective is None else effective
-    off = error_covariance(dataset, unknowns, weights, result, samples * share)
+    off = unexplained_covariance(dataset, unknowns, weights, result, samples * share)
     return ModelFit(fitted, held_out, result, unknowns, shifts, off, share)
 
 

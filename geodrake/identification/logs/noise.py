@@ -36,7 +36,8 @@ def noise_floor(
     it looks like an effect, and is not counted. Jumps of dry friction reach beyond the bandwidth
     too; a model fitted to the logs takes them away. Noise is never more than such a model leaves.
     Where there is less above the bandwidth than any sensor's noise, efforts were filtered before:
-    the floor is then that of the quietest part of what the model leaves below.
+    the floor is then that of the quietest part of what a fitted model leaves below, or not known,
+    and zero but for the noise of accelerations.
 
     Args:
         trajectories: The prepared logs.
@@ -55,17 +56,17 @@ def noise_floor(
         for segment in trajectory.segments:
             rate = 1.0 / segment.period
             start = segment[:_SAMPLES]
-            density = quiet_density(start.effort, rate, bandwidth)
+            density, width = quiet_density(start.effort, rate, bandwidth), gain**2 * rate / 2.0
+            noise = density * width
             if robot is not None:
                 residual = _residual(start, robot, sign_width, trajectory.began)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
                 mean, quietest = passband_density(residual, rate, bandwidth)
-                if fitted:
-                    density = np.where(_is_silent(density, start), quietest, density)
-                density = np.minimum(density, mean)
                 carried = _carried(start, robot, trajectory, sign_width)
-                power += len(segment) * carried
-            power += len(segment) * density * gain**2 * rate / 2.0
+                below = quietest * width if fitted else carried
+                noise = np.where(_is_silent(density, start), below, density * width + carried)
+                noise = np.minimum(noise, mean * width)
+            power += len(segment) * noise
             weight += len(segment)
     return np.sqrt(power / weight)
 

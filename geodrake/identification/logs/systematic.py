@@ -48,8 +48,8 @@ def gain_shifts(
     return _moved(fit, pulls.T).T
 
 
-def error_covariance(
-    dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, of_motion: Array
+def unexplained_covariance(
+    dataset: Dataset, unknowns: Unknowns, weights: Array, fit: FitResult, samples: Array
 ) -> Array:
     """(p, p) covariance of the parameters of a fit by what stays unexplained.
 
@@ -62,12 +62,12 @@ def error_covariance(
         unknowns: What was fitted.
         weights: (nv,) weight of a squared residual of each joint.
         fit: The fit.
-        of_motion: (nv,) n_j times the share of the squared residual that goes with the motion.
+        samples: (nv,) n_j times the share of the squared residual that goes with the motion.
     """
     gram = np.zeros((len(unknowns.columns),) * 2)
-    for data, weight, samples in zip(dataset.data, weights, of_motion, strict=True):
+    for data, weight, worth in zip(dataset.data, weights, samples, strict=True):
         local = data.local(unknowns.columns)
-        gram += samples / WORTH * weight * data.products(local, local).sum(axis=2)
+        gram += worth / WORTH * weight * data.products(local, local).sum(axis=2)
     return _moved(fit, _moved(fit, gram).T)
 
 
