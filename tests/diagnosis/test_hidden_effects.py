@@ -103,7 +103,9 @@ class TestDrake:
                 *("arm6", "effort_offset", ("wrist_pitch",), (0.8,)),
                 marks=pytest.mark.thorough,
             ),
-            ("arm6", "rotor_inertia", ("wrist_roll",), (0.06,)),
+            pytest.param(
+                *("arm6", "rotor_inertia", ("wrist_roll",), (0.06,)), marks=pytest.mark.thorough
+            ),
             ("arm7", "payload", ("link_7",), (2.0, 0.02, 0.0, 0.1)),
             ("arm6", "coupled_friction", ("shoulder_pitch", "elbow_pitch"), (4.0, 3.0)),
         ],
@@ -231,6 +233,8 @@ SIMPLER = (
     "coulomb at both",
     "spring",
     "rotor",
+    "offset",
+    "pendulum's spring",
 )
 """Cases that others of the default run contain."""
 
