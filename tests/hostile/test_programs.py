@@ -16,9 +16,12 @@ from geodrake.identification.solvers import solved_apart
 from geodrake.inertia import is_physical
 
 QUICK = [n for n in range(44) if random_program(1, n).solver != "csdp"]  # which takes its time
+LONG = (6,)
 
 
-@pytest.mark.parametrize("number", QUICK)
+@pytest.mark.parametrize(
+    "number", [pytest.param(n, marks=pytest.mark.thorough) if n in LONG else n for n in QUICK]
+)
 def test_random_program(number):
     outcome = run(1, number, compare=False)
     assert outcome.end in ("solved", "refused"), outcome
