@@ -13,7 +13,7 @@ from geodrake.diagnosis.further_columns import is_within, with_columns, without_
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.stepwise_search import Trail, search
-from geodrake.diagnosis.trials import gain_of, quick_fit, quick_fits
+from geodrake.diagnosis.trials import gain_of, quick_fit
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
@@ -121,14 +121,11 @@ def _unmoved(
     """
     end, start = trail.end, trail.start
     found = _added(end, start.unknowns.effects)
-    held = _widened(end, FIXED)
-    unmoved = float(held.loss().sum())
+    unmoved = float(_widened(end, FIXED).loss().sum())
     # Beside effects, bodies that move a little are only not quite those of the model.
     if unmoved <= (SEVERAL if found else 1.0) * most:
         return None
     rest = _REST * (unmoved - most)
-    if _least_loss(held) > SEVERAL * (most + rest):
-        return None
 
     def explains(hypothesis: Hypothesis) -> bool:
         near = hypothesis.loss().sum() <= most + rest
@@ -142,15 +139,6 @@ def _unmoved(
             less = _less(other.end, fixed, criteria, explains)
             return replace(other, start=start.loosened(FIXED / start.looseness), end=less)
     return None
-
-
-def _least_loss(hypothesis: Hypothesis) -> float:
-    """Held-out squared error that is left if each joint has the effect that suits it best."""
-    offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
-    packages = [p for kind in offered for place in kind.options.values() for p in place]
-    fits = [hypothesis.held_out, *quick_fits(hypothesis, packages)]
-    least = np.min([fit.sse.sum(axis=0) for fit in fits], axis=0)
-    return float(np.sum(least / hypothesis.dataset.effort_std**2))
 
 
 def _less(

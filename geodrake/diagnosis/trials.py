@@ -136,7 +136,7 @@ def try_packages(
     """
     dataset, before, present = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
     trials, promising = list[Trial](), list[int]()
-    fits = quick_fits(hypothesis, packages) if packages else []
+    fits = _quick_fits(hypothesis, packages) if packages else []
     for package, after in zip(packages, fits, strict=True):
         reduction, agreement = improvement((before, after), acted_upon(dataset, package))
         few = least and (reduction < least.reduction or agreement < least.agreement)
@@ -185,16 +185,10 @@ def quick_fit(hypothesis: Hypothesis, package: Package) -> HeldOut:
         hypothesis: What the package is added to.
         package: The effects to try together.
     """
-    return quick_fits(hypothesis, [package])[0]
+    return _quick_fits(hypothesis, [package])[0]
 
 
-def quick_fits(hypothesis: Hypothesis, packages: Sequence[Package]) -> list[HeldOut]:
-    """Held-out errors with each of several packages; see `quick_fit`.
-
-    Args:
-        hypothesis: What each package is added to.
-        packages: The effects to try together, one package after another.
-    """
+def _quick_fits(hypothesis: Hypothesis, packages: Sequence[Package]) -> list[HeldOut]:
     dataset = hypothesis.dataset
     return hypothesis.cv.with_candidates([_candidate(dataset, package) for package in packages])
 

@@ -1,8 +1,8 @@
 """The numbers by which explanations are compared, and that several parts of a diagnosis share.
 
 What one search alone asks for, such as a window of a contact or a formula, stands there; and so do
-numbers that say how finely something is computed. BENCHMARKS, "What the criteria are worth", tells
-what other values would change.
+numbers that say how finely something is computed. `diagrams/criteria_worth.py` tells what other
+values would change.
 """
 
 from __future__ import annotations
