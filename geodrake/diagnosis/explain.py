@@ -141,8 +141,8 @@ def _with_bandwidth_notes(after: Investigation, before: Investigation) -> Invest
     """The investigation with a note on its bandwidth and, if that is lower, on what is above it."""
     own, now = (each.case.trajectories[0].filter.bandwidth for each in (before, after))
     note = f"errors are those at {now:.3g} Hz: compare others with --bandwidth {now:.3g}"
-    above = errors_at(after.case, after.hypothesis, own)
-    if now < own and above.shows_noise:
+    above = errors_at(after.case, after.hypothesis, own) if now < own else None
+    if above is not None and above.shows_noise:
         note += (
             f"; at {own:.3g} Hz, {above.nrms / above.floor_nrms:.1f} times the noise is left, as a "
             "log hardly shows how soft joints swing there"

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.further_columns import is_within, with_columns, without_inner_payloads
 from geodrake.diagnosis.pruning import prune
@@ -20,8 +17,6 @@ from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import FIXED, PENALTY, SEVERAL, Criteria
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
-
-Array = NDArray[np.float64]
 
 _INERTIAS = effect_of(Role.INERTIA).name
 _MOST_KINDS = 2
@@ -237,21 +232,13 @@ def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> list[Hy
     """The hypothesis with one effect that spares the inertias an improbable way, best first."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     packages = [p for kind in offered for place in kind.options.values() for p in place]
-    way, found = _squared_distance(hypothesis), list[tuple[float, Hypothesis]]()
+    way, found = hypothesis.squared_distance(), list[tuple[float, Hypothesis]]()
     for package in packages:
-        quick = way - _squared_distance(hypothesis, quick_fit(hypothesis, package).x.mean(0))
+        quick = way - hypothesis.squared_distance(quick_fit(hypothesis, package).x.mean(0))
         if false_alarm_probability(quick, package.parameters, len(packages)) <= criteria.alarm:
             after = hypothesis.with_effects(package.effects)
-            gain, spared = gain_of(hypothesis, after), way - _squared_distance(after)
+            gain, spared = gain_of(hypothesis, after), way - after.squared_distance()
             alarm = false_alarm_probability(gain + spared, package.parameters, len(packages))
             if alarm <= criteria.alarm and after.loss().sum() <= most:
                 found.append((gain + spared - PENALTY * package.parameters, after))
     return [after for _, after in sorted(found, key=lambda scored: -scored[0])]
-
-
-def _squared_distance(hypothesis: Hypothesis, x: Array | None = None) -> float:
-    """How improbable inertial parameters are: squared distance from the model's by its prior."""
-    n = 10 * len(hypothesis.dataset.bodies)
-    known = hypothesis.unknowns.information[:n, :n]
-    step = (hypothesis.cv.fit_all() if x is None else x)[:n] - hypothesis.unknowns.mean[:n]
-    return float(step @ known @ step)

@@ -91,7 +91,6 @@ def suggested_of(case: Case, hypothesis: Hypothesis, name: str) -> tuple[Effect,
 
 def _is_clear(proposal: Proposal, alarm: float) -> bool:
     """Whether what the residual shows is more than chance, as many as are looked for."""
-    # Noise never has so large a share that the error is made mostly of it.
     return proposal.alarm <= (alarm if proposal.share >= DOMINANT else SUGGESTED)
 
 

@@ -47,7 +47,7 @@ def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = Criter
     Returns:
         Shares from 0 to 1; 0 where only sensor noise is left.
     """
-    motion = full_motion(case)
+    motion, speeds = full_motion(case), peak_speeds(case.trajectories)
     joints = zip(
         joint_residuals(case, hypothesis),
         error_table(case.dataset, hypothesis.held_out).joints,
@@ -60,7 +60,7 @@ def share_of_motion(case: Case, hypothesis: Hypothesis, *, alarm: float = Criter
             folds = np.repeat(
                 np.arange(len(data.rows)), [sum(len(r.time) for r in fold) for fold in data.rows]
             )
-            shares[j] = _predictable(case, motion, residual, folds, alarm=alarm)
+            shares[j] = _predictable(case, motion, residual, folds, speeds=speeds, alarm=alarm)
     return shares
 
 
@@ -70,10 +70,19 @@ def _predictable(
     joint: JointResidual,
     folds: Indices,
     *,
+    speeds: Array,
     alarm: float,
 ) -> float:
-    """Share of the squared residual of a joint that the best function of the motion predicts."""
-    speeds = peak_speeds(case.trajectories)
+    """Share of the squared residual of a joint that the best function of the motion predicts.
+
+    Args:
+        case: The case.
+        motion: `full_motion` of the case.
+        joint: The residual, of K rows.
+        folds: (K,) fold of each row.
+        speeds: (nv,) peak speeds, rad/s or m/s; 0 for a joint that does not move.
+        alarm: Largest probability of a false alarm.
+    """
     own = case.model.joints.index(joint.joint)
     columns = filtered_columns(case, motion, joint, (_signals(s, speeds) for _, s in motion))
     seen = np.flatnonzero(np.isfinite(columns).all(axis=1))

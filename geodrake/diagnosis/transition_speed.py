@@ -32,10 +32,6 @@ _SLOW = 0.15
 _DOUBLINGS = 7
 _HARDLY = 1.01
 """A wider transition is tried while the squared error stays below this multiple of the last one."""
-# A transition speed counts if it takes away most of the squared error at its joint. Real friction
-# fades with the way from a reversal on rather than with the speed, so that a speed found where
-# joints turn round does not hold where they creep (UR10e, wrist 2: 16 % less error in motions like
-# that of the fit, 34 % more from point to point).
 _BETWEEN = (2.0**-0.5, 2.0**0.5, 2.0**-0.25, 2.0**0.25)
 """Multiples of the best width so far that are tried one after the other."""
 
@@ -64,6 +60,10 @@ def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None
     before = sign_widths(case.model, case.trajectories)
     best = _best_widths(case, end, least, _FASTEST * peak, tried)
     width = np.where(tried, best, before)
+    # A transition speed must take away most of the squared error at its joint. Real friction fades
+    # with the way from a reversal on rather than with the speed, so that a speed found where joints
+    # turn round does not hold where they creep (UR10e, wrist 2: 16 % less error in motions like
+    # that of the fit, 34 % more from point to point).
     clear = _errors(case, end, width) <= MOST * error
     if not clear.any():
         return None

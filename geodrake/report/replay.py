@@ -103,9 +103,8 @@ def _positions(model: MultibodyPlant, shown: MultibodyPlant) -> list[int]:
 
 def _record_ellipsoids(meshcat: Meshcat, model: RobotModel, times: Array, q: Array) -> None:
     context, phi = model.plant.CreateDefaultContext(), model.total_phi
-    phi = np.where(
-        is_physical(phi)[:, None], phi, payload_reference(model.phi)
-    )  # rather than nothing
+    # Bodies that cannot be are shown as some body rather than as nothing.
+    phi = np.where(is_physical(phi)[:, None], phi, payload_reference(model.phi))
     ellipsoids = MeshcatEllipsoids(meshcat, model.plant, [EllipsoidSet.of("robot", phi)])
     for time, posture in zip(times.tolist(), q, strict=True):
         model.plant.SetPositions(context, posture)

@@ -24,7 +24,7 @@ from geodrake.inertia import PARAMETERS_PER_BODY
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-_ROUNDED = 1.0 + 1e-9
+_ROUNDED = 1.0 + 1e-9  # what is narrowed to a width may be wider by rounding
 
 _AT_ONCE = 16
 """So many fits have their residuals computed together."""
@@ -96,22 +96,29 @@ class Hypothesis:
         The width of the inertial prior is not known well. So the squared distance q from the
         model's bodies, by the assumed one, counts as by a t distribution: d log(1 + q / d).
         """
-        q, d = self._squared_distance, PARAMETERS_PER_BODY * len(self.dataset.bodies)
+        q, d = self._assumed_distance, PARAMETERS_PER_BODY * len(self.dataset.bodies)
         return float(d * np.log1p(q / d))
 
     @property
     def is_within_prior(self) -> bool:
         """Whether the bodies are where they may well be, by what is known about them."""
         d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        return chi2_tail(self._squared_distance, d) > IMPROBABLE
+        return chi2_tail(self._assumed_distance, d) > IMPROBABLE
 
     @property
-    def _squared_distance(self) -> float:
-        """Squared distance of the bodies from the model's, by the assumed width of the prior."""
+    def _assumed_distance(self) -> float:
+        """`squared_distance` by the assumed width of the prior."""
+        return self.looseness**2 * self.squared_distance()
+
+    def squared_distance(self, x: Array | None = None) -> float:
+        """How improbable the bodies are: their squared distance from the model's by the prior.
+
+        Args:
+            x: (p,) parameters of a fit, the inertial ones first; those of the hypothesis if None.
+        """
         d = PARAMETERS_PER_BODY * len(self.dataset.bodies)
-        step = self.cv.fit_all()[:d] - self.unknowns.mean[:d]
-        known = self.looseness**2 * self.unknowns.information[:d, :d]
-        return float(step @ known @ step)
+        step = (self.cv.fit_all() if x is None else x)[:d] - self.unknowns.mean[:d]
+        return float(step @ self.unknowns.information[:d, :d] @ step)
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypothesis:
         """This hypothesis and further effects, refitted."""
