@@ -19,6 +19,7 @@ from geodrake.identification.logs.criteria import NOISE_MARGIN, Criteria
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.identification.normal_equations import choleskies, solved
 from geodrake.logs.smoothing import Segment
 
 Array = NDArray[np.float64]
@@ -132,8 +133,8 @@ def _held_out(features: Array, b: Array, folds: Indices) -> Iterator[Array]:
     grams = np.array([features[rows].T @ features[rows] for rows in parts])
     moments = np.array([features[rows].T @ b[rows] for rows in parts])
     total, moment = grams.sum(axis=0), moments.sum(axis=0)
-    unit = len(b) * np.eye(len(total))
     for ridge in _RIDGES:
-        x = np.linalg.solve(total - grams + ridge * unit, (moment - moments)[..., None])[..., 0]
-        pairs = zip(parts, x, strict=True)
-        yield np.array([np.square(b[rows] - features[rows] @ own).sum() for rows, own in pairs])
+        factors = choleskies(total - grams, ridge * len(b))
+        fits = zip(parts, factors, moment - moments, strict=True)
+        left = [b[rows] - features[rows] @ solved(factor, right) for rows, factor, right in fits]
+        yield np.array([np.square(each).sum() for each in left])

@@ -1,15 +1,18 @@
 """Work in a process of its own, so that compiled code can end or lose only that one.
 
 A panic in Rust, a failed assertion in C++ or `exit` in C end the process they are in, and nothing
-in Python can catch them. A copy of this process by `fork` takes some 5 ms and has all data.
+in Python can catch them. A copy of this process by `fork` takes some 5 ms to begin, as much to end,
+and has all data.
 """
 
 from __future__ import annotations
 
 import faulthandler
 import os
+import pickle
 import resource
 import signal
+import time
 import warnings
 from collections.abc import Callable
 from multiprocessing.connection import Connection, Pipe
@@ -19,6 +22,7 @@ from geodrake.errors import GeodrakeError
 
 T = TypeVar("T")
 _INTERRUPTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PATIENCE = 1.0  # s, for which a copy waits for more work
 
 
 class LostProcessError(Exception):
@@ -32,8 +36,11 @@ class LateProcessError(LostProcessError):
 def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     """What a function returns or raises, called in a copy of this process.
 
+    The copy waits a moment for more work, so that a series of programs costs one.
+
     Args:
-        work: Called without arguments; what it returns is pickled, what it prints is dropped.
+        work: Called without arguments; what it returns is pickled, what it prints is dropped. A
+            copy that waits takes it if it can be pickled too.
         seconds: Time it may take.
 
     Raises:
@@ -41,52 +48,127 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
         LateProcessError: Its time was over.
         LostProcessError: It raised something else, or its process ended.
     """
-    reader, writer = Pipe(duplex=False)
-    # An interrupt waits, so that it is not one of the copy's too.
-    waiting = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
-    try:
-        with warnings.catch_warnings():
-            # Python warns of other threads: the copy has none, and numerical libraries look after
-            # their own locks at a fork. One that waits all the same is lost when its time is over.
-            warnings.simplefilter("ignore", DeprecationWarning)
-            child = os.fork()
-        if not child:
-            _answer(work, writer)
-    except OSError as error:
-        raise LostProcessError(f"could not be started: {error.strerror}") from error
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, waiting)
-    writer.close()
-    answer: Any = None
-    try:
-        if not reader.poll(seconds):
-            raise LateProcessError(f"gave no answer in {seconds:g} s")
-        answer = reader.recv()
-    except (EOFError, OSError):
-        pass  # it has ended, perhaps amid its answer
-    finally:
-        reader.close()
-        end = _ended(child)
+    over = time.monotonic() + seconds
+    question = _pickled(work)
+    copy = _Copy.waiting() if question is not None else None
+    answer = None
+    if copy is not None and question is not None and copy.told(question):
+        answer = copy.answer(over, seconds)
+    if copy is None or answer is None:  # one that waited may have ended meanwhile
+        copy = _Copy(work)
+        answer = copy.answer(over, seconds)
     if answer is None:
-        raise LostProcessError(f"ended with {end}")
+        raise LostProcessError(f"ended with {copy.end}")
     result, failure = answer
+    if isinstance(failure, LostProcessError):
+        copy.ended()
+    else:
+        _WAITING.append(copy)
     if failure is not None:
         raise failure
     return result
 
 
-def _ended(child: int) -> str:
-    """How a process has ended, which it has by now, or is made to."""
+class _Copy:
+    """A copy of this process that works, and then waits for more to do.
+
+    Attributes:
+        end: How it has ended; empty until then.
+    """
+
+    def __init__(self, work: Callable[[], Any]) -> None:
+        self.end, self._owner = "", os.getpid()
+        self._line, other = Pipe()
+        # An interrupt waits, so that it is not one of the copy's too.
+        waiting = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
+        try:
+            with warnings.catch_warnings():
+                # Python warns of other threads: the copy has none, and numerical libraries look
+                # after their own locks at a fork. One that waits all the same is lost when its
+                # time is over.
+                warnings.simplefilter("ignore", DeprecationWarning)
+                self._child = os.fork()
+            if not self._child:
+                self._line.close()
+                _serve(work, other)
+        except OSError as error:
+            raise LostProcessError(f"could not be started: {error.strerror}") from error
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, waiting)
+        other.close()
+
+    @classmethod
+    def waiting(cls) -> _Copy | None:
+        """One that waits for work of this process, if there is one."""
+        while _WAITING:
+            copy = _WAITING.pop()
+            if copy._owner == os.getpid():
+                return copy
+        return None
+
+    def told(self, question: bytes) -> bool:
+        """Whether it could be sent its work."""
+        sent = False
+        try:
+            self._line.send_bytes(question)
+            sent = True
+        except OSError:
+            pass  # it has ended
+        finally:
+            if not sent:
+                self.ended()
+        return sent
+
+    def answer(self, over: float, seconds: float) -> tuple[Any, Exception | None] | None:
+        """What its work returned, and raised; None if it has ended without an answer.
+
+        Args:
+            over: When its time is over, on the monotonic clock, s.
+            seconds: The time that it had.
+        """
+        answer: tuple[Any, Exception | None] | None = None
+        try:
+            if not self._line.poll(max(over - time.monotonic(), 0.0)):
+                raise LateProcessError(f"gave no answer in {seconds:g} s")
+            answer = self._line.recv()
+        except (EOFError, OSError):
+            pass  # it has ended, perhaps amid its answer
+        finally:
+            if answer is None:
+                self.ended()
+        return answer
+
+    def ended(self) -> None:
+        """Make sure that it has ended, and find out how."""
+        self._line.close()
+        try:
+            os.kill(self._child, signal.SIGKILL)  # which does nothing to one that has ended
+            code = os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
+        except (ProcessLookupError, ChildProcessError):
+            self.end = "nobody knows what"  # where the program has its children reaped elsewhere
+        else:
+            self.end = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+_WAITING: list[_Copy] = []
+
+
+def end_waiting() -> None:
+    """End the copies of this process that wait for work, which they do by themselves soon."""
+    while (copy := _Copy.waiting()) is not None:
+        copy.ended()
+
+
+def _pickled(work: Callable[[], Any]) -> bytes | None:
+    """A function as bytes; None where it cannot be pickled, as Drake's programs cannot."""
     try:
-        os.kill(child, signal.SIGKILL)  # which does nothing to one that has ended
-        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    except (ProcessLookupError, ChildProcessError):
-        return "nobody knows what"  # where the program has its children reaped elsewhere
-    return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        return pickle.dumps(work)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return None
 
 
-def _answer(work: Callable[[], Any], writer: Connection) -> NoReturn:
-    """Send what `work` returns and raises as a pair, and end this process."""
+def _serve(work: Callable[[], Any], line: Connection) -> NoReturn:
+    """Send what `work` and what follows return and raise, as pairs, and end this process."""
     try:
         for number in _INTERRUPTS:
             signal.signal(number, signal.SIG_DFL)  # an interrupt is the first process's
@@ -96,7 +178,9 @@ def _answer(work: Callable[[], Any], writer: Connection) -> NoReturn:
         silence = os.open(os.devnull, os.O_WRONLY)
         for stream in (1, 2):
             os.dup2(silence, stream)
-        writer.send(_outcome(work))
+        line.send(_outcome(work))
+        while line.poll(_PATIENCE):
+            line.send(_outcome(pickle.loads(line.recv_bytes())))
     finally:
         os._exit(0)
 

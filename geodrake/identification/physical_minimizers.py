@@ -86,8 +86,12 @@ def physical_minimizers(
     blocks: Sequence[int],
     start: Array,
     bounds: tuple[Array, Array],
+    beyond: Sequence[int] | None = None,
 ) -> PhysicalMinima:
     """Minimizers of ½ xᵀ G x − rᵀ x with physical bodies within bounds, for F problems at once.
+
+    Bodies that stay physical by themselves need no constraint: what has none is eliminated, and
+    a body that leaves only then has its own too.
 
     Args:
         gram: (F, p, p) positive definite matrices G.
@@ -95,11 +99,52 @@ def physical_minimizers(
         blocks: First parameter of every inertia block.
         start: (F, p) parameters whose bodies are physical.
         bounds: Lower and upper bounds (p,), infinite for inertial parameters.
+        beyond: Those of the blocks whose bodies are to be kept at first; all by default.
 
     Raises:
         IdentificationError: The method does not end.
     """
-    problem = _Problem.of(gram, rhs, blocks, bounds)
+    kept = list(blocks if beyond is None else beyond)
+    while True:
+        found = _with_bodies_kept(gram, rhs, kept, start, bounds)
+        others = [block for block in blocks if block not in kept]
+        left = [block for block in others if not are_physical(found.x, [block]).all()]
+        if not left:
+            return found
+        kept += left
+
+
+def _with_bodies_kept(
+    gram: Array, rhs: Array, blocks: Sequence[int], start: Array, bounds: tuple[Array, Array]
+) -> PhysicalMinima:
+    """As `physical_minimizers`, with constraints for the given blocks only."""
+    constrained = np.isfinite(bounds[0]) | np.isfinite(bounds[1])
+    constrained[_places(blocks)] = True
+    at, rest = np.flatnonzero(constrained), np.flatnonzero(~constrained)
+    small = np.searchsorted(at, blocks)
+    within = bounds[0][at], bounds[1][at]
+    if not len(rest):
+        return _inner_minima(_Problem.of(gram, rhs, small, within), start)
+    scale = 1.0 / np.sqrt(np.diagonal(gram, axis1=1, axis2=2)[:, rest])
+    own = gram[:, rest[:, None], rest] * scale[:, :, None] * scale[:, None, :]
+    right = np.concatenate([gram[:, rest[:, None], at], rhs[:, rest, None]], axis=2)
+    factors = choleskies(own, _RIDGE)
+    pairs = zip(factors, scale[..., None] * right, strict=True)
+    moved = scale[..., None] * np.array([solved(factor, each) for factor, each in pairs])
+    turned = np.swapaxes(right[..., :-1], 1, 2) @ moved
+    schur = gram[:, at[:, None], at] - turned[..., :-1]
+    schur = 0.5 * (schur + np.swapaxes(schur, 1, 2))
+    problem = _Problem.of(schur, rhs[:, at] - turned[..., -1], small, within)
+    inner = _inner_minima(problem, start[:, at])
+    x, slope, hessian = np.empty_like(rhs), np.zeros_like(rhs), gram.copy()
+    x[:, at], slope[:, at] = inner.x, inner.slope
+    x[:, rest] = moved[..., -1] - (moved[..., :-1] @ inner.x[..., None])[..., 0]
+    hessian[:, at[:, None], at] += inner.hessian - schur
+    return PhysicalMinima(x, slope, hessian)
+
+
+def _inner_minima(problem: _Problem, start: Array) -> PhysicalMinima:
+    """The minima of problems whose bodies all have constraints, from points (F, p) inside."""
     at = problem.first(start)
     for _ in range(_MOST_STEPS):
         here = _Linearization(problem, at)

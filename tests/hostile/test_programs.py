@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,11 @@ from programs import SECONDS, random_program, run
 
 from geodrake.errors import ArgumentError, GeodrakeError, IdentificationError
 from geodrake.identification import identify
-from geodrake.identification.own_process import LostProcessError, in_own_process
+from geodrake.identification.own_process import (
+    LostProcessError,
+    end_waiting,
+    in_own_process,
+)
 from geodrake.identification.solvers import solved_apart
 from geodrake.inertia import is_physical
 
@@ -57,8 +62,28 @@ def test_what_once_ended_the_process(solver):
 def test_a_lost_process_is_told(work, words):
     with pytest.raises(LostProcessError, match=words):
         in_own_process(work, seconds=0.2 if "no answer" in words else 20.0)
+    end_waiting()  # those of other tests
     with pytest.raises(ChildProcessError):  # none is left
         os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_series_takes_one_process():
+    first = in_own_process(os.getpid, seconds=20.0)
+    assert first != os.getpid()
+    assert in_own_process(os.getpid, seconds=20.0) == first
+    os.kill(first, signal.SIGKILL)  # while it waits
+    other = in_own_process(os.getpid, seconds=20.0)
+    assert other not in (first, os.getpid())
+    assert in_own_process(partial(os.getenv, "none"), seconds=20.0) is None
+    with pytest.raises(LostProcessError, match="signal SIGABRT"):
+        in_own_process(os.abort, seconds=20.0)
+    assert in_own_process(os.getpid, seconds=20.0) not in (first, other, os.getpid())
+
+
+def test_a_process_without_work_ends_by_itself():
+    end_waiting()
+    child = in_own_process(os.getpid, seconds=20.0)
+    assert os.waitpid(child, 0) == (child, 0)
 
 
 def test_answers_of_another_process_are_whole(capfd):

@@ -244,7 +244,8 @@ class CrossValidation:
             begin = inner_bodies(begin[beyond], blocks, self.dataset.payload)
             inertial, bounds = self._inertial_and_bounds
             begin = np.where(inertial, begin, x[beyond])
-            found = physical_minimizers(grams[beyond], rhs[beyond], blocks, begin, bounds)
+            left = [block for block in blocks if not are_physical(x[beyond], [block]).all()]
+            found = physical_minimizers(grams[beyond], rhs[beyond], blocks, begin, bounds, left)
             parts = zip(beyond, found.x, found.slope, found.hessian, strict=True)
             for f, at, slope, hessian in parts:
                 scale = 1.0 / np.sqrt(np.diag(hessian))
