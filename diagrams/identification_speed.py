@@ -27,6 +27,7 @@ from rich.progress import track
 
 from geodrake.identification import solve_fit
 from geodrake.identification.newton import newton_sweep, solve_newton
+from geodrake.identification.own_process import end_waiting
 
 
 def whole_times(case: Case, repeats: int) -> dict[str, float]:
@@ -106,6 +107,7 @@ def cpu_time(work: Callable[[], object]) -> float:
 
 
 def _cpu_clock() -> float:
+    end_waiting()  # whose time counts as soon as they have ended
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
@@ -141,6 +143,7 @@ def print_peak(case: Case | None, what: str) -> None:
         peak = next(float(line.split()[1]) for line in lines if line.startswith("VmHWM"))
     else:
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    end_waiting()
     solver = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # which is a copy of this one
     print(max(peak, solver) / 1024)
 

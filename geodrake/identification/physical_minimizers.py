@@ -86,6 +86,7 @@ def physical_minimizers(
     blocks: Sequence[int],
     start: Array,
     bounds: tuple[Array, Array],
+    *,
     beyond: Sequence[int] | None = None,
 ) -> PhysicalMinima:
     """Minimizers of ½ xᵀ G x − rᵀ x with physical bodies within bounds, for F problems at once.

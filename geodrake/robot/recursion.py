@@ -53,7 +53,7 @@ def pieces(
         the n samples. The next body overwrites the block.
     """
     work = _Workspace(tree, min(len(samples[0]), piece_size(tree)))
-    for part, piece in _parts(tree, samples):
+    for part, piece in sample_pieces(tree, samples):
         yield part, _blocks(tree, piece, work)
 
 
@@ -73,12 +73,17 @@ def motion_pieces(
         piece overwrites the motions.
     """
     work = _Workspace(tree, min(len(samples[0]), piece_size(tree)))
-    for part, piece in _parts(tree, samples):
+    for part, piece in sample_pieces(tree, samples):
         yield part, piece, [motion for _, motion in _motions(tree, piece, work)]
 
 
-def _parts(tree: KinematicTree, samples: Samples) -> Iterator[tuple[slice, Samples]]:
-    """Samples in pieces that fit the cache, with the samples as the last axis."""
+def sample_pieces(tree: KinematicTree, samples: Samples) -> Iterator[tuple[slice, Samples]]:
+    """Samples in pieces that fit the cache, with the samples as the last axis.
+
+    Args:
+        tree: The kinematic tree.
+        samples: Positions (N, nq), velocities (N, nv) and accelerations (N, nv) in Drake's order.
+    """
     count, size = len(samples[0]), piece_size(tree)
     for start in range(0, count, size):
         part = slice(start, min(start + size, count))

@@ -18,7 +18,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.boundary.arguments import Sizes, integer, real_array
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.recursion import Samples, piece_size, pieces
+from geodrake.robot.newton_euler import efforts
+from geodrake.robot.recursion import Samples, piece_size, pieces, sample_pieces
 
 
 def inverse_dynamics_regressor(
@@ -79,7 +80,7 @@ def inverse_dynamics(
     vd: ArrayLike,
     phi: ArrayLike,
 ) -> Array:
-    """Efforts (N, nv) that a motion needs, Y φ, without the memory for Y.
+    """Efforts (N, nv) that a motion needs, Y φ, without Y.
 
     Args:
         plant: As in `inverse_dynamics_regressor`.
@@ -90,10 +91,9 @@ def inverse_dynamics(
     """
     tree, samples = checked_samples(plant, q, v, vd)
     phi = real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY))
-    effort = np.zeros((len(samples[0]), tree.num_velocities))
-    for part, blocks in pieces(tree, samples):
-        for mobilizer, block in blocks:
-            effort[part, mobilizer.dofs] += np.tensordot(block, phi[mobilizer.body], (0, 0)).T
+    effort = np.empty((len(samples[0]), tree.num_velocities))
+    for part, piece in sample_pieces(tree, samples):
+        effort[part] = efforts(tree, piece, phi).T
     return effort
 
 

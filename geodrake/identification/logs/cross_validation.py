@@ -245,7 +245,9 @@ class CrossValidation:
             inertial, bounds = self._inertial_and_bounds
             begin = np.where(inertial, begin, x[beyond])
             left = [block for block in blocks if not are_physical(x[beyond], [block]).all()]
-            found = physical_minimizers(grams[beyond], rhs[beyond], blocks, begin, bounds, left)
+            found = physical_minimizers(
+                grams[beyond], rhs[beyond], blocks, begin, bounds, beyond=left
+            )
             parts = zip(beyond, found.x, found.slope, found.hessian, strict=True)
             for f, at, slope, hessian in parts:
                 scale = 1.0 / np.sqrt(np.diag(hessian))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -97,22 +98,19 @@ def _carried(
 ) -> Array:
     """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
     some = segment[:: max(1, len(segment) // _POSES)]
-    poses, joints = len(some), len(trajectory.joints)
-    # The motion once as it is and once for every joint that is faster, together in one series;
-    # before them once more, so that what effects remember is the same for all.
-    q, v, vd, time = (
-        np.concatenate([each] * (joints + 2))
-        for each in (
-            model.positions(some.position),
-            some.velocity,
-            some.acceleration,
-            some.time - trajectory.began,
-        )
+    motion = Motion(
+        model.positions(some.position),
+        some.velocity,
+        some.acceleration,
+        some.time - trajectory.began,
     )
-    faster = vd.reshape(joints + 2, poses, joints)
-    faster[2:] += np.diag(trajectory.acceleration_noise)[:, None]
-    effort = model.effort(Motion(q, v, vd, time), sign_width=sign_width).reshape(faster.shape)
-    return np.asarray(np.square(effort[2:] - effort[1]).mean(1).sum(0))
+    power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
+    for j, deviation in enumerate(trajectory.acceleration_noise):
+        faster = motion.vd.copy()
+        faster[:, j] += deviation
+        more = model.effort(replace(motion, vd=faster), sign_width=sign_width) - needed
+        power += np.square(more).mean(0)
+    return power
 
 
 def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began: float) -> Array:
