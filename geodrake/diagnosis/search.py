@@ -210,15 +210,15 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
     if hypothesis.keeps_prior or hypothesis.looseness > 1.0 or hypothesis.has_fixed_bodies:
         return []
-    others = [hypothesis.loosened(factor / hypothesis.looseness) for factor in LOOSER_PRIORS]
     bodies = hypothesis.dataset.bodies
     return _whole(
         hypothesis,
-        others,
+        hypothesis.with_widths(LOOSER_PRIORS),
         kind=effect_of(Role.INERTIA),
         where=bodies,
         parameters=2 * len(bodies),
         criteria=criteria,
+        tried=len(LOOSER_PRIORS),
     )
 
 

@@ -237,8 +237,8 @@ def tuned(hypothesis: Hypothesis) -> Hypothesis:
     """
     if hypothesis.looseness > 1.0:
         return hypothesis
-    others = [hypothesis.loosened(to / hypothesis.looseness) for to in TIGHTER_PRIORS]
-    best = max(others, key=lambda other: gain_of(hypothesis, other))
+    others = hypothesis.with_widths(TIGHTER_PRIORS)
+    best = max(others, key=lambda other: gain_of(hypothesis, other), default=hypothesis)
     return best if gain_of(hypothesis, best) > PENALTY else hypothesis
 
 

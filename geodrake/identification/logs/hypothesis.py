@@ -81,8 +81,11 @@ class Hypothesis:
         Args:
             joints: (nv,) joints that count; all by default.
         """
+        return self._loss_of(self.held_out, joints)
+
+    def _loss_of(self, held_out: HeldOut, joints: NDArray[np.bool_] | None = None) -> Array:
         weight = np.ones(len(self.dataset.joints)) if joints is None else joints
-        return np.asarray(self.held_out.sse @ (weight / self.dataset.effort_std**2))
+        return np.asarray(held_out.sse @ (weight / self.dataset.effort_std**2))
 
     @property
     def has_fixed_bodies(self) -> bool:
@@ -168,6 +171,25 @@ class Hypothesis:
         """This hypothesis with the inertial prior `factor` times as wide, refitted."""
         unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
         return settle(replace(self, unknowns=unknowns, looseness=self.looseness * factor))
+
+    def with_widths(self, widths: Sequence[float]) -> list[Hypothesis]:
+        """This hypothesis with other widths of the inertial prior, refitted.
+
+        Those alone that lower its errors with the weights as they are.
+
+        Args:
+            widths: Widths as shares of the assumed one.
+        """
+        before, found = self.held_out, []
+        for factor in (width / self.looseness for width in widths if width != self.looseness):
+            unknowns = self.unknowns.loosened(factor, 10 * len(self.dataset.bodies))
+            quick = CrossValidation(
+                self.dataset, unknowns, self.weights, delay=self.delay, physical=False
+            ).held_out
+            gain = log_likelihood_gain(before.mse, quick.mse, self.effective).sum()
+            if gain > 0.0 or self.loss().sum() > self._loss_of(quick).sum():
+                found.append(self.loosened(factor))
+        return found
 
     def release(self, effect: Effect) -> Hypothesis:
         """This hypothesis with the parameters of an effect let go, refitted."""
