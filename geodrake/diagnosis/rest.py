@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ Indices = NDArray[np.intp]
 _FREQUENCIES = 100  # of random features
 _WIDTHS = (1.0, 3.0)  # over which functions vary, in deviations of the signals
 _RIDGES = (1e-3, 1e-2, 1e-1, 1.0)  # over the mean square of the features
+_FIRST_RIDGE = 1e-2
+_PROMISING = 3  # functions, by what they leave with the first ridge, are fitted with all of them
 _MOST = 4_000  # samples that are looked at
 
 
@@ -95,21 +98,22 @@ def _predictable(
     scaled = signals / np.maximum(signals.std(axis=0), np.finfo(float).tiny)
     moving = np.flatnonzero(speeds)
     groups = [scaled[:, 0, moving], *(scaled[:, :, sorted({own, k})] for k in moving.tolist())]
-    losses = np.array(
-        [
-            loss
-            for group in groups
-            for features in _waves(group.reshape(len(seen), -1))
-            for loss in _held_out(features, b, at)
-        ]
-    )
-    even, odd = losses[:, ::2], losses[:, 1::2]
+    offered = [
+        _Folds.of(features, b, at)
+        for group in groups
+        for features in _waves(group.reshape(len(seen), -1))
+    ]
+    rough = np.array([features.held_out(_FIRST_RIDGE) for features in offered])
+    promising = {k for part in _halves(rough) for k in np.argsort(part.sum(axis=1))[:_PROMISING]}
+    losses = np.array([offered[k].held_out(ridge) for k in sorted(promising) for ridge in _RIDGES])
     left = np.empty(losses.shape[1])
+    even, odd = _halves(losses)
     left[::2] = even[odd.sum(axis=1).argmin()]
     left[1::2] = odd[even.sum(axis=1).argmin()]
     share = float(1.0 - left.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))
-    return share if false_alarm_probability(gain, 1, len(losses)) <= alarm else 0.0
+    tried = len(offered) * len(_RIDGES)
+    return share if false_alarm_probability(gain, 1, tried) <= alarm else 0.0
 
 
 def _signals(segment: Segment, speeds: Array) -> Array:
@@ -127,14 +131,33 @@ def _waves(signals: Array) -> Iterator[Array]:
         yield np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(angle))])
 
 
-def _held_out(features: Array, b: Array, folds: Indices) -> Iterator[Array]:
-    """(F,) squared error of b in each fold by ridge regressions on all others, one a ridge."""
-    parts = [np.flatnonzero(folds == fold) for fold in np.unique(folds)]
-    grams = np.array([features[rows].T @ features[rows] for rows in parts])
-    moments = np.array([features[rows].T @ b[rows] for rows in parts])
-    total, moment = grams.sum(axis=0), moments.sum(axis=0)
-    for ridge in _RIDGES:
-        factors = choleskies(total - grams, ridge * len(b))
-        fits = zip(parts, factors, moment - moments, strict=True)
-        left = [b[rows] - features[rows] @ solved(factor, right) for rows, factor, right in fits]
-        yield np.array([np.square(each).sum() for each in left])
+def _halves(losses: Array) -> tuple[Array, Array]:
+    """Losses (m, F) in every other fold, and in the rest."""
+    return losses[:, ::2], losses[:, 1::2]
+
+
+@dataclass(frozen=True, eq=False)
+class _Folds:
+    """Features (N, k) of a residual (N,), of F folds each, with their normal equations."""
+
+    features: list[Array]
+    residuals: list[Array]
+    grams: Array
+    moments: Array
+
+    @classmethod
+    def of(cls, features: Array, b: Array, folds: Indices) -> _Folds:
+        parts = [folds == fold for fold in np.unique(folds)]
+        rows, left = [features[part] for part in parts], [b[part] for part in parts]
+        grams = np.array([A.T @ A for A in rows])
+        moments = np.array([A.T @ each for A, each in zip(rows, left, strict=True)])
+        return cls(rows, left, grams, moments)
+
+    def held_out(self, ridge: float) -> Array:
+        """(F,) squared error of the residual in each fold by a ridge regression on all others."""
+        grams = self.grams.sum(axis=0) - self.grams
+        factors = choleskies(grams, ridge * sum(map(len, self.residuals)))
+        fits = zip(self.features, self.residuals, factors, self.moments, strict=True)
+        moment = self.moments.sum(axis=0)
+        left = [b - A @ solved(factor, moment - own) for A, b, factor, own in fits]
+        return np.array([np.square(each).sum() for each in left])
