@@ -10,9 +10,10 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
+from importlib.machinery import SourceFileLoader
 from itertools import islice
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 from geodrake.boundary.arguments import file_path
@@ -110,6 +111,14 @@ def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
     return tuple(found)
 
 
+class _AsItStands(SourceFileLoader):
+    """Compiles a file anew: bytecode kept from before may be of another text of the same second."""
+
+    def get_code(self, fullname: str) -> CodeType:
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
 def _import(path: Path) -> ModuleType:
     """Imports a file under a name that depends on where it is, so that files do not collide."""
     digest = hashlib.sha256(os.fsencode(path.resolve())).hexdigest()[:12]
@@ -117,6 +126,8 @@ def _import(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path.absolute())
     if spec is None or spec.loader is None:
         raise ModelError(f"{path} is not a Python file.", advice="Give a file that ends in .py.")
+    if isinstance(spec.loader, SourceFileLoader):
+        spec.loader = _AsItStands(name, str(path.absolute()))
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up while they are made
     folder = Path.cwd()

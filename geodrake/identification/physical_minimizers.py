@@ -122,7 +122,7 @@ def _with_bodies_kept(
     constrained = np.isfinite(bounds[0]) | np.isfinite(bounds[1])
     constrained[_places(blocks)] = True
     at, rest = np.flatnonzero(constrained), np.flatnonzero(~constrained)
-    small = np.searchsorted(at, blocks)
+    small = np.searchsorted(at, blocks).tolist()
     within = bounds[0][at], bounds[1][at]
     if not len(rest):
         return _inner_minima(_Problem.of(gram, rhs, small, within), start)
