@@ -107,7 +107,7 @@ def cpu_time(work: Callable[[], object]) -> float:
 
 
 def _cpu_clock() -> float:
-    end_waiting()  # whose time counts as soon as they have ended
+    end_waiting()  # so that the time of its process counts
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 

@@ -66,7 +66,11 @@ class LogOptions:
     ] = None
     bandwidth: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="Bandwidth of the filter; chosen from the data if absent."),
+        typer.Option(
+            metavar="HZ",
+            help="Bandwidth of the filter; if absent, that of the model's fit to the same logs, or "
+            "chosen from the data.",
+        ),
     ] = None
     known_payload: Annotated[
         list[str] | None,

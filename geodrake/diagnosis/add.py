@@ -53,7 +53,8 @@ def add(
             then that of all efforts), or the body that helps most, or of the pairs of joints that
             follow each other the one that does.
         extra: Effect classes of the user's own that may be named.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
 
     Returns:

@@ -72,7 +72,8 @@ def _exchanged(
     simpler = _keeping_bases(hypothesis, own, _simpler(hypothesis, own))
     others = _keeping_bases(hypothesis, own, _others(hypothesis, own, split))
     bare = hypothesis.stripped(*gone)
-    as_it_is, *trials = try_packages(bare, [own, *simpler, *others], 1 + len(simpler) + len(others))
+    packages = [own, *simpler, *others]
+    as_it_is, *trials = try_packages(bare, packages, len(packages), rivals=True)
     better = [t for t in trials[len(simpler) :] if t.score > as_it_is.score + PENALTY]
     best = _best_of(hypothesis, gone, better)
     if best is not None and _convinces(hypothesis, best, gone, criteria):

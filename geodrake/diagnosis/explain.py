@@ -68,8 +68,9 @@ def explain(
         model: The model as it stands.
         logs: Logs or their files; several logs are several trajectories.
         extra: Effect classes of the user's own to try beside the catalogue's.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data, and another one
-            where play or a soft joint shows only there (a note says so).
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data; another one where play or a soft joint shows only there (a
+            note says so).
         blocks: Blocks into which every log is cut for validation.
         criteria: When an effect counts as found.
         progress: Called with each step, in words and with the held-out nrms.

@@ -57,7 +57,7 @@ def final_fit(
         settled = replace(settled, unknowns=with_companions(settled.unknowns, reopened.dataset))
         settled = settle(settled, iterations=_MOST_ITERATIONS)
     seen = tuple(dict.fromkeys((*case.model.fitted_to, *case.fingerprints)))
-    base = replace(case.model, fitted_to=seen)
+    base = replace(case.model, fitted_to=seen, bandwidths=case.bandwidths)
     # Weights of maximum likelihood, so that the information is that of the parameters.
     held_out = settled.held_out
     weights = settled.effective / held_out.samples.sum(0) / held_out.mse

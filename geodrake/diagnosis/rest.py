@@ -104,12 +104,12 @@ def _predictable(
         for features in _waves(group.reshape(len(seen), -1))
     ]
     rough = np.array([features.held_out(_FIRST_RIDGE) for features in offered])
-    promising = {k for part in _halves(rough) for k in np.argsort(part.sum(axis=1))[:_PROMISING]}
-    losses = np.array([offered[k].held_out(ridge) for k in sorted(promising) for ridge in _RIDGES])
-    left = np.empty(losses.shape[1])
-    even, odd = _halves(losses)
-    left[::2] = even[odd.sum(axis=1).argmin()]
-    left[1::2] = odd[even.sum(axis=1).argmin()]
+    left = np.empty(rough.shape[1])
+    even, odd = slice(0, None, 2), slice(1, None, 2)
+    for held, judges in ((even, odd), (odd, even)):
+        promising = np.argsort(rough[:, judges].sum(axis=1))[:_PROMISING]
+        losses = np.array([offered[k].held_out(ridge) for k in promising for ridge in _RIDGES])
+        left[held] = losses[losses[:, judges].sum(axis=1).argmin(), held]
     share = float(1.0 - left.sum() / np.square(b).sum())
     gain = -joint.effective * np.log1p(-max(share, 0.0))
     tried = len(offered) * len(_RIDGES)
@@ -131,14 +131,16 @@ def _waves(signals: Array) -> Iterator[Array]:
         yield np.column_stack([np.cos(angle), np.sin(angle), np.ones(len(angle))])
 
 
-def _halves(losses: Array) -> tuple[Array, Array]:
-    """Losses (m, F) in every other fold, and in the rest."""
-    return losses[:, ::2], losses[:, 1::2]
-
-
 @dataclass(frozen=True, eq=False)
 class _Folds:
-    """Features (N, k) of a residual (N,), of F folds each, with their normal equations."""
+    """A residual and features of it, fold by fold, with their normal equations.
+
+    Attributes:
+        features: (N_f, k) features of each fold.
+        residuals: (N_f,) residual of each fold.
+        grams: (F, k, k) products of the features of each fold.
+        moments: (F, k) products of features and residual.
+    """
 
     features: list[Array]
     residuals: list[Array]
@@ -147,6 +149,7 @@ class _Folds:
 
     @classmethod
     def of(cls, features: Array, b: Array, folds: Indices) -> _Folds:
+        """From features (N, k), a residual (N,) and the fold (N,) of each sample."""
         parts = [folds == fold for fold in np.unique(folds)]
         rows, left = [features[part] for part in parts], [b[part] for part in parts]
         grams = np.array([A.T @ A for A in rows])

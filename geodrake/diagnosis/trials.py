@@ -125,6 +125,7 @@ def try_packages(
     tried: int,
     *,
     least: Criteria | None = None,
+    rivals: bool = False,
 ) -> list[Trial]:
     """Held-out evidence for each of several packages; see `try_package`.
 
@@ -133,6 +134,8 @@ def try_packages(
         packages: The effects to try together, one package after another.
         tried: Number of candidates that compete, for the probability of a false alarm.
         least: As for `try_package`.
+        rivals: Whether the others are rivals of the first one. Those that gain far less have the
+            effective samples of the first.
     """
     dataset, before, present = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
     trials, promising = list[Trial](), list[int]()
@@ -146,12 +149,32 @@ def try_packages(
     columns = [np.concatenate([present, columns_of(dataset, packages[k])]) for k in promising]
     parameters = [fits[k].x for k in promising]
     tried_ones = list(zip(columns, parameters, strict=True))
-    counts = effective_of_each(dataset, tried_ones, delay=hypothesis.delay)
+    counts = _counts(hypothesis, [fits[k].mse for k in promising], tried_ones, rivals=rivals)
     for k, effective in zip(promising, counts, strict=True):
         gain = float(log_likelihood_gain(before.mse, fits[k].mse, effective).sum())
         alarm = false_alarm_probability(gain, packages[k].parameters, tried)
         trials[k] = replace(trials[k], gain=gain, alarm=alarm)
     return trials
+
+
+def _counts(
+    hypothesis: Hypothesis,
+    errors: Sequence[Array],
+    fits: Sequence[tuple[Indices, Array]],
+    *,
+    rivals: bool,
+) -> Array:
+    """(m, nv) effective samples of m fits, with their mean squared errors (nv,)."""
+    dataset, delay = hypothesis.dataset, hypothesis.delay
+    if not rivals or len(fits) < 2:
+        return effective_of_each(dataset, fits, delay=delay)
+    first = effective_of_each(dataset, fits[:1], delay=delay)
+    before = hypothesis.held_out.mse
+    gains = np.array([log_likelihood_gain(before, mse, first[0]).sum() for mse in errors])
+    near = [k for k in range(1, len(fits)) if gains[k] >= MOST * gains[0]]
+    counts = np.repeat(first, len(fits), axis=0)
+    counts[near] = effective_of_each(dataset, [fits[k] for k in near], delay=delay)
+    return counts
 
 
 def is_nothing(dataset: Dataset, effects: Sequence[Effect], x: Array) -> bool:

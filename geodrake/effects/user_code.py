@@ -112,7 +112,7 @@ def candidates_of(effect: type[Effect], *place: Any) -> tuple[Effect, ...]:
 
 
 class _AsItStands(SourceFileLoader):
-    """Compiles a file anew: bytecode kept from before may be of another text of the same second."""
+    """Compiles a file anew: kept bytecode counts as that of a file of the same second and size."""
 
     def get_code(self, fullname: str) -> CodeType:
         path = self.get_filename(fullname)

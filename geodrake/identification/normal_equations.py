@@ -28,7 +28,7 @@ def cholesky(matrix: Array, ridge: float = RIDGE) -> Array:
 
 
 def choleskies(matrices: Array, ridge: float = RIDGE) -> list[Array]:
-    """The lower Cholesky factor of each of F symmetric matrices of unit diagonal, with a ridge.
+    """The lower Cholesky factor of each of F symmetric matrices, with a ridge.
 
     LAPACK is called as it is: such matrices are small, and there are thousands of them.
 

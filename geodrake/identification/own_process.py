@@ -7,6 +7,7 @@ and has all data.
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import os
 import pickle
@@ -41,7 +42,7 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     Args:
         work: Called without arguments; what it returns is pickled, what it prints is dropped. A
             copy that waits takes it if it can be pickled too.
-        seconds: Time it may take.
+        seconds: Time it may take. Where a copy that waited ends, a new one has what is left.
 
     Raises:
         GeodrakeError: What the function raised.
@@ -54,13 +55,14 @@ def in_own_process(work: Callable[[], T], *, seconds: float) -> T:
     answer = None
     if copy is not None and question is not None and copy.told(question):
         answer = copy.answer(over, seconds)
-    if copy is None or answer is None:  # one that waited may have ended meanwhile
+    if copy is None or answer is None:
+        # One that waited may have ended before it was asked: only a new one's end is told.
         copy = _Copy(work)
         answer = copy.answer(over, seconds)
     if answer is None:
         raise LostProcessError(f"ended with {copy.end}")
     result, failure = answer
-    if isinstance(failure, LostProcessError):
+    if question is None or _WAITING or isinstance(failure, LostProcessError):
         copy.ended()
     else:
         _WAITING.append(copy)
@@ -100,10 +102,10 @@ class _Copy:
     @classmethod
     def waiting(cls) -> _Copy | None:
         """One that waits for work of this process, if there is one."""
-        while _WAITING:
-            copy = _WAITING.pop()
-            if copy._owner == os.getpid():
-                return copy
+        with contextlib.suppress(IndexError):  # none is left; another thread may have taken it
+            while (copy := _WAITING.pop())._owner != os.getpid():
+                pass  # a process that forked this one has it
+            return copy
         return None
 
     def told(self, question: bytes) -> bool:
@@ -142,19 +144,24 @@ class _Copy:
         """Make sure that it has ended, and find out how."""
         self._line.close()
         try:
-            os.kill(self._child, signal.SIGKILL)  # which does nothing to one that has ended
-            code = os.waitstatus_to_exitcode(os.waitpid(self._child, 0)[1])
+            child, status = os.waitpid(self._child, os.WNOHANG)
+            if not child:
+                os.kill(self._child, signal.SIGKILL)
+                _, status = os.waitpid(self._child, 0)
         except (ProcessLookupError, ChildProcessError):
-            self.end = "nobody knows what"  # where the program has its children reaped elsewhere
+            # The program has its children reaped elsewhere, and the number may be another's.
+            self.end = "nobody knows what"
         else:
+            code = os.waitstatus_to_exitcode(status)
             self.end = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
 
 
 _WAITING: list[_Copy] = []
+"""The copy that waits, if there is one: to fork is what it saves. It ends if its process does."""
 
 
 def end_waiting() -> None:
-    """End the copies of this process that wait for work, which they do by themselves soon."""
+    """End the copy of this process that waits for work, so that its time counts as this one's."""
     while (copy := _Copy.waiting()) is not None:
         copy.ended()
 
@@ -163,7 +170,7 @@ def _pickled(work: Callable[[], Any]) -> bytes | None:
     """A function as bytes; None where it cannot be pickled, as Drake's programs cannot."""
     try:
         return pickle.dumps(work)
-    except (pickle.PicklingError, AttributeError, TypeError):
+    except Exception:  # whatever a user's class raises
         return None
 
 

@@ -91,8 +91,8 @@ def physical_minimizers(
 ) -> PhysicalMinima:
     """Minimizers of ½ xᵀ G x − rᵀ x with physical bodies within bounds, for F problems at once.
 
-    Bodies that stay physical by themselves need no constraint: what has none is eliminated, and
-    a body that leaves only then has its own too.
+    Parameters without constraints are eliminated. If a body then becomes unphysical, it is
+    constrained as well, and the problem is solved again.
 
     Args:
         gram: (F, p, p) positive definite matrices G.
@@ -100,12 +100,12 @@ def physical_minimizers(
         blocks: First parameter of every inertia block.
         start: (F, p) parameters whose bodies are physical.
         bounds: Lower and upper bounds (p,), infinite for inertial parameters.
-        beyond: Those of the blocks whose bodies are to be kept at first; all by default.
+        beyond: Blocks to constrain from the start; all by default.
 
     Raises:
         IdentificationError: The method does not end.
     """
-    kept = list(blocks if beyond is None else beyond)
+    kept = list(beyond or blocks)
     while True:
         found = _with_bodies_kept(gram, rhs, kept, start, bounds)
         others = [block for block in blocks if block not in kept]

@@ -182,6 +182,7 @@ class Trajectory:
         began: Its first time stamp, s.
         payloads: Known payloads that the robot carried.
         effort_uncertainty: How well the gains of the efforts are known.
+        bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
     """
 
     name: str
@@ -194,6 +195,7 @@ class Trajectory:
     began: float = 0.0
     payloads: tuple[KnownPayload, ...] = ()
     effort_uncertainty: float = 0.0
+    bandwidths: tuple[float, float] = (0.0, 0.0)
 
     @property
     def output_counts(self) -> tuple[int, ...]:

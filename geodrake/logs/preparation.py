@@ -118,6 +118,7 @@ def _prepare(
         float(log.time[0]),
         log.payloads,
         log.effort_uncertainty,
+        (bandwidth, motion_bandwidth),
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)

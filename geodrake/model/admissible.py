@@ -7,7 +7,7 @@ admitted, and what rounding and the tolerance of solvers put beyond them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import chain, combinations
 
 import numpy as np
 
@@ -28,8 +28,8 @@ def check_model(model: RobotModel) -> None:
     """Refuses a model whose numbers no robot can have.
 
     Inertial parameters φ of every body need P(φ) ⪰ 0 and a mass, parameters of effects must lie on
-    the effect's manifold or its edge, deviations and noise must not be negative, and the
-    information matrix must be symmetric and positive semidefinite.
+    the effect's manifold or its edge, deviations and noise must not be negative, bandwidths
+    positive, and the information matrix must be symmetric and positive semidefinite.
 
     Raises:
         ModelError: The message has the field and the value.
@@ -50,6 +50,12 @@ def check_model(model: RobotModel) -> None:
                 raise ModelError(
                     f"{field} of {joint!r} is {value:g}, which is no number from 0 to {LARGEST:g}."
                 )
+    for bandwidth in chain.from_iterable(model.bandwidths.values()):
+        if not 0.0 < bandwidth <= LARGEST:
+            raise ModelError(
+                f"bandwidths have {bandwidth:g} Hz, which is no number above 0 and up to "
+                f"{LARGEST:g}."
+            )
     if model.information is not None:
         _check_information(model.information)
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -47,6 +47,8 @@ class RobotModel:
         effort_noise: (nv,) RMS of the efforts that the fit left unexplained on held-out data, N·m
             or N; None if the model was never fitted.
         fitted_to: Fingerprints of the logs that the model was fitted to.
+        bandwidths: Fingerprint of each of them -> bandwidths of efforts and of the motion, Hz, in
+            the last fit to it.
         fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
             where it was not seen to.
         notes: What was noticed while loading: repairs, things left out.
@@ -62,6 +64,7 @@ class RobotModel:
     fitted_to: tuple[str, ...] = ()
     fading_speed: Array | None = None
     notes: tuple[str, ...] = ()
+    bandwidths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def tree(self) -> KinematicTree:

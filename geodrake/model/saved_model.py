@@ -56,6 +56,7 @@ class SavedModel:
         effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
         fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
         fitted_to: Fingerprints of the logs that the model was fitted to.
+        bandwidths: Fingerprint of each of them -> bandwidths of efforts and of the motion, Hz.
     """
 
     format: str = FORMAT
@@ -67,6 +68,7 @@ class SavedModel:
     effort_noise: dict[str, float] = dc.field(default_factory=dict)
     fading_speed: dict[str, float] = dc.field(default_factory=dict)
     fitted_to: list[str] = dc.field(default_factory=list)
+    bandwidths: dict[str, list[float]] = dc.field(default_factory=dict)
     information: list[list[float]] = dc.field(default_factory=list)
 
 
@@ -137,6 +139,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         effort_noise=_by_joint(model, model.effort_noise),
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
+        bandwidths={log: list(both) for log, both in model.bandwidths.items()},
         information=[] if model.information is None else model.information.tolist(),
     )
     return str(yaml_dump_typed(saved, schema=SavedModel))
@@ -280,8 +283,14 @@ def _with_parameters(
         effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
         fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
+        bandwidths=_bandwidths(saved.bandwidths),
         notes=notes,
     )
+
+
+def _bandwidths(saved: dict[str, list[float]]) -> dict[str, tuple[float, float]]:
+    pairs = {log: _numbers("bandwidths", both, 2).tolist() for log, both in saved.items()}
+    return {log: (efforts, motion) for log, (efforts, motion) in pairs.items()}
 
 
 def _fitted_effect(

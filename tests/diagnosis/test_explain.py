@@ -70,6 +70,14 @@ def with_friction(model):
     return replace(model, effects=tuple(effects))
 
 
+def test_logs_of_a_fit_keep_its_bandwidth(fitted, logs):
+    again, asked = compare(fitted, logs), compare(fitted, logs, bandwidth=BANDWIDTH)
+    assert any("as the model was fitted at" in note for note in again.notes)
+    np.testing.assert_allclose(rms(again.errors), rms(asked.errors))
+    other = compare(fitted, [pendulum_log(3, HIDDEN)])
+    assert any("chosen from the data" in note for note in other.notes)
+
+
 def payload_effort(q, v, vd, load):
     """What a heavier lower link needs beyond the model's, by hand: a point mass of 0.3 kg.
 

@@ -80,6 +80,14 @@ def test_a_series_takes_one_process():
     assert in_own_process(os.getpid, seconds=20.0) not in (first, other, os.getpid())
 
 
+def test_work_that_cannot_be_pickled_leaves_no_process():
+    end_waiting()
+    for _ in range(3):
+        assert in_own_process(lambda: 1, seconds=20.0) == 1
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
 def test_a_process_without_work_ends_by_itself():
     end_waiting()
     child = in_own_process(os.getpid, seconds=20.0)

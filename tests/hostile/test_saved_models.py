@@ -47,6 +47,8 @@ fading_speed:
   shoulder: 0.015625
   elbow: 0.0
 fitted_to: [abc]
+bandwidths:
+  abc: [5.0, 15.0]
 """
 ROWS_OF_INFORMATION = 20 + 1 + 2 + 2 + 10
 
@@ -330,6 +332,8 @@ IN_THE_REST = [
         "information",
     ),
     *each("noise", "shoulder: «0.0625»", (*NO_NUMBERS, "-0.1", "loud"), "effort_noise"),
+    *each("bandwidths", "abc: [«5.0», 15.0]", (*NO_NUMBERS, "-0.1", "0.0", "wide"), "bandwidths"),
+    part("one bandwidth", "[5.0, 15.0]", "[5.0]", "bandwidths"),
     *each("fading speed", "shoulder: «0.015625»", (*NO_NUMBERS, "-0.1", "slow"), "fading_speed"),
     part(
         "noise of a joint that is not there",

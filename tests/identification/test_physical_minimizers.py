@@ -70,6 +70,17 @@ def test_as_good_as_the_conic_solver(seed):
         assert ours < theirs + 2e-3 + 1e-6 * abs(theirs)
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("first", [[], BLOCKS[:1], BLOCKS[1:]])
+def test_bodies_that_leave_are_constrained_whichever_were_at_first(seed, first):
+    gram, rhs = problems(seed)
+    bounds = LOWER, UPPER
+    whole = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds).x
+    found = physical_minimizers(gram, rhs, BLOCKS, start_of(3), bounds, beyond=first).x
+    assert are_physical(found, BLOCKS).all()
+    assert (np.abs(costs(gram, rhs, found) - costs(gram, rhs, whole)) < 2e-3).all()
+
+
 def test_where_all_is_physical_it_is_the_plain_minimum():
     gram, rhs = problems(0, pull=0.0)
     plain = np.linalg.solve(gram, rhs[..., None])[..., 0]

@@ -75,7 +75,7 @@ def fitted(tmp_path):
     p = model.phi.size + sum(len(e.parameters) for e in effects)
     root = rng.normal(size=(p, p))
     fading = np.array([0.0, 0.01, 1 / 3, 0.0, 0.0, 0.0])
-    return replace(model, fading_speed=fading).with_fit(
+    return replace(model, fading_speed=fading, bandwidths={"abc": (3.0, 10 / 3)}).with_fit(
         model.phi * rng.uniform(1.0, 1.1, (len(model.bodies), 1)),
         effects,
         information=root @ root.T,
@@ -100,6 +100,7 @@ def test_comes_back_exactly(fitted, saved):
         np.testing.assert_array_equal(getattr(again, name), getattr(fitted, name))
     np.testing.assert_array_equal(again.delays, fitted.delays)
     assert fitted.delays.any()
+    assert again.bandwidths == fitted.bandwidths
     assert again.notes == fitted.notes
 
 

@@ -55,7 +55,7 @@ def roll_out(
         horizon: Length of a window, s.
         most: Most windows; they are spread evenly over all that moves.
         bandwidth: Bandwidth of the filter that the initial states are smoothed with, Hz; by default
-            chosen from the data.
+            that of the model's fit to the same logs, or chosen from the data.
         progress: Called with each window: its log, and the share that is done.
 
     Raises:

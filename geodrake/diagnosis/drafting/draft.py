@@ -51,7 +51,8 @@ def draft_effects(
         model: The model as it stands.
         logs: Logs or their files; several logs are several trajectories.
         extra: Effect classes of the user's own to try beside the catalogue's.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
         criteria: When an effect or a formula counts as found.
         progress: Called with each step, in words and with the held-out nrms.

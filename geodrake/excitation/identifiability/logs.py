@@ -55,7 +55,8 @@ def log_identifiability(
             a tenth.
         noise: Deviation of a filtered effort: one, or one a joint, N·m or N. By default what the
             refitted model leaves on held-out data, counted by effective samples.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
         progress: Called with what is going on, in words.
 

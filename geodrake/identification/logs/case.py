@@ -108,6 +108,12 @@ class Case:
         return max(log.effort_uncertainty for log in self.asked.logs)
 
     @property
+    def bandwidths(self) -> dict[str, tuple[float, float]]:
+        """Of the logs of the model's fits, and of these, by their fingerprints."""
+        own = dict.fromkeys(self.fingerprints, self.trajectories[0].bandwidths)
+        return {**self.model.bandwidths, **own}
+
+    @property
     def load_model(self) -> RobotModel:
         """The model that gives the load of every joint."""
         return self.model if self.loads is None else replace(self.model, phi=self.loads)
@@ -136,7 +142,8 @@ def open_case(
         logs: Logs or their files.
         candidates: Whether effects that the model lacks get columns too.
         extra: Effect classes of the user's own to try.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default that at which the model was fitted to
+            these logs, or chosen from the data.
         blocks: Blocks into which every log is cut for validation; by default whole logs if there
             are four or more, and about eight blocks otherwise.
         motion_bandwidth: As in `prepare_logs`, for a given bandwidth.
@@ -154,7 +161,13 @@ def open_case(
     limits = effort_limits(model.plant)
     hints = [hint for each in uniform for hint in _hints(each.log, limits)]
     hints += payload_notes(model, matched)
-    if bandwidth is None:
+    fitted = all(log.fingerprint in model.fitted_to for log in matched)
+    known = {model.bandwidths.get(log.fingerprint) for log in matched}
+    if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
+        trajectories = prepare_logs(
+            uniform, bandwidth=both[0], motion_bandwidth=both[1], how="as the model was fitted at"
+        )
+    elif bandwidth is None:
         trajectories, changed = prepare_for_model(model, uniform)
         hints += [changed] if changed else []
     else:
@@ -170,11 +183,18 @@ def open_case(
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
     shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow
-    known = not candidates and all(log.fingerprint in model.fitted_to for log in matched)
     dataset = reduce_logs(
-        model, trajectories, folds, effects=effects, delays=delays, fitted=known, shared=shared
+        model,
+        trajectories,
+        folds,
+        effects=effects,
+        delays=delays,
+        fitted=fitted and not candidates,
+        shared=shared,
     )
-    hints += [_filtered_note(trajectory, fitted=known or candidates) for trajectory in trajectories]
+    hints += [
+        _filtered_note(trajectory, fitted=fitted or candidates) for trajectory in trajectories
+    ]
     notes = [*model.notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]

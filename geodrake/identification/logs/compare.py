@@ -36,7 +36,8 @@ def compare(
     Args:
         model: The model; nothing in it is refitted.
         logs: Logs or their files.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
         blocks: Blocks into which every log is cut.
 
     Returns:

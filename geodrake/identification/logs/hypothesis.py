@@ -175,7 +175,8 @@ class Hypothesis:
     def with_widths(self, widths: Sequence[float]) -> list[Hypothesis]:
         """This hypothesis with other widths of the inertial prior, refitted.
 
-        Those alone that lower its errors with the weights as they are.
+        Only those are returned that lower its errors in a quick fit: with the weights as they are,
+        and bodies that need not be physical.
 
         Args:
             widths: Widths as shares of the assumed one.

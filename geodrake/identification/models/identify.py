@@ -271,4 +271,4 @@ def _fitted(
         effort_noise=held_out.rms,
     )
     seen = tuple(dict.fromkeys((*prior.fitted_to, *case.fingerprints)))
-    return replace(fitted, fitted_to=seen)
+    return replace(fitted, fitted_to=seen, bandwidths=case.bandwidths)

@@ -113,7 +113,8 @@ class IdentificationSettings:
             any parameters reach; above 1, and up to a million.
         total_mass: Mass of all moving bodies together, payloads included, kg, if it is known.
         compare: Whether to solve with all regularizers at the same training residual too.
-        bandwidth: Bandwidth of the filter, Hz; by default chosen from the data.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
 
     Raises:
