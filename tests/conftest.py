@@ -53,6 +53,7 @@ def pytest_collection_finish(session):
     workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     session.items[:] = dealt_out(session.items, workers)
     gc.freeze()  # what is imported and collected stays; no search for garbage needs to look there
+    gc.set_threshold(20_000, 20, 20)  # what tests leave is mostly freed by counting references
 
 
 def dealt_out(items, workers):
