@@ -134,8 +134,8 @@ def try_packages(
         packages: The effects to try together, one package after another.
         tried: Number of candidates that compete, for the probability of a false alarm.
         least: As for `try_package`.
-        rivals: Whether the others are rivals of the first one. Those that gain far less have the
-            effective samples of the first.
+        rivals: Whether the others are rivals of the first one that is something. The residuals of
+            those that gain less than half as much count as many effective samples as its own do.
     """
     dataset, before, present = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
     trials, promising = list[Trial](), list[int]()
@@ -164,7 +164,14 @@ def _counts(
     *,
     rivals: bool,
 ) -> Array:
-    """(m, nv) effective samples of m fits, with their mean squared errors (nv,)."""
+    """(m, nv) effective samples of m fits; see `try_packages`.
+
+    Args:
+        hypothesis: What the packages of the fits are added to.
+        errors: Mean squared held-out errors (nv,) of each fit, (N·m)² or N².
+        fits: Columns (p,) and parameters (F, p) of each fit.
+        rivals: As for `try_packages`.
+    """
     dataset, delay = hypothesis.dataset, hypothesis.delay
     if not rivals or len(fits) < 2:
         return effective_of_each(dataset, fits, delay=delay)

@@ -109,7 +109,7 @@ class Case:
 
     @property
     def bandwidths(self) -> dict[str, tuple[float, float]]:
-        """Of the logs of the model's fits, and of these, by their fingerprints."""
+        """Fingerprint -> bandwidths, Hz: of the logs of the model's fits, and of these logs."""
         own = dict.fromkeys(self.fingerprints, self.trajectories[0].bandwidths)
         return {**self.model.bandwidths, **own}
 
