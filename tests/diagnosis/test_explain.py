@@ -78,6 +78,16 @@ def test_logs_of_a_fit_keep_its_bandwidth(fitted, logs):
     assert any("chosen from the data" in note for note in other.notes)
 
 
+def test_a_second_fit_leaves_the_bandwidth_of_the_first(fitted, logs):
+    other = pendulum_log(3, HIDDEN)
+    again = add("effort_offset", fitted, [other], bandwidth=4.0).model
+    first = {log.fingerprint: (BANDWIDTH, 3.0 * BANDWIDTH) for log in logs}
+    assert again.bandwidths == {**first, other.fingerprint: (4.0, 12.0)}
+    assert again.fitted_to == (*fitted.fitted_to, other.fingerprint)
+    notes = compare(again, [logs[0], other]).notes  # that have none in common
+    assert any("chosen from the data" in note for note in notes)
+
+
 def payload_effort(q, v, vd, load):
     """What a heavier lower link needs beyond the model's, by hand: a point mass of 0.3 kg.
 
