@@ -134,7 +134,7 @@ def _is_unidentifiable(fitted: FittedEffect) -> bool:
 
 def _with_episodes(kind: type[Effect], case: Case, start: Hypothesis) -> tuple[Case, Trail]:
     """The episodes that the residual shows."""
-    case, trail, found = with_episodes(case, Trail(start, start, {}))
+    case, trail, found = with_episodes(case, Trail(start, start))
     if not found:
         raise ArgumentError(
             f"No {kind.name} stands out of what the model gets wrong in these logs.",
@@ -156,10 +156,10 @@ def _with_shapes(
         )
     more = _without_columns(kind, case, start, where)
     if more:
-        case, trail = with_columns(case, Trail(start, start, {}), [*case.dataset.effects, *more])
+        case, trail = with_columns(case, Trail(start, start), [*case.dataset.effects, *more])
         start = trail.start
     end = _with(kind, start, case, where)
-    trail, present = Trail(start, end, {}), set(start.unknowns.effects)
+    trail, present = Trail(start, end), set(start.unknowns.effects)
     if to_profile(end, case.dataset.effects, present):
         case, trail = with_continuous_shapes(case, trail, case.dataset.effects, present)
     return case, trail

@@ -63,7 +63,7 @@ def diagnose(
     case = open_case(model, logs, candidates=True, extra=extra, bandwidth=bandwidth, blocks=blocks)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, model))
     hypothesis = tuned(start) if model.information is None else start
-    trail = Trail(start, hypothesis, {})
+    trail = Trail(start, hypothesis)
     for least_share in (DOMINANT, 0.0):
         case, trail = with_suggestions(case, trail, criteria, least_share=least_share)
         step = next_step(trail.end, effects_of(model), criteria)
@@ -140,7 +140,7 @@ def _with_fixed_inertias(case: Case, start: Hypothesis, criteria: Criteria) -> l
     """What explains the logs as well as moved inertias do, if they are not well known."""
     if case.model.information is not None:
         return []
-    hidden = with_fixed_inertias(case, Trail(start, start, {}), effects_of(case.model), criteria)
+    hidden = with_fixed_inertias(case, Trail(start, start), effects_of(case.model), criteria)
     found = [(t.start, _added(hidden.case, t.start, t.end)) for t in hidden.trails]
     return [_candidate(ranked, held.nrms) for held, ranked in found if ranked is not None]
 

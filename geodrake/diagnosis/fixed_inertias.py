@@ -83,7 +83,7 @@ def with_fixed_inertias(
     if found:
         return FixedInertias(case)
     end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable
-    sparing = [Trail(start, after, {}) for after in _sparing(end, criteria, most)]
+    sparing = [Trail(start, after) for after in _sparing(end, criteria, most)]
     answer = _answer(case, sparing, fixed, {_INERTIAS})
     # The way that inertias go is judged by an assumed width: held-out data must say the same.
     better = sparing and _convinces(end, sparing[0].end, criteria)
@@ -129,7 +129,7 @@ def _unmoved(
     begins = [end] if end.delay != start.delay else [start, end] if found else [start]
     for begin in begins:
         unmoving = begin.loosened(FIXED / begin.looseness)
-        other = search(unmoving, fixed, criteria, max_steps=len(found) + 1)
+        other = search(Trail(unmoving, unmoving), fixed, criteria, max_steps=len(found) + 1)
         if explains(other.end) and _is_little(other.end, end, found, fixed):
             less = _less(other.end, fixed, criteria, explains)
             return replace(other, start=start.loosened(FIXED / start.looseness), end=less)

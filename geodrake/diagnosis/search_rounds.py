@@ -64,7 +64,7 @@ def searched(
     Returns:
         The case as it was reduced last, and the trail on its dataset.
     """
-    case, trail = with_suggestions(case, Trail(start, start, {}), criteria, least_share=DOMINANT)
+    case, trail = with_suggestions(case, Trail(start, start), criteria, least_share=DOMINANT)
     state = _run(_State(case, trail, tuple(fixed), criteria), tune=tune, progress=progress)
     case, trail = state.case, state.trail
     loose = trail.end.looseness
@@ -88,9 +88,7 @@ def _run(state: _State, *, tune: bool, progress: Progress | None) -> _State:
         search, criteria=state.criteria, tune=tune, pause=state.to_pause, progress=progress
     )
     for _ in range(_MOST_ROUNDS):
-        more = look(state.trail.end, state.fixed, rivals=state.trail.rivals)
-        fits = (*state.trail.fits, *more.fits)
-        state.trail = replace(more, start=state.trail.start, fits=fits)
+        state.trail = look(state.trail, state.fixed)
         if not state.goes_on():
             break
     if state.timed is not None:
@@ -231,7 +229,7 @@ class _State:
         if to_profile(self.trail.end, self._grid, self._profiled):
             self.case, trail = with_plain_shapes(self.case, self.trail, self._grid, self._profiled)
             self._profiled.update(trail.end.unknowns.effects)
-            end = exchange(trail.end, self._given, self.criteria, split=True)
+            end = exchange(trail.end, self._given, self.criteria, stayed=trail.stayed, split=True)
             self.trail = replace(trail, end=end)
         if to_expand(self.case.model, self.trail.end, self._expanded):
             self.case, self.trail = with_expansions(self.case, self.trail, self._expanded)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from geodrake.diagnosis.exchange import exchange
+from geodrake.diagnosis.exchange import Stayed, exchange
 from geodrake.diagnosis.pairs import rank_pairs
 from geodrake.diagnosis.pruning import prune, reshape
 from geodrake.diagnosis.ranked import Ranked
@@ -31,17 +31,19 @@ class Trail:
         rivals: Effect name -> names that tied with it when it was chosen.
         kept: Effects that stay though inertias could take them in.
         fits: The rivals that were fitted, with their errors.
+        stayed: What stayed where others were tried in its place.
     """
 
     start: Hypothesis
     end: Hypothesis
-    rivals: Mapping[str, tuple[str, ...]]
+    rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     kept: tuple[Effect, ...] = ()
     fits: tuple[FittedRival, ...] = ()
+    stayed: Stayed = field(default_factory=Stayed)
 
 
 def search(
-    start: Hypothesis,
+    trail: Trail,
     fixed: Sequence[Effect],
     criteria: Criteria,
     *,
@@ -49,24 +51,26 @@ def search(
     pause: Callable[[Hypothesis], bool] | None = None,
     max_steps: int = 20,
     progress: Progress | None = None,
-    rivals: Mapping[str, tuple[str, ...]] | None = None,
 ) -> Trail:
     """Add what convinces most, step by step, with swaps and backward elimination after each.
 
     Args:
-        start: The model refitted within its prior.
+        trail: Where to go on; its start is the model refitted within its prior.
         fixed: Effects that stay.
         criteria: When an effect counts as found.
         tune: Whether the data may say that the inertial prior is better than assumed.
         pause: Whether to return with a hypothesis that a step led to, as it is.
         max_steps: Largest number of steps.
         progress: Called with each step.
-        rivals: Those known before.
     """
-    hypothesis = tuned(start) if tune else start
-    rivals, fits = dict(rivals or {}), list[FittedRival]()
+    hypothesis = tuned(trail.end) if tune else trail.end
+    rivals, fits = dict(trail.rivals), [*trail.fits]
+
+    def so_far(end: Hypothesis) -> Trail:
+        return replace(trail, end=end, rivals=rivals, fits=tuple(fits))
+
     for _ in range(max_steps):
-        step = next_step(hypothesis, fixed, criteria)
+        step = next_step(hypothesis, fixed, criteria, trail.stayed)
         if step is None:
             break
         names = step.chosen.reported
@@ -79,10 +83,11 @@ def search(
         if progress is not None:
             progress(" and ".join(step.chosen.names), hypothesis.nrms)
         if pause is not None and pause(hypothesis):
-            return Trail(start, hypothesis, rivals, fits=tuple(fits))
-    settled = _settled(hypothesis, fixed, criteria, tune=tune)
+            return so_far(hypothesis)
+    settled = _settled(hypothesis, fixed, criteria, trail.stayed, tune=tune)
     rivals |= rivals_of_swapped(rivals, hypothesis, settled)
-    return Trail(start, settled, rivals, fits=(*fits, *_swapped(hypothesis, settled)))
+    fits += _swapped(hypothesis, settled)
+    return so_far(settled)
 
 
 def rivals_of_swapped(
@@ -185,7 +190,10 @@ class Forward:
 
 
 def next_step(
-    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
+    hypothesis: Hypothesis,
+    fixed: Sequence[Effect],
+    criteria: Criteria,
+    stayed: Stayed | None = None,
 ) -> Forward | None:
     """The step that convinces most, simplified and pruned; None if nothing convinces.
 
@@ -193,21 +201,25 @@ def next_step(
         hypothesis: Where to start from.
         fixed: Effects that stay.
         criteria: When an effect counts as found.
+        stayed: What stayed before in this search where others were tried in its place.
     """
+    stayed = Stayed() if stayed is None else stayed
     for ranking in (rank, rank_pairs):
         ranked = ranking(hypothesis, criteria)
         while ranked:
             if not any(r.tied for r in ranked):
                 ranked[0] = replace(ranked[0], tied=True)
             chosen = choose(ranked)
-            after = _refined(hypothesis, chosen, fixed, criteria)
+            after = _refined(hypothesis, chosen, fixed, criteria, stayed)
             if after is not None:
                 return Forward(tuple(ranked), chosen, after)
             ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
-    return _anew(hypothesis, fixed, criteria)
+    return _anew(hypothesis, fixed, criteria, stayed)
 
 
-def _anew(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Forward | None:
+def _anew(
+    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria, stayed: Stayed
+) -> Forward | None:
     """A pair of effects in the place of all that was found at a joint, where that is too little.
 
     Effects that came first may be compromises, which no effect more can mend.
@@ -222,7 +234,7 @@ def _anew(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
             chosen = choose(ranked) if ranked else None
             if chosen is None or gain_of(hypothesis, chosen.hypothesis) <= 0.0:
                 continue
-            after = _refined(bare, chosen, fixed, criteria)
+            after = _refined(bare, chosen, fixed, criteria, stayed)
             if after:
                 more = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
                 if gain_of(hypothesis, after) > PENALTY * max(more, 1):
@@ -243,12 +255,17 @@ def tuned(hypothesis: Hypothesis) -> Hypothesis:
 
 
 def _settled(
-    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria, *, tune: bool
+    hypothesis: Hypothesis,
+    fixed: Sequence[Effect],
+    criteria: Criteria,
+    stayed: Stayed,
+    *,
+    tune: bool,
 ) -> Hypothesis:
     """The hypothesis once nothing is left to simplify, prune or tune."""
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = exchange(hypothesis, fixed, criteria)
+        hypothesis = exchange(hypothesis, fixed, criteria, stayed=stayed)
         hypothesis = reshape(hypothesis, fixed)
         hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis
@@ -258,10 +275,14 @@ def _settled(
 
 
 def _refined(
-    hypothesis: Hypothesis, chosen: Ranked, fixed: Sequence[Effect], criteria: Criteria
+    hypothesis: Hypothesis,
+    chosen: Ranked,
+    fixed: Sequence[Effect],
+    criteria: Criteria,
+    stayed: Stayed,
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
-    simple = exchange(chosen.hypothesis, fixed, criteria, at=chosen.where or None)
+    simple = exchange(chosen.hypothesis, fixed, criteria, stayed=stayed, at=chosen.where or None)
     for found in dict.fromkeys((simple, chosen.hypothesis)):
         after = prune(reshape(found, fixed), fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)

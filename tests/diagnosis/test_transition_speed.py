@@ -91,7 +91,7 @@ def test_speed_of_a_joint_that_this_log_does_not_show_is_kept(model):
     known = replace(model, fading_speed=np.array([0.0, 2e-4]))
     case = open_case(known, [log], candidates=True)
     start = first_hypothesis(case.dataset, model_unknowns(case.dataset, known))
-    trail = Trail(start, start.with_effects([CoulombFriction("shoulder")]), {})
+    trail = Trail(start, start.with_effects([CoulombFriction("shoulder")]))
     after = with_transition_speed(case, trail)[0].model
     assert 0.01 < after.fading_speed[0] < 0.025
     assert after.fading_speed[1] == 2e-4
