@@ -7,11 +7,8 @@ against it.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations
-
-import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import (
     Package,
@@ -22,6 +19,7 @@ from geodrake.diagnosis.candidates import (
     simple_at,
 )
 from geodrake.diagnosis.shapes import variants
+from geodrake.diagnosis.stayed import Stayed
 from geodrake.diagnosis.trials import Trial, acted_upon, gain_of, net_gain, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
@@ -31,55 +29,6 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 _FITTED = 2  # the best by quick trials, beside that which reduces the error most
 
 Effects = tuple[Effect, ...]
-
-
-class Stayed:
-    """What stayed when others were tried in its place: asked again only where something changed.
-
-    That is another effect at its place, there or offered, another delay or prior, or errors of its
-    joints that differ by more than an effect must remove.
-    """
-
-    def __init__(self) -> None:
-        self._errors: dict[Hashable, NDArray[np.float64]] = {}
-
-    def has(self, hypothesis: Hypothesis, gone: Effects, split: bool, criteria: Criteria) -> bool:
-        """Whether effects of a hypothesis stayed in one that is the same to them.
-
-        Args:
-            hypothesis: The hypothesis.
-            gone: The effects.
-            split: As for `exchange`.
-            criteria: What an effect must show.
-        """
-        before = self._errors.get(_seen_by(hypothesis, gone, split))
-        if before is None:
-            return False
-        change = np.abs(_errors_of(hypothesis, gone) / before - 1.0)
-        return bool(change.max(initial=0.0) <= criteria.reduction)
-
-    def keep(self, hypothesis: Hypothesis, gone: Effects, split: bool) -> None:
-        """Note that effects of a hypothesis stayed.
-
-        Args:
-            hypothesis: The hypothesis.
-            gone: The effects.
-            split: As for `exchange`.
-        """
-        self._errors[_seen_by(hypothesis, gone, split)] = _errors_of(hypothesis, gone)
-
-
-def _seen_by(hypothesis: Hypothesis, gone: Effects, split: bool) -> Hashable:
-    """All that decides an exchange at a place but the errors."""
-    here = set(gone[0].where)
-    effects = (hypothesis.unknowns.effects, hypothesis.dataset.effects)
-    near = (frozenset(e for e in each if here & set(e.where)) for each in effects)
-    return gone, split, *near, hypothesis.delay, hypothesis.looseness
-
-
-def _errors_of(hypothesis: Hypothesis, gone: Effects) -> NDArray[np.float64]:
-    """Mean squared held-out errors at the joints that effects act upon, (N·m)² or N²."""
-    return hypothesis.held_out.mse[acted_upon(hypothesis.dataset, Package(gone, gone[0].where))]
 
 
 def exchange(
@@ -102,13 +51,14 @@ def exchange(
         split: Whether a shape may be split into another one and a simple effect beside it. Only
             shapes that are no longer bound to a coarse grid differ clearly from such a compromise.
     """
+    question = "split" if split else "exchange"
     for gone in _exchangeable(hypothesis.unknowns.effects, fixed):
         here = at is None or not set(at).isdisjoint(gone[0].where)
         there = set(gone) <= set(hypothesis.unknowns.effects)
-        if here and there and not stayed.has(hypothesis, gone, split, criteria):
+        if here and there and not stayed.has(hypothesis, gone, question):
             other = _exchanged(hypothesis, gone, criteria, split)
             if other is hypothesis:
-                stayed.keep(hypothesis, gone, split)
+                stayed.keep(hypothesis, gone, question)
             hypothesis = other
     return hypothesis
 

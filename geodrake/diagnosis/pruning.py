@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtri
 
-from geodrake.diagnosis.candidates import (
-    Package,
-)
+from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.shapes import variants
+from geodrake.diagnosis.stayed import Stayed
 from geodrake.diagnosis.trials import (
     Trial,
     acted_upon,
@@ -124,22 +123,29 @@ def stands_out(hypothesis: Hypothesis, effect: Effect, *, deviations: float = 3.
 
 
 def reshape(
-    hypothesis: Hypothesis, fixed: Sequence[Effect], *, least: float = PENALTY
+    hypothesis: Hypothesis,
+    fixed: Sequence[Effect],
+    *,
+    stayed: Stayed | None = None,
+    least: float = PENALTY,
 ) -> Hypothesis:
     """Choose shape parameters anew: what fitted best before other effects came may not now.
 
     Args:
         hypothesis: The hypothesis.
         fixed: Effects that stay.
+        stayed: What stayed before in this search, and is added to; None to ask all anew.
         least: Gain from which on another shape is taken.
     """
+    stayed = Stayed() if stayed is None else stayed
     for effect in hypothesis.unknowns.effects:
-        shapes = [
-            other for other in variants(effect, hypothesis.dataset.effects) if other != effect
-        ]
-        if effect not in fixed and shapes:
-            others = [hypothesis.exchanged([effect], [shape]) for shape in shapes]
-            best = max(others, key=lambda other: gain_of(hypothesis, other))
-            if gain_of(hypothesis, best) > least:
-                hypothesis = best
+        shapes = [e for e in variants(effect, hypothesis.dataset.effects) if e != effect]
+        if effect in fixed or not shapes or stayed.has(hypothesis, (effect,), "shape"):
+            continue
+        others = [hypothesis.exchanged([effect], [shape]) for shape in shapes]
+        best = max(others, key=lambda other: gain_of(hypothesis, other))
+        if gain_of(hypothesis, best) > least:
+            hypothesis = best
+        else:
+            stayed.keep(hypothesis, (effect,), "shape")
     return hypothesis

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from geodrake.diagnosis.exchange import Stayed, exchange
+from geodrake.diagnosis.exchange import exchange
 from geodrake.diagnosis.pairs import rank_pairs
 from geodrake.diagnosis.pruning import prune, reshape
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import choose, rank
+from geodrake.diagnosis.stayed import Stayed
 from geodrake.diagnosis.trials import gain_of, open_joints
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, RESTART_MARGIN, TIGHTER_PRIORS, Criteria
@@ -266,7 +267,7 @@ def _settled(
     for _ in range(3):
         before = hypothesis.unknowns.effects
         hypothesis = exchange(hypothesis, fixed, criteria, stayed=stayed)
-        hypothesis = reshape(hypothesis, fixed)
+        hypothesis = reshape(hypothesis, fixed, stayed=stayed)
         hypothesis = prune(hypothesis, fixed, criteria)
         hypothesis = tuned(hypothesis) if tune else hypothesis
         if set(hypothesis.unknowns.effects) == set(before):
@@ -284,7 +285,7 @@ def _refined(
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
     simple = exchange(chosen.hypothesis, fixed, criteria, stayed=stayed, at=chosen.where or None)
     for found in dict.fromkeys((simple, chosen.hypothesis)):
-        after = prune(reshape(found, fixed), fixed, criteria)
+        after = prune(reshape(found, fixed, stayed=stayed), fixed, criteria)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
         if gain_of(hypothesis, after) > PENALTY * max(added, 1):
             return after
