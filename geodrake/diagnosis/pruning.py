@@ -28,17 +28,26 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 _NEARLY_ALL = 0.8  # of the folds
 
 
-def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -> Hypothesis:
+def prune(
+    hypothesis: Hypothesis,
+    fixed: Sequence[Effect],
+    criteria: Criteria,
+    *,
+    stayed: Stayed | None = None,
+) -> Hypothesis:
     """Drop effects, weakest first, that would no longer convince if they were offered now.
 
     Args:
         hypothesis: The hypothesis.
         fixed: Effects that stay (those of the model as it came).
         criteria: When an effect counts.
+        stayed: What stayed before in this search, and is added to; None to ask all anew.
     """
+    stayed = Stayed() if stayed is None else stayed
     needed = set(fixed)
     while True:
         offered = [e for e in hypothesis.unknowns.effects if e not in needed]
+        offered = [e for e in offered if not stayed.has(hypothesis, (e,), "prune")]
         offered = [e for e in offered if not _is_base(hypothesis, e)]
         trials = [(effect, _quick_trial(hypothesis, effect)) for effect in offered]
         for effect, quick in sorted(trials, key=lambda tried: tried[1].score if tried[1] else 0.0):
@@ -47,6 +56,7 @@ def prune(hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria) -
                 hypothesis = reduced
                 break
             needed.add(effect)  # without another one, it is all the more
+            stayed.keep(hypothesis, (effect,), "prune")
         else:
             return hypothesis
 

@@ -13,6 +13,8 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 
 Array = NDArray[np.float64]
 
+_ROUNDING = 1e-9
+
 
 def variants(effect: Effect, effects: Sequence[Effect]) -> list[Effect]:
     """Those of some effects that have the name and the place of one: its shapes.
@@ -98,7 +100,10 @@ def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tupl
     if found is None:
         return effect, 0.0
     name, _ = found
-    tried = sorted(variants(effect, hypothesis.dataset.effects), key=lambda e: getattr(e, name))
+    own, tried = np.log(getattr(effect, name)), variants(effect, hypothesis.dataset.effects)
+    # A finer grid around a shape of another one comes back to it but for rounding.
+    tried = [e for e in tried if e == effect or abs(np.log(getattr(e, name)) - own) > _ROUNDING]
+    tried.sort(key=lambda e: getattr(e, name))
     at = tried.index(effect)
     if not 0 < at < len(tried) - 1:
         return effect, 0.0

@@ -268,7 +268,7 @@ def _settled(
         before = hypothesis.unknowns.effects
         hypothesis = exchange(hypothesis, fixed, criteria, stayed=stayed)
         hypothesis = reshape(hypothesis, fixed, stayed=stayed)
-        hypothesis = prune(hypothesis, fixed, criteria)
+        hypothesis = prune(hypothesis, fixed, criteria, stayed=stayed)
         hypothesis = tuned(hypothesis) if tune else hypothesis
         if set(hypothesis.unknowns.effects) == set(before):
             break
@@ -285,7 +285,7 @@ def _refined(
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
     simple = exchange(chosen.hypothesis, fixed, criteria, stayed=stayed, at=chosen.where or None)
     for found in dict.fromkeys((simple, chosen.hypothesis)):
-        after = prune(reshape(found, fixed, stayed=stayed), fixed, criteria)
+        after = prune(reshape(found, fixed, stayed=stayed), fixed, criteria, stayed=stayed)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
         if gain_of(hypothesis, after) > PENALTY * max(added, 1):
             return after
