@@ -14,8 +14,9 @@ from geodrake.diagnosis.fixed_inertias import with_fixed_inertias
 from geodrake.diagnosis.further_columns import with_episodes, with_suggestions
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
+from geodrake.diagnosis.search_rounds import is_likelier
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
-from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, tuned
+from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, settled, tuned
 from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
@@ -67,6 +68,8 @@ def diagnose(
     for least_share in (DOMINANT, 0.0):
         case, trail = with_suggestions(case, trail, criteria, least_share=least_share)
         step = next_step(trail.end, effects_of(model), criteria)
+        if step is not None and not _lasts(trail.end, step, effects_of(model), criteria):
+            step = None
         if step is not None:
             break
     start, hypothesis = trail.start, trail.end
@@ -91,6 +94,19 @@ def diagnose(
         before,
         case.notes,
     )
+
+
+def _lasts(before: Hypothesis, step: Forward, fixed: Sequence[Effect], criteria: Criteria) -> bool:
+    """Whether anything stays of a step where a search would end with it.
+
+    What gains of the efforts explain as well, no more than these are uncertain, does not; nor do
+    bodies that go far for little.
+    """
+    end = settled(step.after, fixed, criteria)
+    if end.looseness > max(1.0, before.looseness):
+        return not is_likelier(before, end)
+    was, now = ((h.unknowns.effects, h.released, h.delay) for h in (before, end))
+    return was != now
 
 
 def _first(case: Case, before: Hypothesis, step: Forward) -> Ranked:

@@ -72,13 +72,18 @@ def searched(
         held = replace(trail.end.loosened(1.0 / loose), keeps_prior=True)
         begin = without_inner_payloads(case, replace(trail, end=held))
         other = _run(state.continued(*begin), tune=tune, progress=None)
-        if _is_likelier(other.trail.end, trail.end):
+        if is_likelier(other.trail.end, trail.end):
             return other.case, other.trail
     return case, trail
 
 
-def _is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
-    """Whether effects explain the logs better than bodies that go far, and pay for their way."""
+def is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
+    """Whether a hypothesis explains logs better than bodies that go far, and pay for their way.
+
+    Args:
+        held: A hypothesis with bodies within the assumed prior.
+        loose: One with bodies that go farther.
+    """
     return net_gain(loose, held) + loose.inertial_penalty - held.inertial_penalty > 0.0
 
 

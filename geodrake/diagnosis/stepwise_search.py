@@ -85,10 +85,10 @@ def search(
             progress(" and ".join(step.chosen.names), hypothesis.nrms)
         if pause is not None and pause(hypothesis):
             return so_far(hypothesis)
-    settled = _settled(hypothesis, fixed, criteria, trail.stayed, tune=tune)
-    rivals |= rivals_of_swapped(rivals, hypothesis, settled)
-    fits += _swapped(hypothesis, settled)
-    return so_far(settled)
+    end = settled(hypothesis, fixed, criteria, trail.stayed, tune=tune)
+    rivals |= rivals_of_swapped(rivals, hypothesis, end)
+    fits += _swapped(hypothesis, end)
+    return so_far(end)
 
 
 def rivals_of_swapped(
@@ -255,15 +255,24 @@ def tuned(hypothesis: Hypothesis) -> Hypothesis:
     return best if gain_of(hypothesis, best) > PENALTY else hypothesis
 
 
-def _settled(
+def settled(
     hypothesis: Hypothesis,
     fixed: Sequence[Effect],
     criteria: Criteria,
-    stayed: Stayed,
+    stayed: Stayed | None = None,
     *,
-    tune: bool,
+    tune: bool = False,
 ) -> Hypothesis:
-    """The hypothesis once nothing is left to simplify, prune or tune."""
+    """The hypothesis once nothing is left to simplify, prune or tune.
+
+    Args:
+        hypothesis: The hypothesis.
+        fixed: Effects that stay.
+        criteria: When an effect counts as found.
+        stayed: What stayed before in this search where others were tried in its place.
+        tune: Whether the data may say that the inertial prior is better than assumed.
+    """
+    stayed = Stayed() if stayed is None else stayed
     for _ in range(3):
         before = hypothesis.unknowns.effects
         hypothesis = exchange(hypothesis, fixed, criteria, stayed=stayed)
