@@ -59,6 +59,12 @@ def changed(value: Any, factor: float) -> Any:
     return tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
 
 
+def shown(value: Any) -> str:
+    """A number, or several, in three digits; nothing for none."""
+    several = value if isinstance(value, tuple) else () if value is None else (value,)
+    return ", ".join(f"{v:.3g}" for v in several)
+
+
 @contextmanager
 def with_number(name: str, factor: float) -> Iterator[None]:
     """A criterion multiplied by a factor, wherever it was imported."""
@@ -131,7 +137,7 @@ def table(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     found = {(row["name"], row["factor"], str(row["draw"])): row for row in rows}
     values, lines = numbers(), []
     for name in dict.fromkeys(row["name"] for row in rows):
-        line: dict[str, Any] = {"number": name or "as they are", "value": str(values.get(name, ""))}
+        line: dict[str, Any] = {"number": name or "as they are", "value": shown(values.get(name))}
         for factor in FACTORS if name else (1.0,):
             own = [row for key, row in found.items() if key[:2] == (name, factor)]
             if own:

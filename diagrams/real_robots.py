@@ -13,7 +13,9 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import permutations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from public_data import add_folder_option, require
@@ -21,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from geodrake import load_model, save_model
-from geodrake.diagnosis import Explanation, Step, add, compare, explain
+from geodrake.diagnosis import Candidate, Explanation, Step, add, compare, diagnose, explain
 from geodrake.model import RobotModel
 
 ROOT = Path(__file__).parents[1]
@@ -59,6 +61,9 @@ STUDIES = (
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
 QUICK = ("double pendulum",)
+DAYS = "ur10e.urdf", tuple(f"ur10e_free_{day}.csv" for day in "abcd")
+"""A robot on several days, on which nothing was changed."""
+QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:2]
 MEASUREMENTS = (
     *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
     *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
@@ -97,6 +102,12 @@ class Row:
     floor_nrms: float
 
 
+def model_file(name: str, shared: Path) -> Path | None:
+    """A model file of the checkout or of the references; None if neither has it."""
+    places = ROOT / "models" / name, shared / "reference" / name
+    return next((path for path in places if path.is_file()), None)
+
+
 def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
     """Explain the logs of one study and save its model for later ones.
 
@@ -105,12 +116,52 @@ def run(study: Study, *, shared: Path, saved: Path) -> Explanation:
         shared: Folder with `data` and `reference`.
         saved: Folder for fitted models.
     """
-    own, reference = ROOT / "models" / study.model, shared / "reference" / study.model
-    path = next((p for p in (own, reference) if p.is_file()), saved / f"{study.model}.yaml")
+    path = model_file(study.model, shared) or saved / f"{study.model}.yaml"
     logs = [shared / "data" / log for log in study.logs]
     explanation = explain(load_model(path), logs, blocks=study.blocks)
     save_model(explanation.model, saved / f"{study.name}.yaml")
     return explanation
+
+
+def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
+    """What `diagnose` names on the logs of a study with the model that `run` saved.
+
+    Args:
+        study: The study.
+        shared: Folder with `data`.
+        saved: Folder of fitted models.
+    """
+    logs = [shared / "data" / log for log in study.logs]
+    found = diagnose(load_model(saved / f"{study.name}.yaml"), logs, blocks=study.blocks)
+    return [placed(each) for each in found.candidates]
+
+
+def placed(found: Candidate | Step) -> str:
+    """An effect and where it was found."""
+    return " at ".join([found.effect, *([", ".join(found.where)] if found.where else [])])
+
+
+def pairs_of_days(model: str, logs: Sequence[str], shared: Path) -> list[dict[str, Any]]:
+    """Steps on each log with the model of each other one, and what they do to all others, unfitted.
+
+    Args:
+        model: Model file.
+        logs: One log a day.
+        shared: Folder with `data` and `reference`.
+    """
+    paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
+    fits = {log: explain(load_model(file), [path]).model for log, path in paths.items()}
+    pairs = []
+    for fit, test in permutations(logs, 2):
+        found = explain(fits[fit], [paths[test]])
+        third = {
+            log: [compare(m, [paths[log]]).errors.nrms for m in (fits[fit], found.model)]
+            for log in logs
+            if found.steps and log not in (fit, test)
+        }
+        steps = [placed(step) for step in found.steps]
+        pairs.append({"fit": fit, "test": test, "steps": steps, "third": third})
+    return pairs
 
 
 def left_out(
@@ -192,7 +243,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the table here")
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
     options = parser.parse_args()
-    console, rows, elsewhere = Console(width=160), [], {}
+    console, rows, elsewhere, named = Console(width=160), [], {}, {}
     require(parser, options.shared, *(MEASUREMENTS[-1:] if options.quick else MEASUREMENTS))
     with tempfile.TemporaryDirectory() as saved:
         for study in STUDIES:
@@ -201,6 +252,7 @@ def main() -> None:
             begin = time.perf_counter()
             explanation = run(study, shared=options.shared, saved=Path(saved))
             rows += rows_of(study, explanation, time.perf_counter() - begin)
+            named[study.name] = named_afterwards(study, shared=options.shared, saved=Path(saved))
             if study.name in ELSEWHERE:
                 worth = left_out(study, explanation, options.shared)
                 elsewhere[study.name] = dict(worth)
@@ -209,9 +261,19 @@ def main() -> None:
                     console.print(f"{study.name}, left out {effect}: {errors_there}")
             if options.figures:
                 write_figures(study, explanation, options.figures)
+    days = pairs_of_days(*(QUICK_DAYS if options.quick else DAYS), options.shared)
     show(rows, console)
+    for study_name, effects in named.items():
+        console.print(
+            f"{study_name}, named by diagnose afterwards: {'; '.join(effects) or 'nothing'}"
+        )
+    for pair in days:
+        console.print(
+            f"{pair['fit']} then {pair['test']}: {pair['steps'] or 'no step'} {pair['third'] or ''}"
+        )
     if options.json:
         table = {"rows": [asdict(row) for row in rows], "left_out": elsewhere}
+        table |= {"named_afterwards": named, "days": days}
         options.json.write_text(json.dumps(table, indent=1))
 
 

@@ -102,6 +102,12 @@ def test_ur10e_third_motion_needs_nothing(ur10e_saved):
     assert as_it_stands == pytest.approx(found.start.by_joint(), rel=1e-9)
 
 
+@pytest.mark.measurements("data/ur10e_free_d.csv")
+def test_ur10e_another_day_needs_nothing(ur10e_saved):
+    """Friction of another law lowers the error; gains that are off by little do so as well."""
+    assert not diagnose(ur10e_saved, [DATA / "ur10e_free_d.csv"]).candidates
+
+
 def test_ur10e_saved_model_holds_on_another_kind_of_motion(ur10e_free, ur10e_saved):
     """Point-to-point motion: friction found in excitation motions takes most of the error away."""
     log = [DATA / "ur10e_ptp.csv"]
