@@ -268,9 +268,9 @@ def main() -> None:
             f"{study_name}, named by diagnose afterwards: {'; '.join(effects) or 'nothing'}"
         )
     for pair in days:
-        console.print(
-            f"{pair['fit']} then {pair['test']}: {pair['steps'] or 'no step'} {pair['third'] or ''}"
-        )
+        console.print(f"{pair['fit']} then {pair['test']}: {', '.join(pair['steps']) or 'no step'}")
+        for log, (before, after) in pair["third"].items():
+            console.print(f"    {log}: {before:.4f} without, {after:.4f} with")
     if options.json:
         table = {"rows": [asdict(row) for row in rows], "left_out": elsewhere}
         table |= {"named_afterwards": named, "days": days}
