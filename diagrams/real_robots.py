@@ -63,7 +63,7 @@ STUDIES = (
 QUICK = ("double pendulum",)
 DAYS = "ur10e.urdf", tuple(f"ur10e_free_{day}.csv" for day in "abcd")
 """A robot on several days, on which nothing was changed."""
-QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:2]
+QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:3]
 MEASUREMENTS = (
     *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
     *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
@@ -142,7 +142,7 @@ def placed(found: Candidate | Step) -> str:
 
 
 def pairs_of_days(model: str, logs: Sequence[str], shared: Path) -> list[dict[str, Any]]:
-    """Steps on each log with the model of each other one, and what they do to all others, unfitted.
+    """Steps on each log with the model of each other one, and the nrms of all others with them.
 
     Args:
         model: Model file.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from geodrake.boundary.arguments import instance
@@ -14,10 +15,9 @@ from geodrake.diagnosis.fixed_inertias import with_fixed_inertias
 from geodrake.diagnosis.further_columns import with_episodes, with_suggestions
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
-from geodrake.diagnosis.search_rounds import is_likelier
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
-from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, settled, tuned
-from geodrake.diagnosis.trials import gain_of
+from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, simplified, tuned
+from geodrake.diagnosis.trials import gain_of, is_likelier
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table, open_case
@@ -53,7 +53,8 @@ def diagnose(
     Returns:
         Convincing candidates, each refitted with everything that may move. The first is the step
         that `explain` takes next at this bandwidth: the simplest of those as good as the best,
-        with complex effects swapped for simpler ones wherever these stand within the criteria.
+        with complex effects swapped for simpler ones wherever these stand within the criteria. A
+        step of which nothing is left when all is simplified is none.
         Where no effect is needed beside bodies that move, those that spare them the way come first.
 
     Raises:
@@ -67,9 +68,8 @@ def diagnose(
     trail = Trail(start, hypothesis)
     for least_share in (DOMINANT, 0.0):
         case, trail = with_suggestions(case, trail, criteria, least_share=least_share)
-        step = next_step(trail.end, effects_of(model), criteria)
-        if step is not None and not _lasts(trail.end, step, effects_of(model), criteria):
-            step = None
+        lasts = partial(_lasts, case, trail.end, fixed=effects_of(model), criteria=criteria)
+        step = next_step(trail.end, effects_of(model), criteria, lasts=lasts)
         if step is not None:
             break
     start, hypothesis = trail.start, trail.end
@@ -96,16 +96,19 @@ def diagnose(
     )
 
 
-def _lasts(before: Hypothesis, step: Forward, fixed: Sequence[Effect], criteria: Criteria) -> bool:
-    """Whether anything stays of a step where a search would end with it.
+def _lasts(
+    case: Case, before: Hypothesis, after: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
+) -> bool:
+    """Whether anything is left of a step once what it led to is simplified and pruned.
 
-    What gains of the efforts explain as well, no more than these are uncertain, does not; nor do
-    bodies that go far for little.
+    What gains of the efforts explain as well, no more than these are uncertain, does not last; nor
+    do bodies that go far and leave more than noise, if they gain less than that costs.
     """
-    end = settled(step.after, fixed, criteria)
-    if end.looseness > max(1.0, before.looseness):
-        return not is_likelier(before, end)
-    was, now = ((h.unknowns.effects, h.released, h.delay) for h in (before, end))
+    end = simplified(after, fixed, criteria)
+    if end.looseness > 1.0:
+        noise = error_table(case.dataset, end.held_out).is_noise
+        return noise or not is_likelier(before, end)
+    was, now = ((set(h.unknowns.effects), h.released, h.delay) for h in (before, end))
     return was != now
 
 

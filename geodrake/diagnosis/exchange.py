@@ -18,8 +18,8 @@ from geodrake.diagnosis.candidates import (
     said_by,
     simple_at,
 )
+from geodrake.diagnosis.refusals import Question, Refusals
 from geodrake.diagnosis.shapes import variants
-from geodrake.diagnosis.stayed import Stayed
 from geodrake.diagnosis.trials import Trial, acted_upon, gain_of, net_gain, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
@@ -36,7 +36,7 @@ def exchange(
     fixed: Sequence[Effect],
     criteria: Criteria,
     *,
-    stayed: Stayed,
+    refusals: Refusals,
     at: Collection[str] | None = None,
     split: bool = False,
 ) -> Hypothesis:
@@ -46,19 +46,21 @@ def exchange(
         hypothesis: The hypothesis.
         fixed: Effects that stay.
         criteria: What an effect must show.
-        stayed: What stayed before in this search, and is added to.
+        refusals: What was refused before in this search; what is now is added.
         at: Joints or bodies to look at; all by default.
         split: Whether a shape may be split into another one and a simple effect beside it. Only
             shapes that are no longer bound to a coarse grid differ clearly from such a compromise.
     """
-    question = "split" if split else "exchange"
+    least = criteria.reduction
     for gone in _exchangeable(hypothesis.unknowns.effects, fixed):
         here = at is None or not set(at).isdisjoint(gone[0].where)
+        shaped = split and len(gone) == 1 and len(variants(gone[0], hypothesis.dataset.effects)) > 1
+        question: Question = "split" if shaped else "exchange"
         there = set(gone) <= set(hypothesis.unknowns.effects)
-        if here and there and not stayed.has(hypothesis, gone, question):
+        if here and there and not refusals.has(hypothesis, gone, question, least=least):
             other = _exchanged(hypothesis, gone, criteria, split)
             if other is hypothesis:
-                stayed.keep(hypothesis, gone, question)
+                refusals.keep(hypothesis, gone, question)
             hypothesis = other
     return hypothesis
 

@@ -154,7 +154,7 @@ def with_fitted_loads(case: Case, trail: Trail) -> tuple[Case, Trail] | None:
     if _change_of_load(case.dataset, (phi - was).ravel()) < _OTHER_LOADS:
         return None
     case = replace(case, loads=phi, kept=KeptMotion())
-    return with_columns(case, trail, case.dataset.effects)
+    return with_columns(case, trail.asking_anew(), case.dataset.effects)
 
 
 def _physical_loads(model: RobotModel, end: Hypothesis) -> Array:
@@ -244,7 +244,7 @@ def with_episodes(
     numbers = [log_number(trajectory.name) for trajectory in case.trajectories]
     placed = [(numbers.index(log), start, end) for log, start, end in windows]
     dealt = replace(case, folds=dealt_out(case.folds, case.trajectories, placed, pieces=PIECES))
-    tried, there = with_columns(dealt, trail, [*case.dataset.effects, *contacts])
+    tried, there = with_columns(dealt, trail.asking_anew(), [*case.dataset.effects, *contacts])
     end = there.end.with_effects(contacts)
     if gain_of(there.end, end) <= PENALTY * sum(len(c.parameters) for c in contacts):
         return case, trail, ()

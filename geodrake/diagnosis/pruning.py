@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.shapes import variants
-from geodrake.diagnosis.stayed import Stayed
 from geodrake.diagnosis.trials import (
     Trial,
     acted_upon,
@@ -33,7 +33,7 @@ def prune(
     fixed: Sequence[Effect],
     criteria: Criteria,
     *,
-    stayed: Stayed | None = None,
+    refusals: Refusals | None = None,
 ) -> Hypothesis:
     """Drop effects, weakest first, that would no longer convince if they were offered now.
 
@@ -41,13 +41,13 @@ def prune(
         hypothesis: The hypothesis.
         fixed: Effects that stay (those of the model as it came).
         criteria: When an effect counts.
-        stayed: What stayed before in this search, and is added to; None to ask all anew.
+        refusals: What was refused before in this search; what is now is added. None to ask anew.
     """
-    stayed = Stayed() if stayed is None else stayed
-    needed = set(fixed)
+    refusals = Refusals() if refusals is None else refusals
+    needed, least = set(fixed), criteria.reduction
     while True:
         offered = [e for e in hypothesis.unknowns.effects if e not in needed]
-        offered = [e for e in offered if not stayed.has(hypothesis, (e,), "prune")]
+        offered = [e for e in offered if not refusals.has(hypothesis, (e,), "drop", least=least)]
         offered = [e for e in offered if not _is_base(hypothesis, e)]
         trials = [(effect, _quick_trial(hypothesis, effect)) for effect in offered]
         for effect, quick in sorted(trials, key=lambda tried: tried[1].score if tried[1] else 0.0):
@@ -56,7 +56,7 @@ def prune(
                 hypothesis = reduced
                 break
             needed.add(effect)  # without another one, it is all the more
-            stayed.keep(hypothesis, (effect,), "prune")
+            refusals.keep(hypothesis, (effect,), "drop")
         else:
             return hypothesis
 
@@ -136,7 +136,7 @@ def reshape(
     hypothesis: Hypothesis,
     fixed: Sequence[Effect],
     *,
-    stayed: Stayed | None = None,
+    refusals: Refusals | None = None,
     least: float = PENALTY,
 ) -> Hypothesis:
     """Choose shape parameters anew: what fitted best before other effects came may not now.
@@ -144,18 +144,18 @@ def reshape(
     Args:
         hypothesis: The hypothesis.
         fixed: Effects that stay.
-        stayed: What stayed before in this search, and is added to; None to ask all anew.
+        refusals: What was refused before in this search; what is now is added. None to ask anew.
         least: Gain from which on another shape is taken.
     """
-    stayed = Stayed() if stayed is None else stayed
+    refusals = Refusals() if refusals is None else refusals
     for effect in hypothesis.unknowns.effects:
         shapes = [e for e in variants(effect, hypothesis.dataset.effects) if e != effect]
-        if effect in fixed or not shapes or stayed.has(hypothesis, (effect,), "shape"):
+        if effect in fixed or not shapes or refusals.has(hypothesis, (effect,), "shape"):
             continue
         others = [hypothesis.exchanged([effect], [shape]) for shape in shapes]
         best = max(others, key=lambda other: gain_of(hypothesis, other))
         if gain_of(hypothesis, best) > least:
             hypothesis = best
         else:
-            stayed.keep(hypothesis, (effect,), "shape")
+            refusals.keep(hypothesis, (effect,), "shape")
     return hypothesis

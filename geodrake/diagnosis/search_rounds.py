@@ -28,7 +28,7 @@ from geodrake.diagnosis.further_columns import (
 )
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
-from geodrake.diagnosis.trials import net_gain
+from geodrake.diagnosis.trials import is_likelier
 from geodrake.effects import Effect, Role
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import DOMINANT, Criteria
@@ -75,16 +75,6 @@ def searched(
         if is_likelier(other.trail.end, trail.end):
             return other.case, other.trail
     return case, trail
-
-
-def is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
-    """Whether a hypothesis explains logs better than bodies that go far, and pay for their way.
-
-    Args:
-        held: A hypothesis with bodies within the assumed prior.
-        loose: One with bodies that go farther.
-    """
-    return net_gain(loose, held) + loose.inertial_penalty - held.inertial_penalty > 0.0
 
 
 def _run(state: _State, *, tune: bool, progress: Progress | None) -> _State:
@@ -234,7 +224,9 @@ class _State:
         if to_profile(self.trail.end, self._grid, self._profiled):
             self.case, trail = with_plain_shapes(self.case, self.trail, self._grid, self._profiled)
             self._profiled.update(trail.end.unknowns.effects)
-            end = exchange(trail.end, self._given, self.criteria, stayed=trail.stayed, split=True)
+            end = exchange(
+                trail.end, self._given, self.criteria, refusals=trail.refusals, split=True
+            )
             self.trail = replace(trail, end=end)
         if to_expand(self.case.model, self.trail.end, self._expanded):
             self.case, self.trail = with_expansions(self.case, self.trail, self._expanded)

@@ -9,9 +9,9 @@ from geodrake.diagnosis.exchange import exchange
 from geodrake.diagnosis.pairs import rank_pairs
 from geodrake.diagnosis.pruning import prune, reshape
 from geodrake.diagnosis.ranked import Ranked
+from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import choose, rank
-from geodrake.diagnosis.stayed import Stayed
 from geodrake.diagnosis.trials import gain_of, open_joints
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, RESTART_MARGIN, TIGHTER_PRIORS, Criteria
@@ -32,7 +32,7 @@ class Trail:
         rivals: Effect name -> names that tied with it when it was chosen.
         kept: Effects that stay though inertias could take them in.
         fits: The rivals that were fitted, with their errors.
-        stayed: What stayed where others were tried in its place.
+        refusals: What was tried and refused; shared by all trails that go on from this one.
     """
 
     start: Hypothesis
@@ -40,7 +40,11 @@ class Trail:
     rivals: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     kept: tuple[Effect, ...] = ()
     fits: tuple[FittedRival, ...] = ()
-    stayed: Stayed = field(default_factory=Stayed)
+    refusals: Refusals = field(default_factory=Refusals)
+
+    def asking_anew(self) -> Trail:
+        """This trail with nothing refused, for other columns of its effects, or folds."""
+        return replace(self, refusals=Refusals())
 
 
 def search(
@@ -71,7 +75,7 @@ def search(
         return replace(trail, end=end, rivals=rivals, fits=tuple(fits))
 
     for _ in range(max_steps):
-        step = next_step(hypothesis, fixed, criteria, trail.stayed)
+        step = next_step(hypothesis, fixed, criteria, trail.refusals)
         if step is None:
             break
         names = step.chosen.reported
@@ -85,7 +89,7 @@ def search(
             progress(" and ".join(step.chosen.names), hypothesis.nrms)
         if pause is not None and pause(hypothesis):
             return so_far(hypothesis)
-    end = settled(hypothesis, fixed, criteria, trail.stayed, tune=tune)
+    end = simplified(hypothesis, fixed, criteria, trail.refusals, tune=tune)
     rivals |= rivals_of_swapped(rivals, hypothesis, end)
     fits += _swapped(hypothesis, end)
     return so_far(end)
@@ -194,7 +198,9 @@ def next_step(
     hypothesis: Hypothesis,
     fixed: Sequence[Effect],
     criteria: Criteria,
-    stayed: Stayed | None = None,
+    refusals: Refusals | None = None,
+    *,
+    lasts: Callable[[Hypothesis], bool] = lambda after: True,
 ) -> Forward | None:
     """The step that convinces most, simplified and pruned; None if nothing convinces.
 
@@ -202,24 +208,33 @@ def next_step(
         hypothesis: Where to start from.
         fixed: Effects that stay.
         criteria: When an effect counts as found.
-        stayed: What stayed before in this search where others were tried in its place.
+        refusals: What was refused before in this search; what is now is added. None to ask anew.
+        lasts: Whether a hypothesis that a step leads to is taken; the next best step is tried else.
     """
-    stayed = Stayed() if stayed is None else stayed
+    refusals = Refusals() if refusals is None else refusals
     for ranking in (rank, rank_pairs):
         ranked = ranking(hypothesis, criteria)
         while ranked:
             if not any(r.tied for r in ranked):
                 ranked[0] = replace(ranked[0], tied=True)
             chosen = choose(ranked)
-            after = _refined(hypothesis, chosen, fixed, criteria, stayed)
-            if after is not None:
+            after = _refined(hypothesis, chosen, fixed, criteria, refusals)
+            if after is not None and lasts(after):
                 return Forward(tuple(ranked), chosen, after)
-            ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
-    return _anew(hypothesis, fixed, criteria, stayed)
+            # What does not last leaves nothing at its places to be explained otherwise.
+            done = set(chosen.where) if after is not None and chosen.effects else set()
+            ranked = [
+                r
+                for r in ranked
+                if r.hypothesis is not chosen.hypothesis
+                and not (r.where and done.issuperset(r.where))
+            ]
+    anew = _anew(hypothesis, fixed, criteria, refusals)
+    return anew if anew is not None and lasts(anew.after) else None
 
 
 def _anew(
-    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria, stayed: Stayed
+    hypothesis: Hypothesis, fixed: Sequence[Effect], criteria: Criteria, refusals: Refusals
 ) -> Forward | None:
     """A pair of effects in the place of all that was found at a joint, where that is too little.
 
@@ -235,7 +250,7 @@ def _anew(
             chosen = choose(ranked) if ranked else None
             if chosen is None or gain_of(hypothesis, chosen.hypothesis) <= 0.0:
                 continue
-            after = _refined(bare, chosen, fixed, criteria, stayed)
+            after = _refined(bare, chosen, fixed, criteria, refusals)
             if after:
                 more = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
                 if gain_of(hypothesis, after) > PENALTY * max(more, 1):
@@ -255,11 +270,11 @@ def tuned(hypothesis: Hypothesis) -> Hypothesis:
     return best if gain_of(hypothesis, best) > PENALTY else hypothesis
 
 
-def settled(
+def simplified(
     hypothesis: Hypothesis,
     fixed: Sequence[Effect],
     criteria: Criteria,
-    stayed: Stayed | None = None,
+    refusals: Refusals | None = None,
     *,
     tune: bool = False,
 ) -> Hypothesis:
@@ -269,15 +284,15 @@ def settled(
         hypothesis: The hypothesis.
         fixed: Effects that stay.
         criteria: When an effect counts as found.
-        stayed: What stayed before in this search where others were tried in its place.
+        refusals: What was refused before in this search; what is now is added. None to ask anew.
         tune: Whether the data may say that the inertial prior is better than assumed.
     """
-    stayed = Stayed() if stayed is None else stayed
+    refusals = Refusals() if refusals is None else refusals
     for _ in range(3):
         before = hypothesis.unknowns.effects
-        hypothesis = exchange(hypothesis, fixed, criteria, stayed=stayed)
-        hypothesis = reshape(hypothesis, fixed, stayed=stayed)
-        hypothesis = prune(hypothesis, fixed, criteria, stayed=stayed)
+        hypothesis = exchange(hypothesis, fixed, criteria, refusals=refusals)
+        hypothesis = reshape(hypothesis, fixed, refusals=refusals)
+        hypothesis = prune(hypothesis, fixed, criteria, refusals=refusals)
         hypothesis = tuned(hypothesis) if tune else hypothesis
         if set(hypothesis.unknowns.effects) == set(before):
             break
@@ -289,12 +304,14 @@ def _refined(
     chosen: Ranked,
     fixed: Sequence[Effect],
     criteria: Criteria,
-    stayed: Stayed,
+    refusals: Refusals,
 ) -> Hypothesis | None:
     """The chosen hypothesis, simplified and pruned as far as it stays better; None if it is not."""
-    simple = exchange(chosen.hypothesis, fixed, criteria, stayed=stayed, at=chosen.where or None)
+    simple = exchange(
+        chosen.hypothesis, fixed, criteria, refusals=refusals, at=chosen.where or None
+    )
     for found in dict.fromkeys((simple, chosen.hypothesis)):
-        after = prune(reshape(found, fixed, stayed=stayed), fixed, criteria, stayed=stayed)
+        after = prune(reshape(found, fixed, refusals=refusals), fixed, criteria, refusals=refusals)
         added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
         if gain_of(hypothesis, after) > PENALTY * max(added, 1):
             return after

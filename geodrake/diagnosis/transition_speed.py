@@ -74,7 +74,7 @@ def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None
     start, after = (h.moved(faded.dataset, delay=h.delay) for h in (trail.start, end))
     if gain_of(end, after) <= PENALTY * np.count_nonzero(clear & tried):
         return None
-    return faded, replace(trail, start=start, end=after)
+    return faded, replace(trail.asking_anew(), start=start, end=after)
 
 
 def _best_widths(case: Case, end: Hypothesis, least: Array, most: Array, tried: Mask) -> Array:

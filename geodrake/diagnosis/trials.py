@@ -87,6 +87,16 @@ def net_gain(before: Hypothesis, after: Hypothesis) -> float:
     return gain_of(before, after) - PENALTY * (_parameters(after) - _parameters(before))
 
 
+def is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
+    """Whether a hypothesis explains logs better than bodies that go far, and pay for their way.
+
+    Args:
+        held: A hypothesis with bodies within the assumed prior.
+        loose: One with bodies that go farther.
+    """
+    return net_gain(loose, held) + loose.inertial_penalty - held.inertial_penalty > 0.0
+
+
 def _parameters(hypothesis: Hypothesis) -> int:
     """How many parameters the effects have, shapes that were tried on a grid counted."""
     return sum(Package((e,), e.where).parameters for e in hypothesis.unknowns.effects)

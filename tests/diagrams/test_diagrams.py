@@ -45,7 +45,22 @@ def takes_little_memory(table):
         assert 0.1 < cost["peak_memory"] < 0.6
 
 
-SHOWS = {"hidden_effects": reaches_its_bars, "long_log": takes_little_memory}
+def says_what_diagnose_names_and_days_tell(table):
+    """By three runs of a robot: six pairs, and an error of the third run before and after."""
+    assert table["named_afterwards"] == {"double pendulum": []}
+    assert len(table["days"]) == 6
+    changed = [pair for pair in table["days"] if pair["steps"]]
+    assert changed
+    for pair in changed:
+        ((before, after),) = pair["third"].values()
+        assert 0.0 < after != before
+
+
+SHOWS = {
+    "hidden_effects": reaches_its_bars,
+    "long_log": takes_little_memory,
+    "real_robots": says_what_diagnose_names_and_days_tell,
+}
 MEASUREMENTS = {
     "human_identification": ("data/human_force_plate.npz",),
     "online_payload": ("data/ur10e_*.csv", "reference/ur10e.urdf"),

@@ -233,7 +233,16 @@ class Dataset:
         """(k,) global columns of an effect of this dataset."""
         return self.starts[effect] + np.arange(len(effect.parameters))
 
-    @property
+    @cached_property
+    def effects_at(self) -> dict[str, frozenset[Effect]]:
+        """Effects by joint or body."""
+        found = dict[str, set[Effect]]()
+        for effect in self.effects:
+            for place in effect.where:
+                found.setdefault(place, set()).add(effect)
+        return {place: frozenset(effects) for place, effects in found.items()}
+
+    @cached_property
     def samples(self) -> NDArray[np.int_]:
         """(F, nv) rows of each fold and joint."""
         return np.stack([data.samples for data in self.data], 1)

@@ -1,11 +1,14 @@
-"""What stayed is asked again only where something changed."""
+"""What was refused is asked again only where something changed."""
 
 import pytest
 from pendulum_logs import PENDULUM, friction, pendulum_log
 
 from geodrake import load_model
-from geodrake.diagnosis.stayed import Stayed
-from geodrake.effects import CoulombFriction, ViscousFriction
+from geodrake.diagnosis import Criteria
+from geodrake.diagnosis.exchange import exchange
+from geodrake.diagnosis.pruning import prune
+from geodrake.diagnosis.refusals import Refusals
+from geodrake.effects import CoulombFriction, Payload, ViscousFriction
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.hypothesis import first_hypothesis
 from geodrake.identification.logs.model_fit import model_unknowns
@@ -26,15 +29,23 @@ def found():
 
 
 def kept(found):
-    stayed = Stayed()
-    assert not stayed.has(found, SHOULDER, "shape")
-    stayed.keep(found, SHOULDER, "shape")
-    return stayed
+    refusals = Refusals()
+    assert not refusals.has(found, SHOULDER, "shape")
+    refusals.keep(found, SHOULDER, "shape")
+    return refusals
 
 
 def test_not_asked_twice(found):
     assert kept(found).has(found, SHOULDER, "shape")
-    assert not kept(found).has(found, SHOULDER, "prune")
+    assert not kept(found).has(found, SHOULDER, "drop")
+
+
+def test_noted_by_what_asks(found):
+    refusals, criteria = Refusals(), Criteria()
+    assert prune(found, (), criteria, refusals=refusals) is found
+    assert refusals.has(found, SHOULDER, "drop")
+    exchange(found, (), criteria, refusals=refusals)
+    assert refusals.has(found, SHOULDER, "exchange")
 
 
 def test_not_asked_for_what_is_elsewhere_and_does_nothing(found):
@@ -46,9 +57,15 @@ def test_asked_again_beside_another_effect_at_its_place(found):
     assert not kept(found).has(after, SHOULDER, "shape")
 
 
+def test_asked_again_beside_a_body_that_its_joint_moves(found):
+    assert not kept(found).has(found.with_effects([Payload("lower_link")]), SHOULDER, "shape")
+
+
 def test_asked_again_with_another_prior(found):
     assert not kept(found).has(found.loosened(10.0), SHOULDER, "shape")
 
 
 def test_asked_again_where_its_joint_errs_more(found):
-    assert not kept(found).has(with_dry_shoulder((0.2, 0.0), (0.2, 0.0)), SHOULDER, "shape")
+    other = with_dry_shoulder((0.2, 0.0), (0.2, 0.0))
+    assert not kept(found).has(other, SHOULDER, "shape")
+    assert kept(found).has(other, SHOULDER, "shape", least=1e3)
