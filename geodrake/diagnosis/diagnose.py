@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from geodrake.boundary.arguments import instance
@@ -68,8 +67,10 @@ def diagnose(
     trail = Trail(start, hypothesis)
     for least_share in (DOMINANT, 0.0):
         case, trail = with_suggestions(case, trail, criteria, least_share=least_share)
-        lasts = partial(_lasts, case, trail.end, fixed=effects_of(model), criteria=criteria)
-        step = next_step(trail.end, effects_of(model), criteria, lasts=lasts)
+        step = next_step(trail.end, effects_of(model), criteria)
+        # As in a search, whatever else was ranked beside a step that does not last waits for it.
+        if step is not None and not _lasts(trail.end, step.after, effects_of(model), criteria):
+            step = None
         if step is not None:
             break
     start, hypothesis = trail.start, trail.end
@@ -97,17 +98,16 @@ def diagnose(
 
 
 def _lasts(
-    case: Case, before: Hypothesis, after: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
+    before: Hypothesis, after: Hypothesis, fixed: Sequence[Effect], criteria: Criteria
 ) -> bool:
     """Whether anything is left of a step once what it led to is simplified and pruned.
 
     What gains of the efforts explain as well, no more than these are uncertain, does not last; nor
-    do bodies that go far and leave more than noise, if they gain less than that costs.
+    do bodies that go far, if they gain less than that costs.
     """
     end = simplified(after, fixed, criteria)
     if end.looseness > 1.0:
-        noise = error_table(case.dataset, end.held_out).is_noise
-        return noise or not is_likelier(before, end)
+        return not is_likelier(before, end)
     was, now = ((set(h.unknowns.effects), h.released, h.delay) for h in (before, end))
     return was != now
 

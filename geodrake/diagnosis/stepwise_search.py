@@ -199,8 +199,6 @@ def next_step(
     fixed: Sequence[Effect],
     criteria: Criteria,
     refusals: Refusals | None = None,
-    *,
-    lasts: Callable[[Hypothesis], bool] = lambda after: True,
 ) -> Forward | None:
     """The step that convinces most, simplified and pruned; None if nothing convinces.
 
@@ -209,7 +207,6 @@ def next_step(
         fixed: Effects that stay.
         criteria: When an effect counts as found.
         refusals: What was refused before in this search; what is now is added. None to ask anew.
-        lasts: Whether a hypothesis that a step leads to is taken; the next best step is tried else.
     """
     refusals = Refusals() if refusals is None else refusals
     for ranking in (rank, rank_pairs):
@@ -219,18 +216,10 @@ def next_step(
                 ranked[0] = replace(ranked[0], tied=True)
             chosen = choose(ranked)
             after = _refined(hypothesis, chosen, fixed, criteria, refusals)
-            if after is not None and lasts(after):
+            if after is not None:
                 return Forward(tuple(ranked), chosen, after)
-            # What does not last leaves nothing at its places to be explained otherwise.
-            done = set(chosen.where) if after is not None and chosen.effects else set()
-            ranked = [
-                r
-                for r in ranked
-                if r.hypothesis is not chosen.hypothesis
-                and not (r.where and done.issuperset(r.where))
-            ]
-    anew = _anew(hypothesis, fixed, criteria, refusals)
-    return anew if anew is not None and lasts(anew.after) else None
+            ranked = [r for r in ranked if r.hypothesis is not chosen.hypothesis]
+    return _anew(hypothesis, fixed, criteria, refusals)
 
 
 def _anew(

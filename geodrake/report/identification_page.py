@@ -45,7 +45,7 @@ def render_identification(
     tiles = (
         Tile("as it stands", number(before.nrms), "nrms: error over std of the effort"),
         Tile("identified", number(after.nrms), "nrms on held-out data"),
-        Tile("sensor noise", number(after.floor_nrms), "the nrms of a perfect model"),
+        sections.noise_tile(after),
         Tile("removable", percent(words.removable_share(after)), "of the squared error left"),
     )
     figures = identification_figures(found, units)

@@ -64,7 +64,7 @@ def render_comparison(
     figures = comparison_figures(comparison, units=units)
     tiles = (
         Tile("error", number(errors.nrms), "nrms: error over std of the effort"),
-        Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model"),
+        sections.noise_tile(errors),
         Tile("removable", percent(words.removable_share(errors)), "of the squared error"),
     )
     parts = (
@@ -112,7 +112,7 @@ def render_diagnosis(
         Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
         Tile("refitted", number(diagnosis.refitted.nrms), "its own parameters, held-out data"),
         *([Tile("with the effect", number(best), "held-out data")] if diagnosis.candidates else []),
-        Tile("sensor noise", number(start.floor_nrms), "the nrms of a perfect model"),
+        sections.noise_tile(start),
     )
     figures = diagnosis_figures(diagnosis, units=units)
     ranking = sections.candidates_section(diagnosis, units)
@@ -262,7 +262,7 @@ def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
     return (
         Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
         *([now] if explanation.steps else []),
-        Tile("sensor noise", number(end.floor_nrms), "the nrms of a perfect model"),
+        sections.noise_tile(end),
         *([explained] if explanation.steps else []),
         Tile("removable", percent(words.removable_share(end)), "of the squared error left"),
     )

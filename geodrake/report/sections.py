@@ -8,12 +8,23 @@ from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
 from geodrake.report.identification_tables import bodies_table
-from geodrake.report.numbers import Units, is_noticed
-from geodrake.report.page import Section
+from geodrake.report.numbers import Units, is_noticed, number
+from geodrake.report.page import Section, Tile
 from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
 from geodrake.report.words import failing_words
 
 NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
+
+
+def noise_tile(errors: ErrorTable) -> Tile:
+    """What sensor noise alone would make, if the logs show any.
+
+    Args:
+        errors: Errors of a model, with the noise.
+    """
+    if not errors.shows_noise:
+        return Tile("sensor noise", "not seen", "nothing to compare the error with")
+    return Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model")
 
 
 def steps_section(explanation: Explanation, units: Units) -> Section:

@@ -374,7 +374,9 @@ def test_perfect_models_and_nan_positions_can_be_drawn():
             for s in one.series
         ),
     )
-    check_self_contained(render_comparison(perfect, **NAMES))
+    html = render_comparison(perfect, **NAMES)
+    check_self_contained(html)
+    assert "not seen" in html and "not seen" not in render_comparison(one, **NAMES)
 
 
 @pytest.mark.usefixtures("undrawn")
