@@ -232,9 +232,6 @@ SIMPLER = (
     "coulomb and viscous",
     "coulomb at both",
     "spring",
-    "rotor",
-    "offset",
-    "pendulum's spring",
 )
 """Cases that others of the default run contain."""
 
