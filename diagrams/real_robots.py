@@ -138,7 +138,7 @@ def named_afterwards(study: Study, *, shared: Path, saved: Path) -> list[str]:
 
 def placed(found: Candidate | Step) -> str:
     """An effect and where it was found."""
-    return " at ".join([found.effect, *([", ".join(found.where)] if found.where else [])])
+    return f"{found.effect} at {', '.join(found.where)}" if found.where else found.effect
 
 
 def pairs_of_days(model: str, logs: Sequence[str], shared: Path) -> list[dict[str, Any]]:

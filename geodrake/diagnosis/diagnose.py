@@ -68,7 +68,7 @@ def diagnose(
     for least_share in (DOMINANT, 0.0):
         case, trail = with_suggestions(case, trail, criteria, least_share=least_share)
         step = next_step(trail.end, effects_of(model), criteria)
-        # As in a search, whatever else was ranked beside a step that does not last waits for it.
+        # What ranks behind a step that does not last may stand for the same, and is not offered.
         if step is not None and not _lasts(trail.end, step.after, effects_of(model), criteria):
             step = None
         if step is not None:

@@ -14,6 +14,7 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 Array = NDArray[np.float64]
 
 _ROUNDING = 1e-9
+"""Shapes whose logarithms differ by less are one."""
 
 
 def variants(effect: Effect, effects: Sequence[Effect]) -> list[Effect]:
