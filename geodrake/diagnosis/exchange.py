@@ -59,7 +59,7 @@ def exchange(
         there = set(gone) <= set(hypothesis.unknowns.effects)
         if here and there and not refusals.has(hypothesis, gone, question, least=least):
             other = _exchanged(hypothesis, gone, criteria, split)
-            if other is hypothesis:
+            if other.unknowns.effects == hypothesis.unknowns.effects:
                 refusals.keep(hypothesis, gone, question)
             hypothesis = other
     return hypothesis
