@@ -14,11 +14,11 @@ from geodrake.diagnosis.delay import delayed_at
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.final_fit import final_fit
 from geodrake.diagnosis.further_columns import with_columns, with_episodes
+from geodrake.diagnosis.judgement import gain_of
 from geodrake.diagnosis.proposals import suggested_of
 from geodrake.diagnosis.results import Explanation
 from geodrake.diagnosis.steps import steps_of
 from geodrake.diagnosis.stepwise_search import Trail, tuned
-from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Effect, FittedEffect, Role, effect_class
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError

@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from geodrake.diagnosis.candidates import Kind, Package, kinds
+from geodrake.diagnosis.judgement import gain_of
 from geodrake.diagnosis.results import FittedRival
-from geodrake.diagnosis.trials import gain_of, try_packages
+from geodrake.diagnosis.trials import try_packages
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.role import Role
 from geodrake.identification.logs.criteria import LOOSER_PRIORS, RARER

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 from geodrake.diagnosis.exchange import is_free
 from geodrake.diagnosis.further_columns import with_columns
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.pruning import reshape
 from geodrake.diagnosis.shapes import finer, free_shape, is_round, peak
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _ZOOMS = (1.0 / 3.0, 1.0 / 12.0, 1.0 / 48.0)
@@ -60,7 +59,7 @@ def with_plain_shapes(
             others = [e for e in less.unknowns.effects if (e.name, e.where) not in shaped]
             plain = replace(trail, end=reshape(less, others, least=0.0))
             exact = with_continuous_shapes(case, plain, grid, fixed)
-            if gain_of(exact[1].end, best[1].end) <= PENALTY:
+            if not judge(exact[1].end, best[1].end).is_better:
                 best, trail = exact, plain
     return best
 
@@ -99,5 +98,5 @@ def with_continuous_shapes(
         before = was[effect.name, effect.where]
         if is_round(before, grid):
             coarse = end.exchanged([effect], [before])
-            end = coarse if gain_of(coarse, end) <= PENALTY else end
+            end = end if judge(coarse, end).is_better else coarse
     return case, replace(trail, end=end)

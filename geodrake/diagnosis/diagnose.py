@@ -8,21 +8,19 @@ from pathlib import Path
 
 from geodrake.boundary.arguments import instance
 from geodrake.diagnosis.body_gains import gains_of_bodies
-from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.fixed_inertias import with_fixed_inertias
 from geodrake.diagnosis.further_columns import with_episodes, with_suggestions
+from geodrake.diagnosis.judgement import is_likelier, judge
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
 from geodrake.diagnosis.stepwise_search import Forward, Trail, next_step, simplified, tuned
-from geodrake.diagnosis.trials import gain_of, is_likelier
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table, open_case
 from geodrake.identification.logs.compare import comparison
-from geodrake.identification.logs.criteria import DOMINANT, PENALTY, Criteria
-from geodrake.identification.logs.evidence import false_alarm_probability
+from geodrake.identification.logs.criteria import DOMINANT, Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_fit import as_it_stands, effects_of, model_unknowns
 from geodrake.logs.motion import JointLog
@@ -128,16 +126,13 @@ def _added(case: Case, before: Hypothesis, after: Hypothesis) -> Ranked | None:
     names = Counter(sorted(effect.name for effect in effects))
     classes = {effect.name: type(effect) for effect in effects}
     places = {place for effect in effects for place in effect.where}
-    gain = gain_of(before, after)
-    parameters = sum(Package((effect,), effect.where).parameters for effect in effects)
+    found = judge(before, after, tried=len(case.dataset.effects))
     return Ranked(
         tuple(classes[name] for name, _ in names.most_common()),
         tuple(place for place in (*case.model.joints, *case.model.bodies) if place in places),
         tuple(effects),
         after,
-        gain,
-        parameters,
-        false_alarm_probability(gain, parameters, len(case.dataset.effects)),
+        found,
         tied=True,
     )
 
@@ -148,10 +143,9 @@ def _episodes(case: Case, trail: Trail, criteria: Criteria) -> list[Candidate]:
     if not found:
         return []
     without = after.end.without(found)
-    gain, parameters = gain_of(without, after.end), sum(len(e.parameters) for e in found)
-    alarm = false_alarm_probability(gain, parameters, len(there.dataset.effects))
+    judgement = judge(without, after.end, tried=len(there.dataset.effects))
     places = tuple(dict.fromkeys(place for effect in found for place in effect.where))
-    ranked = Ranked((type(found[0]),), places, found, after.end, gain, parameters, alarm, tied=True)
+    ranked = Ranked((type(found[0]),), places, found, after.end, judgement, tied=True)
     return [_candidate(ranked, without.nrms)]
 
 
@@ -166,16 +160,16 @@ def _with_fixed_inertias(case: Case, start: Hypothesis, criteria: Criteria) -> l
 
 def _refitted(case: Case, start: Hypothesis, criteria: Criteria) -> list[Candidate]:
     """The inertias alone, if refitting them within their prior is worth it."""
-    evidence = refit_evidence(case, start, criteria)
-    if evidence is None:
+    found = refit_evidence(case, start, criteria)
+    if found is None:
         return []
-    (gain, alarm), nb = evidence, len(case.model.bodies)
+    nb = len(case.model.bodies)
     moved = moved_bodies(case, start.cv.fit_all()[: case.model.phi.size].reshape(nb, -1))
     standing = as_it_stands(case.dataset, case.model)
     where = gains_of_bodies(case, start, standing, criteria).enough or tuple(moved)
-    before, score = error_table(case.dataset, standing).nrms, gain - 2 * PENALTY * nb
+    before = error_table(case.dataset, standing).nrms
     name = effect_of(Role.INERTIA).name
-    return [Candidate(name, where, before, start.nrms, score, alarm, tied=True)]
+    return [Candidate(name, where, before, start.nrms, found.score, found.alarm, tied=True)]
 
 
 def _candidate(ranked: Ranked, before: float) -> Candidate:
@@ -185,6 +179,6 @@ def _candidate(ranked: Ranked, before: float) -> Candidate:
         before,
         ranked.hypothesis.nrms,
         ranked.score,
-        ranked.alarm,
+        ranked.judgement.alarm,
         ranked.tied,
     )

@@ -18,9 +18,10 @@ from geodrake.diagnosis.candidates import (
     said_by,
     simple_at,
 )
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.refusals import Question, Refusals
 from geodrake.diagnosis.shapes import variants
-from geodrake.diagnosis.trials import Trial, acted_upon, gain_of, net_gain, try_packages
+from geodrake.diagnosis.trials import Trial, acted_upon, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
 from geodrake.identification.logs.evidence import tie_probability
@@ -111,7 +112,8 @@ def _keeping_bases(
 
 def _may_be_as_good(trial: Trial, as_it_is: Trial) -> bool:
     """Whether quick trials, which are rough, leave errors of the same size."""
-    return 1.0 - trial.reduction <= SEVERAL * (1.0 - as_it_is.reduction)
+    left, kept = (1.0 - each.judgement.reduction for each in (trial, as_it_is))
+    return left <= SEVERAL * kept
 
 
 def _best_of(hypothesis: Hypothesis, gone: Effects, trials: Sequence[Trial]) -> Hypothesis | None:
@@ -119,10 +121,10 @@ def _best_of(hypothesis: Hypothesis, gone: Effects, trials: Sequence[Trial]) -> 
     if not trials:
         return None
     near = sorted(trials, key=lambda trial: -trial.score)[:_FITTED]
-    near.append(max(trials, key=lambda trial: trial.reduction))
+    near.append(max(trials, key=lambda trial: trial.judgement.reduction))
     packages = dict.fromkeys(trial.package for trial in near)
     fitted = [hypothesis.exchanged(gone, package.effects) for package in packages]
-    return max(fitted, key=lambda other: net_gain(hypothesis, other))
+    return max(fitted, key=lambda other: judge(hypothesis, other).score)
 
 
 def _simpler(hypothesis: Hypothesis, own: Package) -> list[Package]:
@@ -200,13 +202,12 @@ def _convinces(
     simple: Hypothesis, refined: Hypothesis, effects: Effects, criteria: Criteria
 ) -> bool:
     """Whether what refines effects, or others in their place, convinces against these."""
-    more = len(refined.unknowns.columns) - len(simple.unknowns.columns)
     joints = acted_upon(refined.dataset, Package(effects, effects[0].where))
+    found = judge(simple, refined, joints=joints)
     left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
     # What goes with time alone is large in few folds, so that these differ: half of it is no tie,
     # at the joint where it shows most.
     timed = any("time" in effect.depends_on for effect in effects)
     clear = left.min() <= 0.5 if timed else left.mean() <= 1.0 / SEVERAL
     tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
-    gains = gain_of(simple, refined) > PENALTY * max(more, 1)
-    return bool(gains and left.mean() <= 1.0 - criteria.reduction and not tied)
+    return bool(found.is_better and found.reduction >= criteria.reduction and not tied)

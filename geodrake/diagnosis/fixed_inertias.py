@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.further_columns import is_within, with_columns, without_inner_payloads
+from geodrake.diagnosis.judgement import gain_of, judge
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.stepwise_search import Trail, search
-from geodrake.diagnosis.trials import gain_of, quick_fit
+from geodrake.diagnosis.trials import quick_fit
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
@@ -217,10 +218,7 @@ def _answer(
 
 def _convinces(before: Hypothesis, after: Hypothesis, criteria: Criteria) -> bool:
     """Whether held-out errors alone speak for what was added."""
-    more = len(after.unknowns.columns) - len(before.unknowns.columns)
-    tried = len(after.dataset.effects)
-    alarm = false_alarm_probability(gain_of(before, after), more, tried)
-    return alarm <= criteria.alarm
+    return judge(before, after, tried=len(after.dataset.effects)).alarm <= criteria.alarm
 
 
 def _widened(hypothesis: Hypothesis, looseness: float) -> Hypothesis:

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.contact_window import PIECES
 from geodrake.diagnosis.episodes import find_episodes, refined_episodes
+from geodrake.diagnosis.judgement import gain_of, judge
 from geodrake.diagnosis.proposals import suggested
 from geodrake.diagnosis.search import convincing
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import gain_of
 from geodrake.effects import Effect
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_motion import log_number
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
-from geodrake.identification.logs.criteria import PENALTY, Criteria
+from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.dataset import Dataset, is_payload
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.inertia import is_physical
@@ -246,7 +246,7 @@ def with_episodes(
     dealt = replace(case, folds=dealt_out(case.folds, case.trajectories, placed, pieces=PIECES))
     tried, there = with_columns(dealt, trail.asking_anew(), [*case.dataset.effects, *contacts])
     end = there.end.with_effects(contacts)
-    if gain_of(there.end, end) <= PENALTY * sum(len(c.parameters) for c in contacts):
+    if not judge(there.end, end).is_better:
         return case, trail, ()
     return tried, replace(there, end=end), contacts
 

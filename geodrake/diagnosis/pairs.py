@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from geodrake.diagnosis.candidates import hidden_pairs
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.search import with_ties
-from geodrake.diagnosis.trials import gain_of, open_joints, try_packages
+from geodrake.diagnosis.trials import open_joints, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import MOST, Criteria
 from geodrake.identification.logs.cross_validation import normal_matrices
@@ -41,16 +42,15 @@ def rank_pairs(
     tried, ranked = sum(map(len, pairs.values())), []
     for joint, packages in pairs.items():
         trials = try_packages(hypothesis, packages, tried, least=criteria)
-        good = [trial for trial in trials if trial.convinces(criteria)]
+        good = [trial for trial in trials if trial.judgement.convinces(criteria)]
         good.sort(key=lambda trial: -trial.score)
         for trial in good[:_FITTED]:
             found = trial.package.effects
             after = hypothesis.with_effects(found)
             if not _cancel(after, found):
                 classes = tuple(type(effect) for effect in found)
-                gain, parameters = gain_of(hypothesis, after), trial.package.parameters
                 ranked.append(
-                    Ranked(classes, (joint,), found, after, gain, parameters, trial.alarm)
+                    Ranked(classes, (joint,), found, after, judge(hypothesis, after, tried=tried))
                 )
     return with_ties(ranked, criteria)
 

@@ -8,21 +8,19 @@ import numpy as np
 from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.judgement import Judgement, gain_of, judge_errors
 from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
-    Trial,
     acted_upon,
     asked_of,
-    gain_of,
-    improvement,
     is_nothing,
-    settled_trial,
+    judge_package,
     try_package,
 )
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
-from geodrake.identification.logs.evidence import chi2_tail, log_likelihood_gain
+from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _NEARLY_ALL = 0.8  # of the folds
@@ -62,7 +60,7 @@ def prune(
 
 
 def _without_needless(
-    hypothesis: Hypothesis, effect: Effect, quick: Trial | None, criteria: Criteria
+    hypothesis: Hypothesis, effect: Effect, quick: Judgement | None, criteria: Criteria
 ) -> Hypothesis | None:
     """The hypothesis without an effect; None if it is needed."""
     own = hypothesis.held_out.x[:, hypothesis.unknowns.span(effect)]
@@ -73,31 +71,33 @@ def _without_needless(
     package = Package((effect,), effect.where)
     asked = asked_of([effect.name], reduced, criteria)
     needed = stands and (
-        try_package(reduced, package, 1).convinces(asked)
-        or settled_trial(reduced, hypothesis, package).convinces(asked)
+        try_package(reduced, package, 1).judgement.convinces(asked)
+        or judge_package(reduced, hypothesis, package).convinces(asked)
     )
     return None if needed else reduced
 
 
-def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Trial | None:
+def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Judgement | None:
     """The evidence for an effect with the weights as they are; None where bounds are in the way."""
     cv, span = hypothesis.cv, hypothesis.unknowns.span(effect)
     without = cv.without_columns(np.arange(span.start, span.stop))
     if without is None:
         return None
     package = Package((effect,), effect.where)
-    seen = acted_upon(hypothesis.dataset, package)
-    reduction, agreement = improvement((without, cv.held_out), seen)
-    gain = float(log_likelihood_gain(without.mse, cv.held_out.mse, hypothesis.effective).sum())
-    return Trial(package, gain, reduction, agreement, 0.0)
+    return judge_errors(
+        (without, cv.held_out),
+        hypothesis.effective,
+        joints=acted_upon(hypothesis.dataset, package),
+        parameters=package.parameters,
+    )
 
 
-def _by_far(trial: Trial, criteria: Criteria) -> bool:
+def _by_far(found: Judgement, criteria: Criteria) -> bool:
     """Whether an effect passes all criteria by far."""
     return (
-        trial.reduction > SEVERAL * criteria.reduction
-        and trial.agreement >= max(criteria.agreement, _NEARLY_ALL)
-        and trial.gain > SEVERAL**2 * PENALTY * trial.package.parameters
+        found.reduction > SEVERAL * criteria.reduction
+        and found.agreement >= max(criteria.agreement, _NEARLY_ALL)
+        and found.gain > SEVERAL**2 * PENALTY * found.parameters
     )
 
 

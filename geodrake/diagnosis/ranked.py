@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from geodrake.diagnosis.judgement import Judgement
 from geodrake.effects import Effect, Role
-from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 
@@ -18,9 +18,7 @@ class Ranked:
         where: Joints or bodies.
         effects: The effects added; none for a delay or a looser prior.
         hypothesis: The hypothesis with them.
-        gain: Twice the held-out log-likelihood ratio.
-        parameters: How many parameters were added, shapes counted.
-        alarm: Probability of a false alarm.
+        judgement: What held-out errors say of it.
         tied: Whether the logs cannot distinguish it from the best.
     """
 
@@ -28,15 +26,13 @@ class Ranked:
     where: tuple[str, ...]
     effects: tuple[Effect, ...]
     hypothesis: Hypothesis
-    gain: float
-    parameters: int
-    alarm: float
+    judgement: Judgement
     tied: bool = False
 
     @property
     def score(self) -> float:
         """Gain less the penalty of the parameters."""
-        return self.gain - PENALTY * self.parameters
+        return self.judgement.score
 
     @property
     def names(self) -> tuple[str, ...]:

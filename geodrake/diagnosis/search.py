@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.candidates import Kind, Package, kinds
 from geodrake.diagnosis.delay import delayed_at
+from geodrake.diagnosis.judgement import gain_of, judge
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.trials import (
     Trial,
     acted_upon,
     asked_of,
-    gain_of,
     open_joints,
     try_packages,
 )
@@ -24,17 +24,12 @@ from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.criteria import (
     LOOSER_PRIORS,
     MOST,
-    PENALTY,
     SEVERAL,
     Criteria,
 )
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.identification.logs.evidence import (
-    false_alarm_probability,
-    fold_agreement,
-    tie_probability,
-)
+from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.unknowns import effect_prior
 
@@ -54,14 +49,14 @@ def convincing(hypothesis: Hypothesis, kind: Kind, tried: int, criteria: Criteri
     found = []
     for options in kind.options.values():
         trials = [next(tried_ones) for _ in options]
-        good = [trial for trial in trials if trial.convinces(criteria)]
+        good = [trial for trial in trials if trial.judgement.convinces(criteria)]
         if good:
             found.append(best_trial(hypothesis, good))
     found.sort(key=lambda trial: -trial.score)
     if kind.unite or len(found) < 2:
         return found
-    most = max(trial.gain for trial in found)
-    near = [trial for trial in found if trial.gain >= MOST * most]
+    most = max(trial.judgement.gain for trial in found)
+    near = [trial for trial in found if trial.judgement.gain >= MOST * most]
     return [max(near, key=lambda trial: _settled_score(hypothesis, trial))]
 
 
@@ -76,7 +71,7 @@ def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
         trials: One trial or more.
     """
     by_score = max(trials, key=lambda trial: trial.score)
-    by_reduction = max(trials, key=lambda trial: trial.reduction)
+    by_reduction = max(trials, key=lambda trial: trial.judgement.reduction)
     if by_score is by_reduction:
         return by_score
     return max((by_score, by_reduction), key=lambda trial: _settled_score(hypothesis, trial))
@@ -84,8 +79,7 @@ def best_trial(hypothesis: Hypothesis, trials: Sequence[Trial]) -> Trial:
 
 def _settled_score(hypothesis: Hypothesis, trial: Trial) -> float:
     """The score of a trial that is fitted in full."""
-    after = hypothesis.with_effects(trial.package.effects)
-    return gain_of(hypothesis, after) - PENALTY * trial.package.parameters
+    return judge(hypothesis, hypothesis.with_effects(trial.package.effects)).score
 
 
 def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
@@ -118,9 +112,7 @@ def rank(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
                     tuple(dict.fromkeys(place for t in trials for place in t.package.place)),
                     effects,
                     after,
-                    gain_of(hypothesis, after),
-                    sum(t.package.parameters for t in trials),
-                    min(t.alarm for t in trials),
+                    judge(hypothesis, after, tried=tried),
                 )
             )
     return with_ties(ranked, criteria)
@@ -260,15 +252,5 @@ def _whole(
     if not others:
         return []
     best = max(others, key=lambda other: gain_of(hypothesis, other))
-    gain, before, after = gain_of(hypothesis, best), hypothesis.loss(), best.loss()
-    alarm = false_alarm_probability(gain, parameters, tried or len(others))
-    trial = Trial(
-        Package((), where),
-        gain,
-        float(1.0 - after.sum() / before.sum()),
-        fold_agreement(before, after),
-        alarm,
-    )
-    if not trial.convinces(criteria):
-        return []
-    return [Ranked((kind,), where, (), best, gain, parameters, alarm)]
+    found = judge(hypothesis, best, parameters=parameters, tried=tried or len(others))
+    return [Ranked((kind,), where, (), best, found)] if found.convinces(criteria) else []

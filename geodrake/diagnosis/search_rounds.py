@@ -26,9 +26,9 @@ from geodrake.diagnosis.further_columns import (
     with_suggestions,
     without_inner_payloads,
 )
+from geodrake.diagnosis.judgement import is_likelier
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
-from geodrake.diagnosis.trials import is_likelier
 from geodrake.effects import Effect, Role
 from geodrake.identification.logs.case import Case, error_table, reduced
 from geodrake.identification.logs.criteria import DOMINANT, Criteria

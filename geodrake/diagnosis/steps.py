@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.alternatives import instead, weighed
 from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.judgement import Judgement, judge, judge_errors, parameters_of
 from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.step_values import (
     factor_of,
@@ -20,17 +21,12 @@ from geodrake.diagnosis.step_values import (
     systematic_parameters,
 )
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import acted_upon, gain_of, improvement
+from geodrake.diagnosis.trials import acted_upon
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
 from geodrake.identification.logs.criteria import MOST, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
-from geodrake.identification.logs.evidence import (
-    false_alarm_probability,
-    fold_agreement,
-    log_likelihood_gain,
-)
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric
@@ -139,8 +135,11 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
     for i, group in enumerate(ordered):
         parameters, deviations = _values(case, group, trail, fit)
         systematic = _systematic(case, group, fit)
-        count = _parameters(case, group)
-        gain, where = gain_of(hypotheses[i], hypotheses[i + 1]), _where(case, group, trail, fit)
+        before, after = hypotheses[i : i + 2]
+        count = 2 * len(case.model.bodies) if group.looseness is not None else 1
+        count = parameters_of(group.effects) or count
+        found = judge(before, after, parameters=count, tried=tried)
+        where = _where(case, group, trail, fit)
         rivals = _rivals(case, trail, group, where, fit.model.phi)
         steps.append(
             Step(
@@ -151,7 +150,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 parameters,
                 deviations,
                 rivals,
-                false_alarm_probability(gain, count, tried),
+                found.alarm,
                 _agreement(case, group.effects, errors[i], errors[i + 1]),
                 tables[i].by_joint(),
                 tables[i + 1].by_joint(),
@@ -167,13 +166,7 @@ def _agreement(case: Case, effects: tuple[Effect, ...], before: HeldOut, after: 
     joints = np.ones(len(case.dataset.joints), bool)
     if effects:
         joints = acted_upon(case.dataset, Package(effects, ()))
-    return improvement((before, after), joints)[1]
-
-
-def _parameters(case: Case, group: _Group) -> int:
-    if group.looseness is not None:
-        return 2 * len(case.model.bodies)
-    return sum(Package((e,), e.where).parameters for e in group.effects) or 1
+    return judge_errors((before, after), 0.0 * joints, joints=joints, parameters=0).agreement
 
 
 def refit_step(
@@ -216,7 +209,7 @@ def refit_step(
             values,
             {},
             tuple(sorted({*rivals, *_carried(case, moved, fit.model.phi)})),
-            evidence[1],
+            evidence.alarm,
             _agreement(case, (), before, fit.held_out),
             was.by_joint(),
             now.by_joint(),
@@ -224,7 +217,7 @@ def refit_step(
     )
 
 
-def refit_evidence(case: Case, start: Hypothesis, criteria: Criteria) -> tuple[float, float] | None:
+def refit_evidence(case: Case, start: Hypothesis, criteria: Criteria) -> Judgement | None:
     """Evidence that refitting the inertias alone is worth it.
 
     Args:
@@ -233,20 +226,14 @@ def refit_evidence(case: Case, start: Hypothesis, criteria: Criteria) -> tuple[f
         criteria: When a step counts.
 
     Returns:
-        Twice the held-out log-likelihood ratio and the probability of a false alarm, or None where
-        they do not convince, or where the bodies of a model that was fitted before stay within
-        what is known about them: then they are known better, and were not wrong.
+        None where it does not convince, or where the bodies of a model that was fitted before stay
+        within what is known about them: then they are known better, and were not wrong.
     """
     if case.model.information is not None and start.is_within_prior:
         return None
-    before = as_it_stands(case.dataset, case.model)
-    gain = float(log_likelihood_gain(before.mse, start.held_out.mse, start.effective).sum())
-    alarm = false_alarm_probability(gain, 2 * len(case.model.bodies), 1)
-    loss = (before.sse / case.dataset.effort_std**2).sum(1)
-    reduction = 1.0 - start.loss().sum() / loss.sum()
-    agreement = fold_agreement(loss, start.loss())
-    convinces = reduction >= criteria.reduction and agreement >= criteria.agreement
-    return (gain, alarm) if convinces and alarm <= criteria.alarm else None
+    errors = as_it_stands(case.dataset, case.model), start.held_out
+    found = judge_errors(errors, start.effective, parameters=2 * len(case.model.bodies))
+    return found if found.convinces(criteria) else None
 
 
 def _groups(trail: Trail) -> list[_Group]:

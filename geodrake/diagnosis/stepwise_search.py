@@ -6,15 +6,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from geodrake.diagnosis.exchange import exchange
+from geodrake.diagnosis.judgement import gain_of, judge
 from geodrake.diagnosis.pairs import rank_pairs
 from geodrake.diagnosis.pruning import prune, reshape
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.search import choose, rank
-from geodrake.diagnosis.trials import gain_of, open_joints
+from geodrake.diagnosis.trials import open_joints
 from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import PENALTY, RESTART_MARGIN, TIGHTER_PRIORS, Criteria
+from geodrake.identification.logs.criteria import RESTART_MARGIN, TIGHTER_PRIORS, Criteria
 from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 
@@ -240,10 +241,8 @@ def _anew(
             if chosen is None or gain_of(hypothesis, chosen.hypothesis) <= 0.0:
                 continue
             after = _refined(bare, chosen, fixed, criteria, refusals)
-            if after:
-                more = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
-                if gain_of(hypothesis, after) > PENALTY * max(more, 1):
-                    return Forward(tuple(ranked), chosen, after)
+            if after and judge(hypothesis, after).is_better:
+                return Forward(tuple(ranked), chosen, after)
     return None
 
 
@@ -256,7 +255,7 @@ def tuned(hypothesis: Hypothesis) -> Hypothesis:
         return hypothesis
     others = hypothesis.with_widths(TIGHTER_PRIORS)
     best = max(others, key=lambda other: gain_of(hypothesis, other), default=hypothesis)
-    return best if gain_of(hypothesis, best) > PENALTY else hypothesis
+    return best if judge(hypothesis, best).is_better else hypothesis
 
 
 def simplified(
@@ -301,7 +300,6 @@ def _refined(
     )
     for found in dict.fromkeys((simple, chosen.hypothesis)):
         after = prune(reshape(found, fixed, refusals=refusals), fixed, criteria, refusals=refusals)
-        added = len(after.unknowns.columns) - len(hypothesis.unknowns.columns)
-        if gain_of(hypothesis, after) > PENALTY * max(added, 1):
+        if judge(hypothesis, after).is_better:
             return after
     return None

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import gain_of
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
-from geodrake.identification.logs.criteria import MOST, PENALTY, SEARCH_MARGIN
+from geodrake.identification.logs.criteria import MOST, SEARCH_MARGIN
 from geodrake.identification.logs.hypothesis import Hypothesis, residual_blocks
 from geodrake.identification.logs.reduce import peak_speeds, sign_widths
 from geodrake.model.robot_model import RobotModel
@@ -72,7 +72,7 @@ def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None
     faded = replace(case, model=replace(case.model, fading_speed=fading), kept=KeptMotion())
     faded = replace(faded, dataset=reduced(faded, case.dataset.effects))
     start, after = (h.moved(faded.dataset, delay=h.delay) for h in (trail.start, end))
-    if gain_of(end, after) <= PENALTY * np.count_nonzero(clear & tried):
+    if not judge(end, after, parameters=int(np.count_nonzero(clear & tried))).is_better:
         return None
     return faded, replace(trail.asking_anew(), start=start, end=after)
 

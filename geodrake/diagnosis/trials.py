@@ -10,22 +10,18 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
+from geodrake.diagnosis.judgement import Judgement, judge, judge_errors
 from geodrake.effects.base import Effect, Proposer, Role
 from geodrake.identification.logs.criteria import (
     MORE_THAN_HALF,
     MOST,
-    PENALTY,
     SEARCH_MARGIN,
     USUAL_GAIN,
     Criteria,
 )
 from geodrake.identification.logs.cross_validation import ExtraColumns, HeldOut
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.evidence import (
-    false_alarm_probability,
-    fold_agreement,
-    log_likelihood_gain,
-)
+from geodrake.identification.logs.evidence import log_likelihood_gain
 from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_each
 from geodrake.identification.logs.unknowns import effect_prior
 
@@ -40,66 +36,16 @@ class Trial:
 
     Attributes:
         package: What was tried.
-        gain: Twice the held-out log-likelihood ratio.
-        reduction: Share of the squared error gone at the joints that the package acts on.
-        agreement: Share of folds in which the error fell there.
-        alarm: Probability of a false alarm, all candidates counted.
+        judgement: What held-out errors say of it, at the joints that it acts upon.
     """
 
     package: Package
-    gain: float
-    reduction: float
-    agreement: float
-    alarm: float
+    judgement: Judgement
 
     @property
     def score(self) -> float:
         """Gain less the penalty of the parameters."""
-        return self.gain - PENALTY * self.package.parameters
-
-    def convinces(self, criteria: Criteria) -> bool:
-        """Whether all criteria are met."""
-        return (
-            self.alarm <= criteria.alarm
-            and self.reduction >= criteria.reduction
-            and self.agreement >= criteria.agreement
-        )
-
-
-def gain_of(before: Hypothesis, after: Hypothesis) -> float:
-    """Twice the held-out log-likelihood ratio of two hypotheses.
-
-    Args:
-        before: The one hypothesis.
-        after: The other, with which the samples are counted.
-    """
-    gains = log_likelihood_gain(before.held_out.mse, after.held_out.mse, after.effective)
-    return float(gains.sum())
-
-
-def net_gain(before: Hypothesis, after: Hypothesis) -> float:
-    """Gain of one hypothesis over another less the penalty of the parameters that it has more.
-
-    Args:
-        before: The one hypothesis.
-        after: The other.
-    """
-    return gain_of(before, after) - PENALTY * (_parameters(after) - _parameters(before))
-
-
-def is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
-    """Whether a hypothesis explains logs better than bodies that go far, and pay for their way.
-
-    Args:
-        held: A hypothesis with bodies within the assumed prior.
-        loose: One with bodies that go farther.
-    """
-    return net_gain(loose, held) + loose.inertial_penalty - held.inertial_penalty > 0.0
-
-
-def _parameters(hypothesis: Hypothesis) -> int:
-    """How many parameters the effects have, shapes that were tried on a grid counted."""
-    return sum(Package((e,), e.where).parameters for e in hypothesis.unknowns.effects)
+        return self.judgement.score
 
 
 def open_joints(hypothesis: Hypothesis, least: float = SEARCH_MARGIN) -> list[str]:
@@ -148,22 +94,22 @@ def try_packages(
             those that gain less than half as much count as many effective samples as its own do.
     """
     dataset, before, present = hypothesis.dataset, hypothesis.held_out, hypothesis.unknowns.columns
+    none = np.zeros(len(dataset.joints))  # effective samples, until they are counted
     trials, promising = list[Trial](), list[int]()
     fits = _quick_fits(hypothesis, packages) if packages else []
     for package, after in zip(packages, fits, strict=True):
-        reduction, agreement = improvement((before, after), acted_upon(dataset, package))
-        few = least and (reduction < least.reduction or agreement < least.agreement)
+        seen, parameters = acted_upon(dataset, package), package.parameters
+        found = judge_errors((before, after), none, joints=seen, parameters=parameters, tried=tried)
+        few = least and (found.reduction < least.reduction or found.agreement < least.agreement)
         if not few and not is_nothing(dataset, package.effects, after.x[:, len(present) :]):
             promising.append(len(trials))
-        trials.append(Trial(package, 0.0, reduction, agreement, 1.0))
+        trials.append(Trial(package, found))
     columns = [np.concatenate([present, columns_of(dataset, packages[k])]) for k in promising]
-    parameters = [fits[k].x for k in promising]
-    tried_ones = list(zip(columns, parameters, strict=True))
+    tried_ones = list(zip(columns, [fits[k].x for k in promising], strict=True))
     counts = _counts(hypothesis, [fits[k].mse for k in promising], tried_ones, rivals=rivals)
     for k, effective in zip(promising, counts, strict=True):
         gain = float(log_likelihood_gain(before.mse, fits[k].mse, effective).sum())
-        alarm = false_alarm_probability(gain, packages[k].parameters, tried)
-        trials[k] = replace(trials[k], gain=gain, alarm=alarm)
+        trials[k] = Trial(packages[k], replace(trials[k].judgement, gain=gain))
     return trials
 
 
@@ -261,8 +207,8 @@ def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -
     return replace(criteria, agreement=min(criteria.agreement, MORE_THAN_HALF))
 
 
-def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Trial:
-    """The evidence for a package between the hypotheses without and with it, both fitted in full.
+def judge_package(before: Hypothesis, after: Hypothesis, package: Package) -> Judgement:
+    """What the hypotheses without and with a package, both fitted in full, say of it.
 
     Where inertias stand in for a package, they may do so well at the joints that it acts upon, and
     leave the error to another one. The joint that gains most is therefore looked at too.
@@ -272,12 +218,9 @@ def settled_trial(before: Hypothesis, after: Hypothesis, package: Package) -> Tr
         after: The hypothesis with it.
         package: The effects.
     """
-    errors = before.held_out, after.held_out
     seen = acted_upon(before.dataset, package)
-    seen[np.argmin(errors[1].mse / errors[0].mse)] = True
-    gain = gain_of(before, after)
-    alarm = false_alarm_probability(gain, package.parameters, 1)
-    return Trial(package, gain, *improvement(errors, seen), alarm)
+    seen[np.argmin(after.held_out.mse / before.held_out.mse)] = True
+    return judge(before, after, joints=seen, parameters=package.parameters)
 
 
 def acted_upon(dataset: Dataset, package: Package) -> Mask:
@@ -302,16 +245,3 @@ def columns_of(dataset: Dataset, package: Package) -> Indices:
         package: The effects.
     """
     return np.concatenate([dataset.effect_columns(effect) for effect in package.effects])
-
-
-def improvement(errors: tuple[HeldOut, HeldOut], joints: Mask) -> tuple[float, float]:
-    """Share of the squared error gone at some joints, and share of the folds in which it fell.
-
-    Args:
-        errors: Held-out errors before and after.
-        joints: (nv,) which joints to look at.
-    """
-    before, after = errors
-    weight = joints / before.mse
-    lost, left = before.sse @ weight, after.sse @ weight
-    return float(1.0 - left.sum() / lost.sum()), fold_agreement(lost, left)

@@ -14,13 +14,11 @@ from geodrake.diagnosis.drafting.results import Correlate
 from geodrake.diagnosis.drafting.screening import Screen, best_sums
 from geodrake.diagnosis.drafting.term_columns import TermColumns
 from geodrake.diagnosis.drafting.vocabulary import TURNS, vocabulary
-from geodrake.diagnosis.trials import gain_of
+from geodrake.diagnosis.judgement import judge
 from geodrake.identification.logs.case import Case
-from geodrake.identification.logs.criteria import PENALTY, Criteria
+from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import (
-    false_alarm_probability,
-    fold_agreement,
     tie_probability,
 )
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
@@ -126,7 +124,7 @@ class JointSearch:
         trials = [(c, settle(before.with_effects([c]), iterations=_ITERATIONS)) for c in columns]
 
         def score(trial: tuple[TermColumns, Hypothesis]) -> float:
-            return gain_of(before, trial[1]) - PENALTY * trial[0].formula.free
+            return judge(before, trial[1], parameters=trial[0].formula.free).score
 
         best = max(trials, key=score)
         j = before.dataset.joints.index(self.joint)
@@ -139,23 +137,17 @@ class JointSearch:
         tied = [t for t in trials if ties(t[1])]
         chosen, after = min(tied, key=lambda t: (t[0].formula.complexity, -score(t)))
         formula = chosen.formula
-        alarm = false_alarm_probability(
-            gain_of(before, after), formula.free, tried ** len(formula.terms)
-        )
-        lost, left = before.held_out.sse[:, j], after.held_out.sse[:, j]
-        convinces = (
-            alarm <= criteria.alarm
-            and 1.0 - left.sum() / lost.sum() >= criteria.reduction
-            and fold_agreement(lost, left) >= criteria.agreement
-        )
-        if not convinces:
+        here = np.arange(len(before.dataset.joints)) == j
+        among = tried ** len(formula.terms)
+        found = judge(before, after, joints=here, parameters=formula.free, tried=among)
+        if not found.convinces(criteria):
             return None
         rivals = [
             columns.formula
             for columns, _ in sorted(tied, key=lambda t: -score(t))
             if len(columns.formula.terms) <= len(formula.terms) and columns is not chosen
         ]
-        return Found(chosen, before, after, alarm, tuple(rivals))
+        return Found(chosen, before, after, found.alarm, tuple(rivals))
 
     def _with_columns(self, formulas: Sequence[Formula]) -> tuple[Dataset, list[TermColumns]]:
         """A dataset that has columns for formulas beside those of the hypothesis."""

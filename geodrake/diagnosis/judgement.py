@@ -1,0 +1,162 @@
+"""One judgement: what held-out errors say of a hypothesis against another one.
+
+Everything that decides between two explanations of the same logs reads it from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.identification.logs.criteria import PENALTY, Criteria
+from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.evidence import (
+    false_alarm_probability,
+    fold_agreement,
+    log_likelihood_gain,
+    tie_probability,
+)
+from geodrake.identification.logs.hypothesis import Hypothesis
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What held-out errors say of a hypothesis against another one.
+
+    Attributes:
+        gain: Twice the held-out log-likelihood ratio.
+        parameters: How many parameters it has more, shapes that were tried on a grid counted.
+        before: (F,) squared error of the other one in every fold, each joint's over its mean.
+        after: (F,) its own, over the same.
+        tried: Of how many candidates it is the best.
+    """
+
+    gain: float
+    parameters: int
+    before: Array
+    after: Array
+    tried: int = 1
+
+    @property
+    def score(self) -> float:
+        """Gain less the penalty of the parameters."""
+        return self.gain - PENALTY * self.parameters
+
+    @property
+    def is_better(self) -> bool:
+        """Whether it gains more than its parameters must, or than one must if it has no more."""
+        return self.gain > PENALTY * max(self.parameters, 1)
+
+    @property
+    def alarm(self) -> float:
+        """Probability of a false alarm, all candidates counted."""
+        return false_alarm_probability(self.gain, self.parameters, self.tried)
+
+    @property
+    def reduction(self) -> float:
+        """Share of the squared error that is gone."""
+        return float(1.0 - self.after.sum() / self.before.sum())
+
+    @property
+    def agreement(self) -> float:
+        """Share of the folds in which the error fell."""
+        return fold_agreement(self.before, self.after)
+
+    @property
+    def chance_of_other(self) -> float:
+        """Chance that the other one is truly no worse, by how the folds differ."""
+        return tie_probability(self.after, self.before)
+
+    def convinces(self, criteria: Criteria) -> bool:
+        """Whether all criteria of something new are met."""
+        return (
+            self.alarm <= criteria.alarm
+            and self.reduction >= criteria.reduction
+            and self.agreement >= criteria.agreement
+        )
+
+
+def judge(
+    before: Hypothesis,
+    after: Hypothesis,
+    *,
+    joints: Mask | None = None,
+    parameters: int | None = None,
+    tried: int = 1,
+) -> Judgement:
+    """What held-out errors say of a hypothesis against another one.
+
+    Args:
+        before: The other hypothesis.
+        after: The hypothesis, with which the samples are counted.
+        joints: (nv,) joints at which errors are compared fold by fold; all by default.
+        parameters: How many parameters it has more; those of its effects by default.
+        tried: Of how many candidates it is the best.
+    """
+    more = parameters_of(after.unknowns.effects) - parameters_of(before.unknowns.effects)
+    return judge_errors(
+        (before.held_out, after.held_out),
+        after.effective,
+        joints=joints,
+        parameters=more if parameters is None else parameters,
+        tried=tried,
+    )
+
+
+def judge_errors(
+    errors: tuple[HeldOut, HeldOut],
+    effective: Array,
+    *,
+    joints: Mask | None = None,
+    parameters: int,
+    tried: int = 1,
+) -> Judgement:
+    """What errors of the same held-out data say of a fit against another one; see `judge`.
+
+    Args:
+        errors: Those of the other fit and of the fit.
+        effective: (nv,) independent samples that the residuals are worth.
+        joints: (nv,) joints at which errors are compared fold by fold; all by default.
+        parameters: How many parameters the fit has more.
+        tried: Of how many candidates it is the best.
+    """
+    before, after = errors
+    gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
+    weight = (1.0 if joints is None else joints) / np.maximum(before.mse, np.finfo(float).tiny)
+    return Judgement(gain, parameters, before.sse @ weight, after.sse @ weight, tried)
+
+
+def gain_of(before: Hypothesis, after: Hypothesis) -> float:
+    """Twice the held-out log-likelihood ratio of two hypotheses; see `judge`.
+
+    Args:
+        before: The one hypothesis.
+        after: The other, with which the samples are counted.
+    """
+    return judge(before, after).gain
+
+
+def is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
+    """Whether a hypothesis explains logs better than bodies that go far, and pay for their way.
+
+    Args:
+        held: A hypothesis with bodies within the assumed prior.
+        loose: One with bodies that go farther.
+    """
+    return judge(loose, held).score + loose.inertial_penalty - held.inertial_penalty > 0.0
+
+
+def parameters_of(effects: Sequence[Effect]) -> int:
+    """Linear parameters of effects, and one for every shape that was tried on a grid.
+
+    Args:
+        effects: The effects.
+    """
+    return sum(len(effect.parameters) + effect.free_shapes for effect in effects)
