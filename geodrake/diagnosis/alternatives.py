@@ -12,13 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from geodrake.diagnosis.candidates import Kind, Package, kinds
-from geodrake.diagnosis.judgement import gain_of
+from geodrake.diagnosis.judgement import gain_of, judge
 from geodrake.diagnosis.results import FittedRival
 from geodrake.diagnosis.trials import try_packages
 from geodrake.effects.lookup import effect_of
 from geodrake.effects.role import Role
 from geodrake.identification.logs.criteria import LOOSER_PRIORS, RARER
-from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _LEAST = 1e-6
@@ -48,8 +47,9 @@ def weighed(
         if other is None:
             found.append(replace(rival, odds=_odds(rival.tie_probability, 0)))
         else:
-            same = np.allclose(end.loss(), other.loss(), rtol=_ROUNDING)
-            chance = 0.5 if same else tie_probability(end.loss(), other.loss())
+            judged = judge(other, end)
+            same = np.allclose(judged.before, judged.after, rtol=_ROUNDING)
+            chance = 0.5 if same else judged.chance_of_other
             more = _complexity(other, start) - _complexity(end, start)
             seen = replace(rival, error=other.nrms, error_of_choice=end.nrms)
             found.append(replace(seen, tie_probability=chance, odds=_odds(chance, more)))

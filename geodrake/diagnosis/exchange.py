@@ -24,7 +24,6 @@ from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import Trial, acted_upon, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
-from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _FITTED = 2  # the best by quick trials, beside that which reduces the error most
@@ -204,10 +203,6 @@ def _convinces(
     """Whether what refines effects, or others in their place, convinces against these."""
     joints = acted_upon(refined.dataset, Package(effects, effects[0].where))
     found = judge(simple, refined, joints=joints)
-    left = refined.held_out.mse[joints] / simple.held_out.mse[joints]
-    # What goes with time alone is large in few folds, so that these differ: half of it is no tie,
-    # at the joint where it shows most.
-    timed = any("time" in effect.depends_on for effect in effects)
-    clear = left.min() <= 0.5 if timed else left.mean() <= 1.0 / SEVERAL
-    tied = not clear and tie_probability(refined.loss(joints), simple.loss(joints)) > criteria.tie
-    return bool(found.is_better and found.reduction >= criteria.reduction and not tied)
+    clear = found.reduction >= 1.0 - 1.0 / SEVERAL
+    tied = not clear and found.chance_of_other > criteria.tie
+    return found.is_better and found.reduction >= criteria.reduction and not tied

@@ -24,12 +24,9 @@ from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.criteria import (
     LOOSER_PRIORS,
     MOST,
-    SEVERAL,
     Criteria,
 )
-from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import is_payload
-from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.unknowns import effect_prior
 
@@ -138,17 +135,9 @@ def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
 def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
     if candidate is best:
         return True
-    after, least = candidate.hypothesis, best.hypothesis
-    if _is_far(after.held_out, candidate, best):
-        return False
-    return tie_probability(least.loss(), after.loss()) > criteria.tie
-
-
-def _is_far(errors: HeldOut, candidate: Ranked, best: Ranked) -> bool:
-    """Whether errors of a candidate are several times those of the best where either acts."""
     joints = _acted_upon(candidate) | _acted_upon(best)
-    least = best.hypothesis.held_out
-    return bool(np.any((errors.mse > SEVERAL * least.mse)[joints]))
+    found = judge(candidate.hypothesis, best.hypothesis, joints=joints)
+    return found.chance_of_other > criteria.tie
 
 
 def _acted_upon(candidate: Ranked) -> NDArray[np.bool_]:

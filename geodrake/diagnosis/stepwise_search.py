@@ -16,7 +16,6 @@ from geodrake.diagnosis.search import choose, rank
 from geodrake.diagnosis.trials import open_joints
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import RESTART_MARGIN, TIGHTER_PRIORS, Criteria
-from geodrake.identification.logs.evidence import tie_probability
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 Progress = Callable[[str, float], None]
@@ -170,7 +169,7 @@ def _fit(
     taken: Hypothesis,
 ) -> FittedRival:
     """A rival by its hypothesis and that which was taken."""
-    chance = tie_probability(taken.loss(), other.loss())
+    chance = judge(other, taken).chance_of_other
     return FittedRival(" + ".join(names), where, added, other.nrms, taken.nrms, chance)
 
 
