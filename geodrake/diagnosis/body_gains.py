@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from geodrake.diagnosis.judgement import judge, judge_errors
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.criteria import FIXED, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
-from geodrake.identification.logs.evidence import log_likelihood_gain
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.inertia import PARAMETERS_PER_BODY
 
@@ -40,14 +40,14 @@ def gains_of_bodies(
         standing: Errors of the model as it stands.
         criteria: How much less squared error counts as a reduction.
     """
-    gains, losses = {}, {}
+    gains, left = dict[str, float](), dict[str, float]()
     for index, body in enumerate(case.model.bodies):
         alone = _alone(refitted, index, len(case.model.bodies))
-        gain = log_likelihood_gain(standing.mse, alone.held_out.mse, alone.effective).sum()
-        gains[body], losses[body] = float(gain), float(alone.loss().sum())
-    best = min(losses, key=lambda body: losses[body])
-    most = (1.0 + criteria.reduction) * float(refitted.loss().sum())
-    return BodyGains(gains, (best,) if losses[best] <= most else ())
+        errors = standing, alone.held_out
+        gains[body] = judge_errors(errors, alone.effective, parameters=PARAMETERS_PER_BODY).gain
+        left[body] = judge(refitted, alone).left
+    best = min(left, key=lambda body: left[body])
+    return BodyGains(gains, (best,) if left[best] <= 1.0 + criteria.reduction else ())
 
 
 def _alone(refitted: Hypothesis, index: int, bodies: int) -> Hypothesis:

@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import function, instance
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, freed
 from geodrake.diagnosis.fixed_inertias import FixedInertias, with_fixed_inertias
+from geodrake.diagnosis.judgement import judge_errors
 from geodrake.diagnosis.other_bandwidth import (
     OtherBandwidth,
     errors_at,
@@ -218,13 +219,13 @@ def _finished(
 ) -> tuple[Case, ModelFit, Trail]:
     """The final fit of the first trail that, physically consistent, does as well as the last."""
     *others, last = trails
-    most = (1.0 + criteria.reduction) * last.end.loss().sum()
     for trail in others:
         try:
             after, fit, end = final_fit(case, trail.end, criteria=criteria, kept=trail.kept)
         except IdentificationError:  # too far from physical for any solver
             continue
-        if (fit.held_out.sse / case.dataset.effort_std**2).sum() <= most:
+        errors = last.end.held_out, fit.held_out
+        if judge_errors(errors, last.end.effective, parameters=0).left <= 1.0 + criteria.reduction:
             return after, fit, replace(trail, end=end)  # else a body lost mass: no payload
     after, fit, end = final_fit(case, last.end, criteria=criteria, kept=last.kept)
     return after, fit, replace(last, end=end)

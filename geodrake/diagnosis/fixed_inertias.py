@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.further_columns import is_within, with_columns, without_inner_payloads
-from geodrake.diagnosis.judgement import gain_of, judge
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.steps import refit_evidence
 from geodrake.diagnosis.stepwise_search import Trail, search
@@ -15,7 +15,7 @@ from geodrake.diagnosis.trials import quick_fit
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
-from geodrake.identification.logs.criteria import FIXED, PENALTY, SEVERAL, Criteria
+from geodrake.identification.logs.criteria import FIXED, SEVERAL, Criteria
 from geodrake.identification.logs.evidence import false_alarm_probability
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 
@@ -73,8 +73,7 @@ def with_fixed_inertias(
     if not found:
         case, trail = _with_hidden_effects(case, trail)
         end, start = trail.end, trail.start
-    most = float(_widened(end, end.looseness).loss().sum()) * (1.0 + criteria.reduction)
-    other = _unmoved(without_inner_payloads(case, trail)[1], fixed, criteria, most)
+    other = _unmoved(without_inner_payloads(case, trail)[1], fixed, criteria)
     if other is not None:
         gone = found - _added(other.end, fixed)
         rivals = gone.union({_INERTIAS}, *(trail.rivals.get(name, ()) for name in gone))
@@ -84,7 +83,7 @@ def with_fixed_inertias(
     if found:
         return FixedInertias(case)
     end = _widened(end, min(end.looseness, 1.0))  # a looser prior makes no way improbable
-    sparing = [Trail(start, after) for after in _sparing(end, criteria, most)]
+    sparing = [Trail(start, after) for after in _sparing(end, criteria)]
     answer = _answer(case, sparing, fixed, {_INERTIAS})
     # The way that inertias go is judged by an assumed width: held-out data must say the same.
     better = sparing and _convinces(end, sparing[0].end, criteria)
@@ -101,9 +100,7 @@ def _with_hidden_effects(case: Case, trail: Trail) -> tuple[Case, Trail]:
     return with_columns(case, trail, [*case.dataset.effects, *new]) if new else (case, trail)
 
 
-def _unmoved(
-    trail: Trail, fixed: Sequence[Effect], criteria: Criteria, most: float
-) -> Trail | None:
+def _unmoved(trail: Trail, fixed: Sequence[Effect], criteria: Criteria) -> Trail | None:
     """A search with the inertias fixed, if they would have to move and it explains as much.
 
     It starts anew, and if that fails from what was found; after a delay only from there, as efforts
@@ -113,19 +110,19 @@ def _unmoved(
         trail: The search where they may move.
         fixed: Effects that stay.
         criteria: When an effect counts as found.
-        most: Held-out squared error that counts as explained.
     """
     end, start = trail.end, trail.start
     found = _added(end, start.unknowns.effects)
-    unmoved = float(_widened(end, FIXED).loss().sum())
+    moved, most = _widened(end, end.looseness), 1.0 + criteria.reduction
+    unmoved = judge(moved, _widened(end, FIXED)).left
     # Beside effects, bodies that move a little are only not quite those of the model.
     if unmoved <= (SEVERAL if found else 1.0) * most:
         return None
     rest = _REST * (unmoved - most)
 
     def explains(hypothesis: Hypothesis) -> bool:
-        near = hypothesis.loss().sum() <= most + rest
-        return bool(near) and any(_widened(hypothesis, w).loss().sum() <= most for w in _WIDTHS)
+        near = judge(moved, hypothesis).left <= most + rest
+        return near and any(judge(moved, _widened(hypothesis, w)).left <= most for w in _WIDTHS)
 
     begins = [end] if end.delay != start.delay else [start, end] if found else [start]
     for begin in begins:
@@ -226,7 +223,7 @@ def _widened(hypothesis: Hypothesis, looseness: float) -> Hypothesis:
     return settle(hypothesis.loosened(looseness / hypothesis.looseness), iterations=_ITERATIONS)
 
 
-def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> list[Hypothesis]:
+def _sparing(hypothesis: Hypothesis, criteria: Criteria) -> list[Hypothesis]:
     """The hypothesis with one effect that spares the inertias an improbable way, best first."""
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     packages = [p for kind in offered for place in kind.options.values() for p in place]
@@ -235,8 +232,8 @@ def _sparing(hypothesis: Hypothesis, criteria: Criteria, most: float) -> list[Hy
         quick = way - hypothesis.squared_distance(quick_fit(hypothesis, package).x.mean(0))
         if false_alarm_probability(quick, package.parameters, len(packages)) <= criteria.alarm:
             after = hypothesis.with_effects(package.effects)
-            gain, spared = gain_of(hypothesis, after), way - after.squared_distance()
-            alarm = false_alarm_probability(gain + spared, package.parameters, len(packages))
-            if alarm <= criteria.alarm and after.loss().sum() <= most:
-                found.append((gain + spared - PENALTY * package.parameters, after))
+            judged, spared = judge(hypothesis, after), way - after.squared_distance()
+            alarm = false_alarm_probability(judged.gain + spared, package.parameters, len(packages))
+            if alarm <= criteria.alarm and judged.left <= 1.0 + criteria.reduction:
+                found.append((judged.score + spared, after))
     return [after for _, after in sorted(found, key=lambda scored: -scored[0])]

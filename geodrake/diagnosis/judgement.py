@@ -60,9 +60,14 @@ class Judgement:
         return false_alarm_probability(self.gain, self.parameters, self.tried)
 
     @property
+    def left(self) -> float:
+        """Share of the squared error that is left."""
+        return float(self.after.sum() / self.before.sum())
+
+    @property
     def reduction(self) -> float:
         """Share of the squared error that is gone."""
-        return float(1.0 - self.after.sum() / self.before.sum())
+        return 1.0 - self.left
 
     @property
     def agreement(self) -> float:
