@@ -22,8 +22,6 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 
 _LEAST = 1e-6
 """A comparison of some blocks makes nothing more certain than this."""
-_ROUNDING = 1e-9
-"""Errors that differ by less are the same."""
 
 
 def weighed(
@@ -47,9 +45,7 @@ def weighed(
         if other is None:
             found.append(replace(rival, odds=_odds(rival.tie_probability, 0)))
         else:
-            judged = judge(other, end)
-            same = np.allclose(judged.before, judged.after, rtol=_ROUNDING)
-            chance = 0.5 if same else judged.chance_of_other
+            chance = judge(other, end).chance_of_other
             more = _complexity(other, start) - _complexity(end, start)
             seen = replace(rival, error=other.nrms, error_of_choice=end.nrms)
             found.append(replace(seen, tie_probability=chance, odds=_odds(chance, more)))

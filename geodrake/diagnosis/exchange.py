@@ -21,7 +21,7 @@ from geodrake.diagnosis.candidates import (
 from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.refusals import Question, Refusals
 from geodrake.diagnosis.shapes import variants
-from geodrake.diagnosis.trials import Trial, acted_upon, try_packages
+from geodrake.diagnosis.trials import Trial, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
@@ -86,11 +86,11 @@ def _exchanged(
     as_it_is, *trials = try_packages(bare, packages, len(packages), rivals=True)
     better = [t for t in trials[len(simpler) :] if t.score > as_it_is.score + PENALTY]
     best = _best_of(hypothesis, gone, better)
-    if best is not None and _convinces(hypothesis, best, gone, criteria):
+    if best is not None and _convinces(hypothesis, best, criteria):
         return best
     as_good = [t for t in trials[: len(simpler)] if _may_be_as_good(t, as_it_is)]
     best = _best_of(hypothesis, gone, as_good)
-    if best is not None and not _convinces(best, hypothesis, gone, criteria):
+    if best is not None and not _convinces(best, hypothesis, criteria):
         return best
     return hypothesis
 
@@ -163,7 +163,20 @@ def _others(hypothesis: Hypothesis, own: Package, split: bool) -> list[Package]:
         for package in kind.options[own.place]
         if package.effects != own.effects and package.effects[0].name != effect.name
     ]
-    return [*pairs, *(_shared(hypothesis, effect) if split else ()), *as_simple]
+    shared = _shared(hypothesis, effect) if split else []
+    return [*pairs, *_based(hypothesis, effect), *shared, *as_simple]
+
+
+def _based(hypothesis: Hypothesis, effect: Effect) -> list[Package]:
+    """Every shape of an effect that may come alone, beside all that it refines otherwise."""
+    if () not in effect.refines:
+        return []
+    effects, present = hypothesis.dataset.effects, hypothesis.unknowns.effects
+    bases = {base for refined in effect.refines for base in refined}
+    here = [e for e in effects if e.where == effect.where and type(e) in bases]
+    more = tuple(e for e in here if e not in present)
+    shapes = variants(effect, effects)
+    return [Package((*more, shape), effect.where) for shape in shapes] if more else []
 
 
 def _shared(hypothesis: Hypothesis, effect: Effect) -> list[Package]:
@@ -197,12 +210,8 @@ def is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
     return all(has_base(other, less) or not has_base(other, taken) for other in here)
 
 
-def _convinces(
-    simple: Hypothesis, refined: Hypothesis, effects: Effects, criteria: Criteria
-) -> bool:
+def _convinces(simple: Hypothesis, refined: Hypothesis, criteria: Criteria) -> bool:
     """Whether what refines effects, or others in their place, convinces against these."""
-    joints = acted_upon(refined.dataset, Package(effects, effects[0].where))
-    found = judge(simple, refined, joints=joints)
-    clear = found.reduction >= 1.0 - 1.0 / SEVERAL
-    tied = not clear and found.chance_of_other > criteria.tie
-    return found.is_better and found.reduction >= criteria.reduction and not tied
+    found = judge(simple, refined)
+    much = found.reduction >= criteria.reduction
+    return found.is_better and much and not found.is_tie(criteria)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects.base import Effect
-from geodrake.identification.logs.criteria import PENALTY, Criteria
+from geodrake.effects.base import Effect, Proposer
+from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
+from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import (
     false_alarm_probability,
     fold_agreement,
@@ -79,6 +80,10 @@ class Judgement:
         """Chance that the other one is truly no worse, by how the folds differ."""
         return tie_probability(self.after, self.before)
 
+    def is_tie(self, criteria: Criteria) -> bool:
+        """Whether the other one may do as well: never with several times the error."""
+        return self.left > 1.0 / SEVERAL and self.chance_of_other > criteria.tie
+
     def convinces(self, criteria: Criteria) -> bool:
         """Whether all criteria of something new are met."""
         return (
@@ -101,7 +106,8 @@ def judge(
     Args:
         before: The other hypothesis.
         after: The hypothesis, with which the samples are counted.
-        joints: (nv,) joints at which errors are compared fold by fold; all by default.
+        joints: (nv,) joints at which errors are compared fold by fold; by default those that
+            feel what the hypotheses differ by.
         parameters: How many parameters it has more; those of its effects by default.
         tried: Of how many candidates it is the best.
     """
@@ -109,7 +115,7 @@ def judge(
     return judge_errors(
         (before.held_out, after.held_out),
         after.effective,
-        joints=joints,
+        joints=_felt_at(before, after) if joints is None else joints,
         parameters=more if parameters is None else parameters,
         tried=tried,
     )
@@ -136,6 +142,42 @@ def judge_errors(
     gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
     weight = (1.0 if joints is None else joints) / np.maximum(before.mse, np.finfo(float).tiny)
     return Judgement(gain, parameters, before.sse @ weight, after.sse @ weight, tried)
+
+
+def _felt_at(before: Hypothesis, after: Hypothesis) -> Mask:
+    """(nv,) joints that feel what two hypotheses differ by; all for other bodies."""
+    every = np.ones(len(after.delay), bool)
+    if before.looseness != after.looseness or before.released != after.released:
+        return every
+    joints = np.asarray(before.delay) != np.asarray(after.delay)
+    for one, other in ((before, after), (after, before)):
+        own = [e for e in one.unknowns.effects if e not in other.unknowns.effects]
+        joints = joints | acted_upon(one.dataset, own) if own else joints
+    return joints if joints.any() else every
+
+
+def acted_upon(dataset: Dataset, effects: Sequence[Effect]) -> Mask:
+    """(nv,) whether some effects act on a joint.
+
+    Play is proposed at its joint alone: it reaches others too, but is lost there in larger errors.
+
+    Args:
+        dataset: The reduced logs.
+        effects: The effects.
+    """
+    if all(effect.proposer is Proposer.PLAY for effect in effects):
+        return np.isin(dataset.joints, [joint for effect in effects for joint in effect.where])
+    return np.asarray(dataset.reach[:, columns_of(dataset, effects)].any(axis=1))
+
+
+def columns_of(dataset: Dataset, effects: Sequence[Effect]) -> NDArray[np.intp]:
+    """(k,) columns of effects.
+
+    Args:
+        dataset: The reduced logs, with columns for the effects.
+        effects: The effects.
+    """
+    return np.concatenate([dataset.effect_columns(effect) for effect in effects])
 
 
 def gain_of(before: Hypothesis, after: Hypothesis) -> float:

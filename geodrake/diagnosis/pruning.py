@@ -8,11 +8,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.judgement import Judgement, gain_of, judge_errors
+from geodrake.diagnosis.judgement import Judgement, acted_upon, gain_of, judge_errors
 from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
-    acted_upon,
     asked_of,
     is_nothing,
     judge_package,
@@ -87,7 +86,7 @@ def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Judgement | None:
     return judge_errors(
         (without, cv.held_out),
         hypothesis.effective,
-        joints=acted_upon(hypothesis.dataset, package),
+        joints=acted_upon(hypothesis.dataset, [effect]),
         parameters=package.parameters,
     )
 

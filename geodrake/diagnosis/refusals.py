@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.trials import acted_upon
+from geodrake.diagnosis.judgement import acted_upon
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
@@ -78,4 +77,4 @@ def _errors_of(hypothesis: Hypothesis, effects: Effects) -> NDArray[np.float64]:
 
 def _joints(hypothesis: Hypothesis, effects: Effects) -> NDArray[np.bool_]:
     """(nv,) joints that effects act upon."""
-    return acted_upon(hypothesis.dataset, Package(effects, effects[0].where))
+    return acted_upon(hypothesis.dataset, effects)

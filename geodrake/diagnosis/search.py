@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from geodrake.diagnosis.candidates import Kind, Package, kinds
+from geodrake.diagnosis.candidates import Kind, kinds
 from geodrake.diagnosis.delay import delayed_at
 from geodrake.diagnosis.judgement import gain_of, judge
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.trials import (
     Trial,
-    acted_upon,
     asked_of,
     open_joints,
     try_packages,
@@ -128,25 +126,11 @@ def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
         criteria: What counts as a tie.
     """
     ordered = sorted(ranked, key=lambda r: -r.score)
-    tied = [r for r in ordered if _ties(r, ordered[0], criteria)]
-    return [replace(r, tied=r in tied) for r in ordered]
-
-
-def _ties(candidate: Ranked, best: Ranked, criteria: Criteria) -> bool:
-    if candidate is best:
-        return True
-    joints = _acted_upon(candidate) | _acted_upon(best)
-    found = judge(candidate.hypothesis, best.hypothesis, joints=joints)
-    return found.chance_of_other > criteria.tie
-
-
-def _acted_upon(candidate: Ranked) -> NDArray[np.bool_]:
-    """(nv,) joints that what a candidate adds acts upon; all for a looser prior."""
-    dataset = candidate.hypothesis.dataset
-    if not candidate.effects:
-        late = np.isin(dataset.joints, candidate.where)
-        return late if late.any() else np.ones(len(dataset.joints), bool)
-    return acted_upon(dataset, Package(candidate.effects, candidate.where))
+    return [
+        replace(r, tied=r is best or judge(r.hypothesis, best.hypothesis).is_tie(criteria))
+        for best in ordered[:1]
+        for r in ordered
+    ]
 
 
 def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:

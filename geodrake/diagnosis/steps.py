@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.alternatives import instead, weighed
 from geodrake.diagnosis.body_gains import gains_of_bodies
-from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.judgement import Judgement, judge, judge_errors, parameters_of
+from geodrake.diagnosis.judgement import Judgement, acted_upon, judge, judge_errors, parameters_of
 from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.step_values import (
     factor_of,
@@ -21,7 +20,6 @@ from geodrake.diagnosis.step_values import (
     systematic_parameters,
 )
 from geodrake.diagnosis.stepwise_search import Trail
-from geodrake.diagnosis.trials import acted_upon
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
 from geodrake.identification.logs.case import Case, error_table
@@ -165,7 +163,7 @@ def _agreement(case: Case, effects: tuple[Effect, ...], before: HeldOut, after: 
     """Share of the folds in which the error falls where effects act; everywhere without any."""
     joints = np.ones(len(case.dataset.joints), bool)
     if effects:
-        joints = acted_upon(case.dataset, Package(effects, ()))
+        joints = acted_upon(case.dataset, effects)
     return judge_errors((before, after), 0.0 * joints, joints=joints, parameters=0).agreement
 
 

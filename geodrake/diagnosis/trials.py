@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.judgement import Judgement, judge, judge_errors
-from geodrake.effects.base import Effect, Proposer, Role
+from geodrake.diagnosis.judgement import Judgement, acted_upon, columns_of, judge, judge_errors
+from geodrake.effects.base import Effect, Role
 from geodrake.identification.logs.criteria import (
     MORE_THAN_HALF,
     MOST,
@@ -98,13 +98,15 @@ def try_packages(
     trials, promising = list[Trial](), list[int]()
     fits = _quick_fits(hypothesis, packages) if packages else []
     for package, after in zip(packages, fits, strict=True):
-        seen, parameters = acted_upon(dataset, package), package.parameters
+        seen, parameters = acted_upon(dataset, package.effects), package.parameters
         found = judge_errors((before, after), none, joints=seen, parameters=parameters, tried=tried)
         few = least and (found.reduction < least.reduction or found.agreement < least.agreement)
         if not few and not is_nothing(dataset, package.effects, after.x[:, len(present) :]):
             promising.append(len(trials))
         trials.append(Trial(package, found))
-    columns = [np.concatenate([present, columns_of(dataset, packages[k])]) for k in promising]
+    columns = [
+        np.concatenate([present, columns_of(dataset, packages[k].effects)]) for k in promising
+    ]
     tried_ones = list(zip(columns, [fits[k].x for k in promising], strict=True))
     counts = _counts(hypothesis, [fits[k].mse for k in promising], tried_ones, rivals=rivals)
     for k, effective in zip(promising, counts, strict=True):
@@ -184,7 +186,7 @@ def _candidate(dataset: Dataset, package: Package) -> ExtraColumns:
     information = block_diag(*known) if len(known) > 1 else known[0]
     parameters = [p for effect in package.effects for p in effect.parameters]
     lower, upper = (np.array([getattr(p, side) for p in parameters]) for side in ("lower", "upper"))
-    return ExtraColumns(columns_of(dataset, package), information, lower, upper)
+    return ExtraColumns(columns_of(dataset, package.effects), information, lower, upper)
 
 
 def asked_of(names: Sequence[str], hypothesis: Hypothesis, criteria: Criteria) -> Criteria:
@@ -218,30 +220,6 @@ def judge_package(before: Hypothesis, after: Hypothesis, package: Package) -> Ju
         after: The hypothesis with it.
         package: The effects.
     """
-    seen = acted_upon(before.dataset, package)
+    seen = acted_upon(before.dataset, package.effects)
     seen[np.argmin(after.held_out.mse / before.held_out.mse)] = True
     return judge(before, after, joints=seen, parameters=package.parameters)
-
-
-def acted_upon(dataset: Dataset, package: Package) -> Mask:
-    """(nv,) whether the effects of a package act on a joint.
-
-    Play is proposed at its joint alone: it reaches others too, but is lost there in larger errors.
-
-    Args:
-        dataset: The reduced logs.
-        package: The effects.
-    """
-    if all(effect.proposer is Proposer.PLAY for effect in package.effects):
-        return np.isin(dataset.joints, [joint for e in package.effects for joint in e.where])
-    return np.asarray(dataset.reach[:, columns_of(dataset, package)].any(axis=1))
-
-
-def columns_of(dataset: Dataset, package: Package) -> Indices:
-    """(k,) columns of a package.
-
-    Args:
-        dataset: The reduced logs, with columns for the effects.
-        package: The effects.
-    """
-    return np.concatenate([dataset.effect_columns(effect) for effect in package.effects])

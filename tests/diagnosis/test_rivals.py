@@ -29,7 +29,7 @@ MODEL = load_model(MODELS / "double_pendulum.urdf")
 
 
 def spring(seen):
-    return {1: 1.5 * seen.q[:, 1]}
+    return {1: 0.2 * seen.q[:, 1]}
 
 
 def dry_friction(seen):

@@ -93,9 +93,10 @@ class TestPlaces:
         for package, trial in zip(packages, together, strict=True):
             alone = try_package(start, package, 9)
             assert trial.package is package
-            assert trial.gain == pytest.approx(alone.gain, rel=1e-9)
-            assert (trial.alarm, trial.reduction) == pytest.approx((alone.alarm, alone.reduction))
-        assert len({trial.gain for trial in together}) > 5
+            assert trial.judgement.gain == pytest.approx(alone.judgement.gain, rel=1e-9)
+            assert trial.judgement.alarm == pytest.approx(alone.judgement.alarm)
+            assert trial.judgement.left == pytest.approx(alone.judgement.left)
+        assert len({trial.judgement.gain for trial in together}) > 5
         assert try_packages(start, [], 9) == []
 
     @pytest.mark.parametrize("seed", range(3))

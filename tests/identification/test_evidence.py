@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import wilcoxon
 
 from geodrake.identification.logs import evidence
 from geodrake.identification.logs.evidence import (
@@ -166,31 +167,44 @@ def test_gain_of_a_perfect_fit_is_finite():
     assert np.isfinite(gain).all()
 
 
-def test_ties_of_equals_are_evenly_spread():
-    """Paired losses that differ by chance only: the p-value is uniform."""
+@pytest.mark.parametrize("folds", [6, 8, 10, 14])
+def test_ties_of_equals_are_evenly_spread(folds):
+    """Paired losses that differ by chance only: the p-value is uniform, but for its steps."""
     rng, runs = np.random.default_rng(10), 4000
-    pairs = rng.normal(5.0, 1.0, (runs, 1, 8)) + 0.1 * rng.normal(size=(runs, 2, 8))
+    pairs = 5.0 + rng.normal(size=(runs, 2, folds))
     p = np.array([tie_probability(a, b) for a, b in pairs])
     for level in (0.05, 0.5, 0.95):
         spread = np.sqrt(level * (1 - level) / runs)
-        assert np.mean(p < level) == pytest.approx(level, abs=4 * spread)
+        assert np.mean(p < level) == pytest.approx(level, abs=4 * spread + 2.0**-folds * folds)
+
+
+@pytest.mark.parametrize("folds", [3, 8, 10])
+def test_ties_are_those_of_the_signed_rank_test(folds):
+    rng = np.random.default_rng(12)
+    for shift in (0.0, 0.05, 0.2):
+        a = rng.uniform(1.0, 2.0, folds)
+        b = a + np.sign(rng.normal(shift, 0.1, folds)) * rng.uniform(0.05, 0.5, folds)
+        expected = wilcoxon(b - a, alternative="greater", method="exact").pvalue
+        assert tie_probability(a, b) == pytest.approx(expected)
 
 
 def test_ties_are_told_from_differences():
     rng = np.random.default_rng(11)
     loss = rng.uniform(1.0, 2.0, 8)
-    assert tie_probability(loss, loss) == 1.0
-    assert tie_probability(loss, loss + 0.1) < 1e-50
-    assert tie_probability(loss + 0.1, loss) > 1 - 1e-9
-    assert tie_probability(loss, loss + rng.uniform(0.05, 0.15, 8)) < 1e-3
+    assert tie_probability(loss, loss) == 0.5
+    assert tie_probability(loss, loss + 1e-3) == 0.5
+    assert tie_probability(loss, loss + 0.1) == 2.0**-8
+    assert tie_probability(loss + 0.1, loss) == 1.0
     assert tie_probability(loss, loss + rng.normal(0.0, 0.1, 8)) > 0.01
-    assert tie_probability(np.array([1.0]), np.array([1.2])) in (0.0, 1.0)
+    assert tie_probability(np.array([1.0]), np.array([1.2])) == 0.5
+    many = rng.uniform(1.0, 2.0, 40)
+    assert tie_probability(many, many + 0.1) < 1e-7
 
 
 def test_folds_of_different_size_do_not_hide_a_difference():
     """All folds fall to a hundredth; that of the fastest motion is nearly all of the loss."""
     large = np.array([1e-3, 2e-3, 1e-3, 5e-3, 3e-3, 2e-3, 4e-3, 1.0])
-    assert tie_probability(0.01 * large * np.linspace(0.5, 2.0, 8), large) < 1e-4
+    assert tie_probability(0.01 * large * np.linspace(0.5, 2.0, 8), large) == 2.0**-8
     assert tie_probability(large[::-1], large) > 0.05
 
 
