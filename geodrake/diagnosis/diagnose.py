@@ -11,7 +11,7 @@ from geodrake.diagnosis.body_gains import gains_of_bodies
 from geodrake.diagnosis.explain import verdict_of
 from geodrake.diagnosis.fixed_inertias import with_fixed_inertias
 from geodrake.diagnosis.further_columns import with_episodes, with_suggestions
-from geodrake.diagnosis.judgement import is_likelier, judge
+from geodrake.diagnosis.judgement import judge
 from geodrake.diagnosis.ranked import Ranked
 from geodrake.diagnosis.results import Candidate, Diagnosis
 from geodrake.diagnosis.steps import moved_bodies, refit_evidence
@@ -105,7 +105,7 @@ def _lasts(
     """
     end = simplified(after, fixed, criteria)
     if end.looseness > 1.0:
-        return not is_likelier(before, end)
+        return judge(before, end).score > 0.0
     was, now = ((set(h.unknowns.effects), h.released, h.delay) for h in (before, end))
     return was != now
 

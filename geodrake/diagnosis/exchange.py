@@ -79,7 +79,10 @@ def _exchanged(
 ) -> Hypothesis:
     """The hypothesis with something else in the place of effects, if that is the better answer."""
     own = Package(gone, gone[0].where)
-    simpler = _keeping_bases(hypothesis, own, _simpler(hypothesis, own))
+    simpler = [
+        *_keeping_bases(hypothesis, own, _simpler(hypothesis, own)),
+        *_farther_out(hypothesis, own),
+    ]
     others = _keeping_bases(hypothesis, own, _others(hypothesis, own, split))
     bare = hypothesis.stripped(*gone)
     packages = [own, *simpler, *others]
@@ -144,6 +147,19 @@ def _simpler(hypothesis: Hypothesis, own: Package) -> list[Package]:
         for package in kind.options[own.place]
         if not two or (len(package.effects) == 1 and package.parameters <= own.parameters)
         if not set(package.effects) <= set(own.effects)
+    ]
+
+
+def _farther_out(hypothesis: Hypothesis, own: Package) -> list[Package]:
+    """The same on bodies farther from the base: what a robot carries, it carries at its end."""
+    effect, bodies = own.effects[0], hypothesis.dataset.bodies
+    if effect.places != "body":
+        return []
+    farther = bodies[bodies.index(effect.where[0]) + 1 :]
+    return [
+        Package((other,), other.where)
+        for other in hypothesis.dataset.effects
+        if type(other) is type(effect) and other.where[0] in farther
     ]
 
 

@@ -6,7 +6,7 @@ Everything that decides between two explanations of the same logs reads it from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ class Judgement:
     """What held-out errors say of a hypothesis against another one.
 
     Attributes:
-        gain: Twice the held-out log-likelihood ratio.
+        gain: Twice the held-out log-likelihood ratio, less what bodies that go farther pay.
         parameters: How many parameters it has more, shapes that were tried on a grid counted.
         before: (F,) squared error of the other one in every fold, each joint's over its mean.
         after: (F,) its own, over the same.
@@ -112,13 +112,17 @@ def judge(
         tried: Of how many candidates it is the best.
     """
     more = parameters_of(after.unknowns.effects) - parameters_of(before.unknowns.effects)
-    return judge_errors(
+    found = judge_errors(
         (before.held_out, after.held_out),
         after.effective,
         joints=_felt_at(before, after) if joints is None else joints,
         parameters=more if parameters is None else parameters,
         tried=tried,
     )
+    if before.looseness == after.looseness or max(before.looseness, after.looseness) <= 1.0:
+        return found
+    way = after.inertial_penalty - before.inertial_penalty
+    return replace(found, gain=found.gain - way)
 
 
 def judge_errors(
@@ -188,16 +192,6 @@ def gain_of(before: Hypothesis, after: Hypothesis) -> float:
         after: The other, with which the samples are counted.
     """
     return judge(before, after).gain
-
-
-def is_likelier(held: Hypothesis, loose: Hypothesis) -> bool:
-    """Whether a hypothesis explains logs better than bodies that go far, and pay for their way.
-
-    Args:
-        held: A hypothesis with bodies within the assumed prior.
-        loose: One with bodies that go farther.
-    """
-    return judge(loose, held).score + loose.inertial_penalty - held.inertial_penalty > 0.0
 
 
 def parameters_of(effects: Sequence[Effect]) -> int:

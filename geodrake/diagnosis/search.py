@@ -173,7 +173,7 @@ def _late_joints(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
 
 
 def _looser_prior(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:
-    if hypothesis.keeps_prior or hypothesis.looseness > 1.0 or hypothesis.has_fixed_bodies:
+    if hypothesis.looseness > 1.0 or hypothesis.has_fixed_bodies:
         return []
     bodies = hypothesis.dataset.bodies
     return _whole(

@@ -7,7 +7,6 @@ effects. So as soon as a step brings one, the logs are reduced again with what l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -24,13 +23,11 @@ from geodrake.diagnosis.further_columns import (
     with_fitted_loads,
     with_refined_episodes,
     with_suggestions,
-    without_inner_payloads,
 )
-from geodrake.diagnosis.judgement import is_likelier
 from geodrake.diagnosis.stepwise_search import Progress, Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
 from geodrake.effects import Effect, Role
-from geodrake.identification.logs.case import Case, error_table, reduced
+from geodrake.identification.logs.case import Case, reduced
 from geodrake.identification.logs.criteria import DOMINANT, Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 
@@ -66,15 +63,7 @@ def searched(
     """
     case, trail = with_suggestions(case, Trail(start, start), criteria, least_share=DOMINANT)
     state = _run(_State(case, trail, tuple(fixed), criteria), tune=tune, progress=progress)
-    case, trail = state.case, state.trail
-    loose = trail.end.looseness
-    if loose > 1.0 and not error_table(case.dataset, trail.end.held_out).is_noise:
-        held = replace(trail.end.loosened(1.0 / loose), keeps_prior=True)
-        begin = without_inner_payloads(case, replace(trail, end=held))
-        other = _run(state.continued(*begin), tune=tune, progress=None)
-        if is_likelier(other.trail.end, trail.end):
-            return other.case, other.trail
-    return case, trail
+    return state.case, state.trail
 
 
 def _run(state: _State, *, tune: bool, progress: Progress | None) -> _State:
@@ -114,18 +103,6 @@ class _State:
         self._episodes: tuple[Effect, ...] = ()
         self._looked = False
         self._fadings: list[tuple[Effect, ...]] = []
-
-    def continued(self, case: Case, trail: Trail) -> _State:
-        """The same search with another end, that goes on for itself.
-
-        Args:
-            case: The case, its delays those of this one.
-            trail: The trail on its dataset.
-        """
-        other = copy(self)
-        other.case, other.trail, other._fadings = case, trail, []
-        other._profiled, other._expanded = set(self._profiled), set(self._expanded)
-        return other
 
     def to_pause(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis has something that is to be made exact before the search goes on."""

@@ -49,7 +49,6 @@ class Hypothesis:
         cv: The fits.
         effective: (nv,) effective number of samples.
         released: Effects of the model whose parameters were let go.
-        keeps_prior: Whether bodies stay within the assumed prior, whatever they could explain.
     """
 
     dataset: Dataset
@@ -60,7 +59,6 @@ class Hypothesis:
     cv: CrossValidation
     effective: Array
     released: tuple[Effect, ...] = ()
-    keeps_prior: bool = False
     _stripped: dict[tuple[Effect, ...], Hypothesis] = field(
         default_factory=dict, init=False, repr=False
     )
