@@ -104,9 +104,9 @@ def _lasts(
     do bodies that go far, if they gain less than that costs.
     """
     end = simplified(after, fixed, criteria)
-    if end.looseness > 1.0:
-        return judge(before, end).score > 0.0
-    was, now = ((set(h.unknowns.effects), h.released, h.delay) for h in (before, end))
+    was, now = (
+        (set(h.unknowns.effects), h.released, h.delay, h.looseness > 1.0) for h in (before, end)
+    )
     return was != now
 
 

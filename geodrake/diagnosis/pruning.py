@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.judgement import Judgement, acted_upon, gain_of, judge_errors
+from geodrake.diagnosis.judgement import Judgement, acted_upon, gain_of, judge, judge_errors
 from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
@@ -55,7 +55,16 @@ def prune(
             needed.add(effect)  # without another one, it is all the more
             refusals.keep(hypothesis, (effect,), "drop")
         else:
-            return hypothesis
+            return _with_bodies_held(hypothesis)
+
+
+def _with_bodies_held(hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with bodies back within the assumed prior, unless leaving it is worth it."""
+    if hypothesis.looseness <= 1.0:
+        return hypothesis
+    held = hypothesis.loosened(1.0 / hypothesis.looseness)
+    freed = judge(held, hypothesis, parameters=2 * len(hypothesis.dataset.bodies))
+    return hypothesis if freed.score > 0.0 else held
 
 
 def _without_needless(
