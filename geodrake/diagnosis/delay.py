@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.parabola import least_between
 from geodrake.effects import FittedEffect
 from geodrake.effects.delays import effort_delays
 from geodrake.identification.logs.hypothesis import Hypothesis
@@ -48,7 +49,7 @@ def fine_delays(hypothesis: Hypothesis, late: Sequence[Joints]) -> tuple[Array, 
         hypothesis: The hypothesis.
         late: Groups of joints, by index, that share one delay each.
     """
-    delays, deviations = seconds_of(hypothesis), np.full(len(hypothesis.delay), np.nan)
+    delays, deviations = seconds_of(hypothesis), np.full(len(hypothesis.delay), np.inf)
     for joints in late:
         delays[[*joints]], deviations[[*joints]] = fine_delay(hypothesis, joints)
     return delays, deviations
@@ -75,25 +76,21 @@ def fine_delay(hypothesis: Hypothesis, joints: Joints) -> tuple[float, float]:
     Returns:
         Delay on top of the model's, s, and its standard deviation, s, from a parabola through the
         squared errors of the delay and its neighbours, which are quadratic in small delays as
-        likelihoods are not; the delay itself and NaN where there is no neighbour on one side, or no
-        minimum between them.
+        likelihoods are not; the delay itself and infinity where there is no neighbour on one side,
+        or no minimum between them.
     """
     delays, own = hypothesis.dataset.delays[:, joints[0]], hypothesis.delay[joints[0]]
     order, chosen = np.argsort(delays), delays[own]
     order = order[(delays[order] != chosen) | (order == own)]
     at = int(np.flatnonzero(order == own)[0])
     if not 0 < at < len(order) - 1:
-        return float(chosen), np.nan
+        return float(chosen), np.inf
     near = order[at - 1 : at + 2]
     mse = hypothesis.held_out.mse
     weight = hypothesis.effective / np.maximum(mse, np.finfo(float).tiny)
     errors = [delayed_at(hypothesis, joints, d).held_out.mse @ weight for d in near.tolist()]
-    offsets = delays[near] - chosen
-    curvature, slope, _ = np.polyfit(offsets, errors, 2)
-    if curvature <= 0.0:
-        return float(chosen), np.nan
-    step = np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1])
-    return float(chosen + step), float(1.0 / np.sqrt(curvature))
+    least = least_between(delays[near] - chosen, np.array(errors))
+    return float(chosen + least.step), least.deviation
 
 
 def delayed_at(hypothesis: Hypothesis, joints: Joints, delay: int) -> Hypothesis:

@@ -171,7 +171,7 @@ def acted_upon(dataset: Dataset, effects: Sequence[Effect]) -> Mask:
     """
     if all(effect.proposer is Proposer.PLAY for effect in effects):
         return np.isin(dataset.joints, [joint for effect in effects for joint in effect.where])
-    return np.asarray(dataset.reach[:, columns_of(dataset, effects)].any(axis=1))
+    return np.any([dataset.felt(effect) for effect in effects], axis=0)
 
 
 def columns_of(dataset: Dataset, effects: Sequence[Effect]) -> NDArray[np.intp]:

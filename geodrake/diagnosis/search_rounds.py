@@ -153,7 +153,6 @@ class _State:
             return True
         late = later(self.trail.start, self.trail.end)
         delays, deviations = fine_delays(hypothesis, late)
-        # Without a minimum nothing is known.
         return bool(np.any(np.abs(delays) > _DEVIATIONS * deviations))
 
     def _suggest(self, *, least_share: float = 0.0) -> bool:

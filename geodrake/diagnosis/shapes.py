@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.diagnosis.parabola import least_between
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.hypothesis import Hypothesis
 
@@ -112,16 +113,9 @@ def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tupl
     place = np.log([getattr(e, name) for e in near])
     weight = hypothesis.effective / hypothesis.held_out.mse
     errors = [hypothesis.exchanged([effect], [e]).held_out.mse @ weight for e in near]
-    before, after = place[0] - place[1], place[2] - place[1]
-    slopes = (errors[0] - errors[1]) / before, (errors[2] - errors[1]) / after
-    curvature = (slopes[1] - slopes[0]) / (after - before)
-    slope = slopes[0] - curvature * before
-    if curvature <= 0.0:
-        return effect, 0.0
-    step = np.clip(-slope / (2.0 * curvature), before, after)
-    best = replace(effect, **{name: float(np.exp(place[1] + step))})  # type: ignore[type-var]
-    gain = float(-(slope + curvature * step) * step)
-    return (best, gain) if _is_alike(best, effect) else (effect, 0.0)
+    least = least_between(place - place[1], np.array(errors))
+    best = replace(effect, **{name: float(np.exp(place[1] + least.step))})  # type: ignore[type-var]
+    return (best, least.gain) if least.gain and _is_alike(best, effect) else (effect, 0.0)
 
 
 def _is_alike(variant: Effect, effect: Effect) -> bool:

@@ -243,6 +243,16 @@ class Dataset:
         return {place: frozenset(effects) for place, effects in found.items()}
 
     @cached_property
+    def _felt(self) -> dict[Effect, NDArray[np.bool_]]:
+        return {}
+
+    def felt(self, effect: Effect) -> NDArray[np.bool_]:
+        """(nv,) whether a joint feels an effect."""
+        if effect not in self._felt:
+            self._felt[effect] = np.asarray(self.reach[:, self.effect_columns(effect)].any(axis=1))
+        return self._felt[effect]
+
+    @cached_property
     def samples(self) -> NDArray[np.int_]:
         """(F, nv) rows of each fold and joint."""
         return np.stack([data.samples for data in self.data], 1)
