@@ -79,10 +79,7 @@ def _exchanged(
 ) -> Hypothesis:
     """The hypothesis with something else in the place of effects, if that is the better answer."""
     own = Package(gone, gone[0].where)
-    simpler = [
-        *_keeping_bases(hypothesis, own, _simpler(hypothesis, own)),
-        *_farther_out(hypothesis, own),
-    ]
+    simpler = _keeping_bases(hypothesis, own, _simpler(hypothesis, own))
     others = _keeping_bases(hypothesis, own, _others(hypothesis, own, split))
     bare = hypothesis.stripped(*gone)
     packages = [own, *simpler, *others]
@@ -95,7 +92,7 @@ def _exchanged(
     best = _best_of(hypothesis, gone, as_good)
     if best is not None and not _convinces(best, hypothesis, criteria):
         return best
-    return hypothesis
+    return _farther_out(hypothesis, gone[0], criteria) if len(gone) == 1 else hypothesis
 
 
 def _keeping_bases(
@@ -150,17 +147,19 @@ def _simpler(hypothesis: Hypothesis, own: Package) -> list[Package]:
     ]
 
 
-def _farther_out(hypothesis: Hypothesis, own: Package) -> list[Package]:
-    """The same on bodies farther from the base: what a robot carries, it carries at its end."""
-    effect, bodies = own.effects[0], hypothesis.dataset.bodies
+def _farther_out(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> Hypothesis:
+    """With the same on the last body that ties: what a robot carries, it carries at its end."""
+    bodies = hypothesis.dataset.bodies
     if effect.places != "body":
-        return []
+        return hypothesis
     farther = bodies[bodies.index(effect.where[0]) + 1 :]
-    return [
-        Package((other,), other.where)
-        for other in hypothesis.dataset.effects
-        if type(other) is type(effect) and other.where[0] in farther
-    ]
+    others = [e for e in hypothesis.dataset.effects if type(e) is type(effect)]
+    for body in reversed(farther):
+        for other in (e for e in others if e.where == (body,)):
+            moved = hypothesis.exchanged([effect], [other])
+            if judge(moved, hypothesis).is_tie(criteria):
+                return moved
+    return hypothesis
 
 
 def _others(hypothesis: Hypothesis, own: Package, split: bool) -> list[Package]:
