@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
+from geodrake.diagnosis.judgement import parameters_of
 from geodrake.effects.base import Effect
 
 Places = frozenset[tuple[str, tuple[str, ...]]]
@@ -28,7 +29,7 @@ class Package:
     @property
     def parameters(self) -> int:
         """Linear parameters, and one for every shape parameter that was tried on a grid."""
-        return sum(len(effect.parameters) + effect.free_shapes for effect in self.effects)
+        return parameters_of(self.effects)
 
 
 @dataclass(frozen=True)

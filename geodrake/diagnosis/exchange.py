@@ -2,13 +2,15 @@
 
 What suited a residual best before another effect was known may have been the wrong one, or a
 compromise. Of two answers at a place the simpler one is taken, unless the other convinces
-against it.
+against it. A payload moves to the end of the robot where logs do not tell from where it hangs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations
+
+import numpy as np
 
 from geodrake.diagnosis.candidates import (
     Package,
@@ -24,6 +26,7 @@ from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import Trial, try_packages
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
+from geodrake.identification.logs.dataset import is_payload
 from geodrake.identification.logs.hypothesis import Hypothesis
 
 _FITTED = 2  # the best by quick trials, beside that which reduces the error most
@@ -111,8 +114,7 @@ def _keeping_bases(
 
 def _may_be_as_good(trial: Trial, as_it_is: Trial) -> bool:
     """Whether quick trials, which are rough, leave errors of the same size."""
-    left, kept = (1.0 - each.judgement.reduction for each in (trial, as_it_is))
-    return left <= SEVERAL * kept
+    return trial.judgement.left <= SEVERAL * as_it_is.judgement.left
 
 
 def _best_of(hypothesis: Hypothesis, gone: Effects, trials: Sequence[Trial]) -> Hypothesis | None:
@@ -149,16 +151,17 @@ def _simpler(hypothesis: Hypothesis, own: Package) -> list[Package]:
 
 def _farther_out(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> Hypothesis:
     """With the same on the last body that ties: what a robot carries, it carries at its end."""
-    bodies = hypothesis.dataset.bodies
-    if effect.places != "body":
+    if not is_payload(effect):
         return hypothesis
-    farther = bodies[bodies.index(effect.where[0]) + 1 :]
-    others = [e for e in hypothesis.dataset.effects if type(e) is type(effect)]
-    for body in reversed(farther):
-        for other in (e for e in others if e.where == (body,)):
-            moved = hypothesis.exchanged([effect], [other])
-            if judge(moved, hypothesis).is_tie(criteria):
-                return moved
+    dataset, present = hypothesis.dataset, hypothesis.unknowns.effects
+    others = {e.where[0]: e for e in dataset.effects if is_payload(e) and e not in present}
+    here = dataset.bodies.index(effect.where[0])
+    farther = [others[body] for body in dataset.bodies[here + 1 :] if body in others]
+    for other in reversed(farther):
+        carried = np.all(dataset.felt(other) >= dataset.felt(effect))  # no other arm's
+        moved = hypothesis.exchanged([effect], [other]) if carried else hypothesis
+        if carried and judge(moved, hypothesis).is_tie(criteria):
+            return moved
     return hypothesis
 
 
@@ -183,13 +186,14 @@ def _others(hypothesis: Hypothesis, own: Package, split: bool) -> list[Package]:
 
 
 def _based(hypothesis: Hypothesis, effect: Effect) -> list[Package]:
-    """Every shape of an effect that may come alone, beside all that it refines otherwise."""
+    """Every shape of an effect that came alone but need not, with what it refines otherwise."""
     if () not in effect.refines:
         return []
     effects, present = hypothesis.dataset.effects, hypothesis.unknowns.effects
     bases = {base for refined in effect.refines for base in refined}
+    said = said_by(e for e in present if e != effect)
     here = [e for e in effects if e.where == effect.where and type(e) in bases]
-    more = tuple(e for e in here if e not in present)
+    more = tuple(e for e in here if (e.name, e.where) not in said)
     shapes = variants(effect, effects)
     return [Package((*more, shape), effect.where) for shape in shapes] if more else []
 
@@ -226,7 +230,7 @@ def is_free(hypothesis: Hypothesis, effect: Effect) -> bool:
 
 
 def _convinces(simple: Hypothesis, refined: Hypothesis, criteria: Criteria) -> bool:
-    """Whether what refines effects, or others in their place, convinces against these."""
+    """Whether a hypothesis with refined effects, or others, convinces against a simple one."""
     found = judge(simple, refined)
     much = found.reduction >= criteria.reduction
     return found.is_better and much and not found.is_tie(criteria)

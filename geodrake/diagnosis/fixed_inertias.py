@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from geodrake.diagnosis.candidates import kinds
 from geodrake.diagnosis.further_columns import is_within, with_columns, without_inner_payloads
 from geodrake.diagnosis.judgement import judge
@@ -114,15 +116,17 @@ def _unmoved(trail: Trail, fixed: Sequence[Effect], criteria: Criteria) -> Trail
     end, start = trail.end, trail.start
     found = _added(end, start.unknowns.effects)
     moved, most = _widened(end, end.looseness), 1.0 + criteria.reduction
-    unmoved = judge(moved, _widened(end, FIXED)).left
+    every = np.ones(len(end.delay), bool)
+    unmoved = judge(moved, _widened(end, FIXED), joints=every).left
     # Beside effects, bodies that move a little are only not quite those of the model.
     if unmoved <= (SEVERAL if found else 1.0) * most:
         return None
     rest = _REST * (unmoved - most)
 
     def explains(hypothesis: Hypothesis) -> bool:
-        near = judge(moved, hypothesis).left <= most + rest
-        return near and any(judge(moved, _widened(hypothesis, w)).left <= most for w in _WIDTHS)
+        widened = (_widened(hypothesis, width) for width in _WIDTHS)
+        near = judge(moved, hypothesis, joints=every).left <= most + rest
+        return near and any(judge(moved, each, joints=every).left <= most for each in widened)
 
     begins = [end] if end.delay != start.delay else [start, end] if found else [start]
     for begin in begins:
@@ -228,12 +232,13 @@ def _sparing(hypothesis: Hypothesis, criteria: Criteria) -> list[Hypothesis]:
     offered = kinds(hypothesis.dataset.effects, hypothesis.unknowns.effects)
     packages = [p for kind in offered for place in kind.options.values() for p in place]
     way, found = hypothesis.squared_distance(), list[tuple[float, Hypothesis]]()
+    every = np.ones(len(hypothesis.delay), bool)
     for package in packages:
         quick = way - hypothesis.squared_distance(quick_fit(hypothesis, package).x.mean(0))
         if false_alarm_probability(quick, package.parameters, len(packages)) <= criteria.alarm:
             after = hypothesis.with_effects(package.effects)
-            judged, spared = judge(hypothesis, after), way - after.squared_distance()
-            alarm = false_alarm_probability(judged.gain + spared, package.parameters, len(packages))
-            if alarm <= criteria.alarm and judged.left <= 1.0 + criteria.reduction:
-                found.append((judged.score + spared, after))
+            judged = judge(hypothesis, after, joints=every, tried=len(packages))
+            spared = replace(judged, gain=judged.gain + way - after.squared_distance())
+            if spared.alarm <= criteria.alarm and judged.left <= 1.0 + criteria.reduction:
+                found.append((spared.score, after))
     return [after for _, after in sorted(found, key=lambda scored: -scored[0])]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect, Proposer
-from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
+from geodrake.identification.logs.criteria import LEAST_NOISE, PENALTY, SEVERAL, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.evidence import (
@@ -26,16 +26,19 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_TINY = float(np.finfo(float).tiny)
+
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
     """What held-out errors say of a hypothesis against another one.
 
     Attributes:
-        gain: Twice the held-out log-likelihood ratio, less what bodies that go farther pay.
+        gain: Twice the held-out log-likelihood ratio, less what bodies pay that went farther, where
+            they may leave the assumed prior.
         parameters: How many parameters it has more, shapes that were tried on a grid counted.
         before: (F,) squared error of the other one in every fold, each joint's over its mean.
-        after: (F,) its own, over the same.
+        after: (F,) the same of the hypothesis, over the same means.
         tried: Of how many candidates it is the best.
     """
 
@@ -105,7 +108,7 @@ def judge(
 
     Args:
         before: The other hypothesis.
-        after: The hypothesis, with which the samples are counted.
+        after: The hypothesis judged, whose residuals say how many samples count.
         joints: (nv,) joints at which errors are compared fold by fold; by default those that
             feel what the hypotheses differ by.
         parameters: How many parameters it has more; those of its effects by default.
@@ -116,10 +119,11 @@ def judge(
         (before.held_out, after.held_out),
         after.effective,
         joints=_felt_at(before, after) if joints is None else joints,
+        least=np.square(LEAST_NOISE * before.dataset.effort_std),
         parameters=more if parameters is None else parameters,
         tried=tried,
     )
-    if before.looseness == after.looseness or max(before.looseness, after.looseness) <= 1.0:
+    if max(before.looseness, after.looseness) <= 1.0:
         return found
     way = after.inertial_penalty - before.inertial_penalty
     return replace(found, gain=found.gain - way)
@@ -132,19 +136,21 @@ def judge_errors(
     joints: Mask | None = None,
     parameters: int,
     tried: int = 1,
+    least: Array | float = _TINY,
 ) -> Judgement:
     """What errors of the same held-out data say of a fit against another one; see `judge`.
 
     Args:
-        errors: Those of the other fit and of the fit.
+        errors: Held-out errors of the fit compared against, then of the fit judged.
         effective: (nv,) independent samples that the residuals are worth.
         joints: (nv,) joints at which errors are compared fold by fold; all by default.
         parameters: How many parameters the fit has more.
         tried: Of how many candidates it is the best.
+        least: (nv,) mean squared errors below which none counts for more, (N·m)² or N².
     """
     before, after = errors
     gain = float(log_likelihood_gain(before.mse, after.mse, effective).sum())
-    weight = (1.0 if joints is None else joints) / np.maximum(before.mse, np.finfo(float).tiny)
+    weight = (1.0 if joints is None else joints) / np.maximum(before.mse, least)
     return Judgement(gain, parameters, before.sse @ weight, after.sse @ weight, tried)
 
 

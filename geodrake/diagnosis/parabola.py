@@ -30,10 +30,13 @@ def least_between(offsets: Array, errors: Array) -> Least:
     """The minimum of the parabola through three errors; no step where it has none.
 
     Args:
-        offsets: (3,) values of a parameter from one of them on, which is zero, in order.
+        offsets: (3,) values of a parameter, in order, from the middle one on, which is zero.
         errors: (3,) errors there.
     """
-    curvature, slope, _ = np.polyfit(offsets, errors, 2).tolist()
+    (first, _, last), (low, middle, high) = offsets.tolist(), errors.tolist()
+    slopes = (low - middle) / first, (high - middle) / last
+    curvature = (slopes[1] - slopes[0]) / (last - first)
+    slope = slopes[0] - curvature * first
     if curvature <= 0.0:
         return Least(0.0, 0.0, float("inf"))
     step = float(np.clip(-slope / (2.0 * curvature), offsets[0], offsets[-1]))

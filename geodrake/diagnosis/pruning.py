@@ -34,6 +34,8 @@ def prune(
 ) -> Hypothesis:
     """Drop effects, weakest first, that would no longer convince if they were offered now.
 
+    Then bodies go back within the assumed prior if leaving it is not worth it any more.
+
     Args:
         hypothesis: The hypothesis.
         fixed: Effects that stay (those of the model as it came).

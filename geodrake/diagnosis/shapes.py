@@ -111,7 +111,7 @@ def peak(hypothesis: Hypothesis, effect: Effect, grid: Sequence[Effect]) -> tupl
         return effect, 0.0
     near = tried[at - 1 : at + 2]
     place = np.log([getattr(e, name) for e in near])
-    weight = hypothesis.effective / hypothesis.held_out.mse
+    weight = hypothesis.effective / np.maximum(hypothesis.held_out.mse, np.finfo(float).tiny)
     errors = [hypothesis.exchanged([effect], [e]).held_out.mse @ weight for e in near]
     least = least_between(place - place[1], np.array(errors))
     best = replace(effect, **{name: float(np.exp(place[1] + least.step))})  # type: ignore[type-var]

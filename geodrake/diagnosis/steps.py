@@ -134,8 +134,8 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
         parameters, deviations = _values(case, group, trail, fit)
         systematic = _systematic(case, group, fit)
         before, after = hypotheses[i : i + 2]
-        count = 2 * len(case.model.bodies) if group.looseness is not None else 1
-        count = parameters_of(group.effects) or count
+        alone = 2 * len(case.model.bodies) if group.looseness is not None else 1
+        count = parameters_of(group.effects) or alone
         found = judge(before, after, parameters=count, tried=tried)
         where = _where(case, group, trail, fit)
         rivals = _rivals(case, trail, group, where, fit.model.phi)

@@ -26,7 +26,6 @@ from geodrake.identification.logs.hypothesis import Hypothesis, effective_of_eac
 from geodrake.identification.logs.unknowns import effect_prior
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 

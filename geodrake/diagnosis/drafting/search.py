@@ -18,9 +18,6 @@ from geodrake.diagnosis.judgement import judge
 from geodrake.identification.logs.case import Case
 from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.dataset import Dataset
-from geodrake.identification.logs.evidence import (
-    tie_probability,
-)
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.identification.logs.reduce import reduce_logs
 
@@ -127,17 +124,15 @@ class JointSearch:
             return judge(before, trial[1], parameters=trial[0].formula.free).score
 
         best = max(trials, key=score)
-        j = before.dataset.joints.index(self.joint)
+        here = np.isin(before.dataset.joints, [self.joint])
 
         def ties(other: Hypothesis) -> bool:
-            ratio = best[1].held_out.mse[j] / other.held_out.mse[j]
-            alike = tie_probability(best[1].loss(), other.loss()) > criteria.tie
-            return alike or bool(ratio > 1.0 - criteria.reduction)
+            judged = judge(other, best[1], joints=here)
+            return judged.is_tie(criteria) or judged.reduction < criteria.reduction
 
         tied = [t for t in trials if ties(t[1])]
         chosen, after = min(tied, key=lambda t: (t[0].formula.complexity, -score(t)))
         formula = chosen.formula
-        here = np.arange(len(before.dataset.joints)) == j
         among = tried ** len(formula.terms)
         found = judge(before, after, joints=here, parameters=formula.free, tried=among)
         if not found.convinces(criteria):

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import chdtrc, ndtr
+from scipy.special import chdtrc, ndtr, stdtr
 
 from geodrake.identification.logs.criteria import MOST
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 _HARDLY, _NO_RISE = 0.01, 0.05  # of a fold's loss, and of the mean one
 _FEW = 2  # folds
-_EXACT = 10  # folds, of which every pattern of signs is counted
+_ENOUGH, _EXACT = 5, 10  # folds: for ranks, and of which every pattern of signs is counted
 _AT_ONCE = 100_000  # numbers that are transformed together
 
 
@@ -145,23 +145,33 @@ def tie_probability(loss_a: Array, loss_b: Array) -> float:
 
     Returns:
         One-sided p-value of Wilcoxon's signed-rank test among the folds that differ by more than
-        hardly; one half where none does.
+        hardly, of the paired t-test where these are too few for ranks; one half where none does.
     """
     difference = loss_b - loss_a
     difference = difference[np.abs(difference) > _HARDLY * np.maximum(loss_a, loss_b)]
     if not len(difference):
         return 0.5
+    if len(difference) < _ENOUGH:
+        return _paired_t(difference)
     ranks = _ranks(np.abs(difference))
-    # Of F differences without a sign of their own, the ranks' sum has this mean and variance.
-    total, square = ranks.sum(), np.square(ranks).sum()
     positive = ranks[difference > 0.0].sum()
     if len(difference) <= _EXACT:
         signs = np.arange(2 ** len(difference))[:, None] >> np.arange(len(difference)) & 1
         return float(np.mean(signs @ ranks >= positive - 1e-9))
-    return float(ndtr(-(positive - 0.5 * total - 0.25) / (0.5 * np.sqrt(square))))
+    # Of differences without a sign of their own, the sum has this mean and this variance.
+    mean, variance = 0.5 * ranks.sum(), 0.25 * np.square(ranks).sum()
+    return float(ndtr(-(positive - mean - 0.5) / np.sqrt(variance)))
 
 
 def _ranks(values: Array) -> Array:
     """Ranks from 1 on; those of equal values are their mean."""
     _, at, counts = np.unique(values, return_inverse=True, return_counts=True)
     return (np.cumsum(counts) - 0.5 * (counts - 1.0))[at]
+
+
+def _paired_t(difference: Array) -> float:
+    spread = difference.std(ddof=1) if len(difference) > 1 else 0.0
+    if spread == 0.0:
+        return 0.5 if len(difference) == 1 or not difference.any() else float(difference[0] < 0.0)
+    t = difference.mean() / (spread / np.sqrt(len(difference)))
+    return float(stdtr(len(difference) - 1, -t))

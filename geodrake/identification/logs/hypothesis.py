@@ -73,17 +73,9 @@ class Hypothesis:
         """Held-out error over effort standard deviation, root mean square over joints."""
         return float(np.sqrt(np.mean(self.held_out.mse / self.dataset.effort_std**2)))
 
-    def loss(self, joints: NDArray[np.bool_] | None = None) -> Array:
-        """(F,) held-out squared error per fold, each joint weighted alike.
-
-        Args:
-            joints: (nv,) joints that count; all by default.
-        """
-        return self._loss_of(self.held_out, joints)
-
-    def _loss_of(self, held_out: HeldOut, joints: NDArray[np.bool_] | None = None) -> Array:
-        weight = np.ones(len(self.dataset.joints)) if joints is None else joints
-        return np.asarray(held_out.sse @ (weight / self.dataset.effort_std**2))
+    def _loss_of(self, held_out: HeldOut) -> float:
+        """Held-out squared error of all folds, each joint's over the variance of its effort."""
+        return float((held_out.sse / self.dataset.effort_std**2).sum())
 
     @property
     def has_fixed_bodies(self) -> bool:
@@ -186,7 +178,7 @@ class Hypothesis:
                 self.dataset, unknowns, self.weights, delay=self.delay, physical=False
             ).held_out
             gain = log_likelihood_gain(before.mse, quick.mse, self.effective).sum()
-            if gain > 0.0 or self.loss().sum() > self._loss_of(quick).sum():
+            if gain > 0.0 or self._loss_of(before) > self._loss_of(quick):
                 found.append(self.loosened(factor))
         return found
 
