@@ -48,7 +48,7 @@ MORE_THAN_HALF = 0.51
 """Share of the folds that must agree on what most joints of a robot have already."""
 
 SEVERAL = 4.0
-"""Several times as much: no tie, for example, where so many times the error of a joint is left."""
+"""Several times as much: no tie, for example, where so many times the squared error is left."""
 
 RARER = 1.0 / 3.0
 """An effect is so much rarer than one that is less complex by one."""
