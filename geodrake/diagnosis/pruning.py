@@ -16,12 +16,14 @@ from geodrake.diagnosis.trials import (
     is_nothing,
     judge_package,
     try_package,
+    try_packages,
 )
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import PENALTY, SEVERAL, Criteria
 from geodrake.identification.logs.evidence import chi2_tail
 from geodrake.identification.logs.hypothesis import Hypothesis
 
+_FITTED = 2  # shapes of an effect, the best by quick trials
 _NEARLY_ALL = 0.8  # of the folds
 
 
@@ -162,6 +164,11 @@ def reshape(
         shapes = [e for e in variants(effect, hypothesis.dataset.effects) if e != effect]
         if effect in fixed or not shapes or refusals.has(hypothesis, (effect,), "shape"):
             continue
+        if len(shapes) > _FITTED:
+            packages = [Package((shape,), shape.where) for shape in shapes]
+            trials = try_packages(hypothesis.stripped(effect), packages, 1, rivals=True)
+            trials.sort(key=lambda trial: -trial.judgement.reduction)
+            shapes = [trial.package.effects[0] for trial in trials[:_FITTED]]
         others = [hypothesis.exchanged([effect], [shape]) for shape in shapes]
         best = max(others, key=lambda other: gain_of(hypothesis, other))
         if gain_of(hypothesis, best) > least:
