@@ -101,13 +101,17 @@ def _lasts(
     """Whether anything is left of a step once what it led to is simplified and pruned.
 
     What gains of the efforts explain as well, no more than these are uncertain, does not last; nor
-    do bodies that go far, if they gain less than that costs.
+    do bodies that go far, if they gain less than that costs, or effects that gain no more than the
+    best of all that were tried may by chance.
     """
     end = simplified(after, fixed, criteria)
     was, now = (
         (set(h.unknowns.effects), h.released, h.delay, h.looseness > 1.0) for h in (before, end)
     )
-    return was != now
+    if was == now:
+        return False
+    found = judge(before, end, tried=len(before.dataset.effects))
+    return found.parameters <= 0 or found.alarm <= criteria.alarm
 
 
 def _first(case: Case, before: Hypothesis, step: Forward) -> Ranked:
