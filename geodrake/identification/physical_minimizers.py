@@ -209,7 +209,7 @@ class _Problem:
 
     def bodies(self, x: Array) -> Array:
         """(F, n, 4, 4) pseudo inertias."""
-        return calc_pseudo_inertia(x[:, self.places])
+        return np.asarray(x[:, self.places] @ _FLAT).reshape(len(x), -1, 4, 4)
 
     def slack(self, x: Array) -> Array:
         """(F, m) distances from the bounds."""

@@ -10,6 +10,7 @@ Array = NDArray[np.float64]
 PARAMETERS_PER_BODY = 10
 
 _IDENTITY = np.eye(3)
+_AXES, _NEXT = np.arange(3), np.array([1, 2, 0])
 
 
 def calc_rotational_inertia(phi: Array) -> Array:
@@ -19,25 +20,15 @@ def calc_rotational_inertia(phi: Array) -> Array:
     return np.stack(rows, -2)
 
 
-def _basis() -> Array:
-    """P (10, 4, 4) of the unit vectors e_i: P(φ) = Σ φ_i P(e_i)."""
-    basis = np.zeros((PARAMETERS_PER_BODY, 4, 4))
-    basis[0, 3, 3] = 1.0
-    for i in range(3):
-        basis[1 + i, i, 3] = basis[1 + i, 3, i] = 1.0
-        basis[4 + i, :3, :3] = np.diag([-0.5 if k == i else 0.5 for k in range(3)])
-        a, b = ((0, 1), (1, 2), (2, 0))[i]
-        basis[7 + i, a, b] = basis[7 + i, b, a] = -1.0
-    return basis
-
-
-BASIS = _basis()
-_FLAT = BASIS.reshape(PARAMETERS_PER_BODY, 16)
-
-
 def calc_pseudo_inertia(phi: Array) -> Array:
     """P(φ) (..., 4, 4) of φ (..., 10)."""
-    return np.asarray(phi @ _FLAT).reshape(*phi.shape[:-1], 4, 4)
+    moments = phi[..., 4:7]
+    matrix = np.empty((*phi.shape[:-1], 4, 4))
+    matrix[..., _AXES, _AXES] = 0.5 * moments.sum(-1, keepdims=True) - moments
+    matrix[..., _AXES, _NEXT] = matrix[..., _NEXT, _AXES] = -phi[..., 7:]
+    matrix[..., :3, 3] = matrix[..., 3, :3] = phi[..., 1:4]
+    matrix[..., 3, 3] = phi[..., 0]
+    return matrix
 
 
 def calc_from_pseudo_inertia(matrix: Array) -> Array:
@@ -51,6 +42,7 @@ def calc_from_pseudo_inertia(matrix: Array) -> Array:
     )
 
 
+BASIS = calc_pseudo_inertia(np.eye(PARAMETERS_PER_BODY))
 DUAL_BASIS = np.einsum("ij,jab->iab", np.linalg.inv(np.einsum("iab,jab->ij", BASIS, BASIS)), BASIS)
 
 
