@@ -182,6 +182,7 @@ class _Problem:
     bounded: Indices
     sign: Array
     offset: Array
+    lower: int  # how many of the bounds are lower ones
 
     @classmethod
     def of(
@@ -191,7 +192,7 @@ class _Problem:
         sign = np.concatenate([np.ones(len(low)), -np.ones(len(high))])
         offset = np.concatenate([bounds[0][low], -bounds[1][high]])
         bounded = np.concatenate([low, high])
-        return cls(gram, rhs, _places(blocks), bounds, bounded, sign, offset)
+        return cls(gram, rhs, _places(blocks), bounds, bounded, sign, offset, len(low))
 
     def first(self, start: Array) -> _Point:
         """A point inside all constraints, with multipliers that suit its cost."""
@@ -223,8 +224,13 @@ class _Problem:
         """(F, p) what dual matrices (F, n, 4, 4) and multipliers (F, m) push the parameters."""
         push = np.zeros_like(self.rhs)
         push[:, self.places] = matrices.reshape(*matrices.shape[:2], 16) @ _FLAT.T
-        np.add.at(push.T, self.bounded, (self.sign * forces).T)
+        self.add(push, self.sign * forces)
         return push
+
+    def add(self, parameters: Array, values: Array) -> None:
+        """Add values (F, m) of the bounds to those of parameters (F, p), which may have two."""
+        for side in (slice(self.lower), slice(self.lower, None)):
+            parameters[:, self.bounded[side]] += values[:, side]
 
 
 class _Linearization:
@@ -251,8 +257,7 @@ class _Linearization:
         flat = basis.reshape(*basis.shape[:3], 16)
         places = problem.places
         hessian[:, places[:, :, None], places[:, None, :]] += flat @ np.swapaxes(flat, 2, 3)
-        stiff = self._at.multipliers / self._slack
-        np.add.at(hessian.transpose(1, 2, 0), (problem.bounded, problem.bounded), stiff.T)
+        problem.add(np.einsum("fii->fi", hessian), self._at.multipliers / self._slack)
         return hessian
 
     def _solved(self, right: Array) -> Array:
