@@ -157,10 +157,12 @@ def _farther_out(hypothesis: Hypothesis, effect: Effect, criteria: Criteria) -> 
     others = {e.where[0]: e for e in dataset.effects if is_payload(e) and e not in present}
     here = dataset.bodies.index(effect.where[0])
     farther = [others[body] for body in dataset.bodies[here + 1 :] if body in others]
-    for other in reversed(farther):
-        carried = np.all(dataset.felt(other) >= dataset.felt(effect))  # no other arm's
-        moved = hypothesis.exchanged([effect], [other]) if carried else hypothesis
-        if carried and judge(moved, hypothesis).is_tie(criteria):
+    carried = [
+        e for e in farther if np.all(dataset.felt(e) >= dataset.felt(effect))
+    ]  # no other arm
+    for other in reversed(carried):
+        moved = hypothesis.exchanged([effect], [other])
+        if judge(moved, hypothesis).is_tie(criteria):
             return moved
     return hypothesis
 

@@ -180,16 +180,6 @@ def acted_upon(dataset: Dataset, effects: Sequence[Effect]) -> Mask:
     return np.any([dataset.felt(effect) for effect in effects], axis=0)
 
 
-def columns_of(dataset: Dataset, effects: Sequence[Effect]) -> NDArray[np.intp]:
-    """(k,) columns of effects.
-
-    Args:
-        dataset: The reduced logs, with columns for the effects.
-        effects: The effects.
-    """
-    return np.concatenate([dataset.effect_columns(effect) for effect in effects])
-
-
 def gain_of(before: Hypothesis, after: Hypothesis) -> float:
     """Twice the held-out log-likelihood ratio of two hypotheses; see `judge`.
 

@@ -8,7 +8,14 @@ import numpy as np
 from scipy.special import chdtri
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.judgement import Judgement, acted_upon, gain_of, judge, judge_errors
+from geodrake.diagnosis.judgement import (
+    Judgement,
+    acted_upon,
+    gain_of,
+    judge,
+    judge_errors,
+    parameters_of,
+)
 from geodrake.diagnosis.refusals import Refusals
 from geodrake.diagnosis.shapes import variants
 from geodrake.diagnosis.trials import (
@@ -95,12 +102,11 @@ def _quick_trial(hypothesis: Hypothesis, effect: Effect) -> Judgement | None:
     without = cv.without_columns(np.arange(span.start, span.stop))
     if without is None:
         return None
-    package = Package((effect,), effect.where)
     return judge_errors(
         (without, cv.held_out),
         hypothesis.effective,
         joints=acted_upon(hypothesis.dataset, [effect]),
-        parameters=package.parameters,
+        parameters=parameters_of([effect]),
     )
 
 

@@ -126,11 +126,11 @@ def with_ties(ranked: Sequence[Ranked], criteria: Criteria) -> list[Ranked]:
         criteria: What counts as a tie.
     """
     ordered = sorted(ranked, key=lambda r: -r.score)
-    return [
-        replace(r, tied=r is best or judge(r.hypothesis, best.hypothesis).is_tie(criteria))
-        for best in ordered[:1]
-        for r in ordered
-    ]
+    if not ordered:
+        return []
+    best, *others = ordered
+    tied = [replace(r, tied=judge(r.hypothesis, best.hypothesis).is_tie(criteria)) for r in others]
+    return [replace(best, tied=True), *tied]
 
 
 def _delays(hypothesis: Hypothesis, criteria: Criteria) -> list[Ranked]:

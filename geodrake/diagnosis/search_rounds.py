@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,22 +61,21 @@ def searched(
         The case as it was reduced last, and the trail on its dataset.
     """
     case, trail = with_suggestions(case, Trail(start, start), criteria, least_share=DOMINANT)
-    state = _run(_State(case, trail, tuple(fixed), criteria), tune=tune, progress=progress)
-    return state.case, state.trail
-
-
-def _run(state: _State, *, tune: bool, progress: Progress | None) -> _State:
-    """Search from where a state is, until nothing is left to search or to make exact."""
-    look = partial(
-        search, criteria=state.criteria, tune=tune, pause=state.to_pause, progress=progress
-    )
+    state = _State(case, trail, tuple(fixed), criteria)
     for _ in range(_MOST_ROUNDS):
-        state.trail = look(state.trail, state.fixed)
+        state.trail = search(
+            state.trail,
+            state.fixed,
+            criteria,
+            tune=tune,
+            pause=state.to_pause,
+            progress=progress,
+        )
         if not state.goes_on():
             break
     if state.timed is not None:
         state.retime(0.5)
-    return state
+    return state.case, state.trail
 
 
 class _State:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
-from geodrake.diagnosis.judgement import Judgement, acted_upon, columns_of, judge, judge_errors
+from geodrake.diagnosis.judgement import Judgement, acted_upon, judge, judge_errors
 from geodrake.effects.base import Effect, Role
 from geodrake.identification.logs.criteria import (
     MORE_THAN_HALF,
@@ -222,3 +222,13 @@ def judge_package(before: Hypothesis, after: Hypothesis, package: Package) -> Ju
     seen = acted_upon(before.dataset, package.effects)
     seen[np.argmin(after.held_out.mse / before.held_out.mse)] = True
     return judge(before, after, joints=seen, parameters=package.parameters)
+
+
+def columns_of(dataset: Dataset, effects: Sequence[Effect]) -> Indices:
+    """(k,) columns of effects.
+
+    Args:
+        dataset: The reduced logs, with columns for the effects.
+        effects: The effects.
+    """
+    return np.concatenate([dataset.effect_columns(effect) for effect in effects])

@@ -462,14 +462,12 @@ def _within(x: Array, rhs: Array, scaled: tuple[Array, Array], unknowns: Unknown
         scaled: Their matrix (p, p) of unit diagonal, and by what (p,) it was scaled.
         unknowns: The unknowns.
     """
+    free, (matrix, scale) = np.ones(len(x), bool), scaled
     lower, upper = unknowns.lower - _ROUNDING, unknowns.upper + _ROUNDING
-    outside = (x < lower) | (x > upper)
-    free, (matrix, scale) = ~outside, scaled
-    while np.any(outside):
+    while np.any(outside := (x < lower) | (x > upper)):
+        free &= ~outside
         x = np.clip(x, unknowns.lower, unknowns.upper)
         held = (matrix[np.ix_(free, ~free)] @ (x[~free] / scale[~free])) / scale[free]
         right = scale[free] * (rhs[free] - held)
         x[free] = scale[free] * solved(cholesky(matrix[np.ix_(free, free)]), right)
-        outside = (x < lower) | (x > upper)
-        free &= ~outside
     return x
