@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.diagnosis.judgement import judge
+from geodrake.diagnosis.parabola import least_between
 from geodrake.diagnosis.stepwise_search import Trail
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import Case, KeptMotion, reduced
@@ -32,8 +33,8 @@ _SLOW = 0.15
 _DOUBLINGS = 7
 _HARDLY = 1.01
 """A wider transition is tried while the squared error stays below this multiple of the last one."""
-_BETWEEN = (2.0**-0.5, 2.0**0.5, 2.0**-0.25, 2.0**0.25)
-"""Multiples of the best width so far that are tried one after the other."""
+_CLOSER = 2
+"""So often the least error between widths that were tried is looked for."""
 
 
 def with_transition_speed(case: Case, trail: Trail) -> tuple[Case, Trail] | None:
@@ -87,20 +88,45 @@ def _best_widths(case: Case, end: Hypothesis, least: Array, most: Array, tried: 
         most: (nv,) widest ones.
         tried: (nv,) whether a joint's width is looked for.
     """
-    best, error = sign_widths(case.model, case.trajectories), end.held_out.mse
-    last, goes_on = np.full(len(best), np.inf), tried
+    widths, errors = [sign_widths(case.model, case.trajectories)], [end.held_out.mse]
+
+    def best() -> Array:
+        chosen = np.argmin(errors, axis=0)[None]
+        return np.asarray(np.take_along_axis(np.array(widths), chosen, 0)[0])
+
+    def error_with(width: Array) -> Array:
+        widths.append(width)
+        errors.append(_errors(case, end, width))
+        return errors[-1]
+
+    last, goes_on = np.full(len(least), np.inf), tried
     for power in range(_DOUBLINGS + 1):
-        width = np.where(goes_on, np.minimum(least * 2.0**power, most), best)
-        new = _errors(case, end, width)
-        best, error = np.where(new < error, width, best), np.minimum(new, error)
+        width = np.where(goes_on, np.minimum(least * 2.0**power, most), best())
+        new = error_with(width)
         goes_on, last = goes_on & (new < _HARDLY * last) & (width < most), new
         if not goes_on.any():
             break
-    for factor in _BETWEEN:
-        width = np.where(tried, np.clip(factor * best, least, most), best)
-        new = _errors(case, end, width)
-        best, error = np.where(new < error, width, best), np.minimum(new, error)
-    return best
+    for _ in range(_CLOSER):
+        at = zip(np.transpose(widths), np.transpose(errors), tried, strict=True)
+        error_with(np.array([_between(*each) for each in at]))
+    return best()
+
+
+def _between(widths: Array, errors: Array, searched: bool) -> float:
+    """The width of a joint at the minimum of a parabola around the best that was tried.
+
+    Args:
+        widths: (n,) widths that were tried.
+        errors: (n,) its squared errors with them.
+        searched: Whether its width is looked for.
+    """
+    values, first = np.unique(widths, return_index=True)
+    at = int(np.argmin(errors[first]))
+    if not searched or not 0 < at < len(values) - 1:
+        return float(values[at])
+    near = slice(at - 1, at + 2)
+    offsets = values[near] - values[at]
+    return float(values[at] + least_between(offsets, errors[first][near]).step)
 
 
 def _share_of_slow(end: Hypothesis, speed: Array) -> Array:
