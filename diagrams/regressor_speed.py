@@ -116,8 +116,9 @@ def measure_reduction(*, samples: int, seed: int) -> Reduction:
         motion = random_motion(rng, min(CHUNK, samples - first), tree.num_velocities)
         for _, piece in regressor_pieces(tree, *motion):
             for joint, own in enumerate(columns):
-                effort = phi[own] @ piece[joint, own] + rng.normal(0.0, NOISE, piece.shape[2])
-                rows = np.vstack([piece[joint, own], effort]).T
+                rows = piece[:, joint, own]
+                effort = rows @ phi[own] + rng.normal(0.0, NOISE, len(rows))
+                rows = np.column_stack([rows, effort])
                 before = time.perf_counter()
                 factors[joint] = triangular_factor([factors[joint], rows])
                 factor_time += time.perf_counter() - before

@@ -9,8 +9,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from geodrake.boundary.escaping import printable
+from geodrake.robot.compiling import while_compiling
 
 Update = Callable[[str], None]
+
+_COMPILING = "Compiling, once, which takes some ten seconds"
 
 
 @contextmanager
@@ -36,5 +39,14 @@ def progress(words: str) -> Iterator[Update]:
         disable=not console.is_terminal,
     )
     with bar:
-        task = bar.add_task(printable(words), total=None)
-        yield lambda text: bar.update(task, description=printable(text))
+        task, last = bar.add_task(printable(words), total=None), [words]
+
+        def show(text: str) -> None:
+            bar.update(task, description=printable(text))
+
+        def update(text: str) -> None:
+            last[0] = text
+            show(text)
+
+        with while_compiling(lambda: show(_COMPILING), lambda: show(last[0])):
+            yield update

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import calc_kinematics
 
 Array = NDArray[np.float64]
 
@@ -93,38 +93,18 @@ class RobotBodies:
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:
-        return dict(self._outwards())
-
-    def _outwards(self) -> Iterator[tuple[str, BodyMotion]]:
-        n, nv = len(self.q), self.tree.num_velocities
-        world = np.broadcast_to(np.eye(3), (n, 3, 3))
-        none = np.zeros((n, 3, nv))
-        frames: list[BodyMotion] = []
-        for mobilizer in self.tree.mobilizers:
-            parent = BodyMotion(world, np.zeros((n, 3)), none, none, ())
-            if mobilizer.parent >= 0:
-                parent = frames[mobilizer.parent]
-            joint, q = mobilizer.motion, self.q[:, mobilizer.positions]
-            R_PB = (joint.rotation @ joint.features(q.T)).T.reshape(-1, 3, 3)
-            p_PoMo_P = joint.offset + q @ joint.translation.T
-            arm = (parent.rotation @ p_PoMo_P[..., None])[..., 0]
-            angular = parent.angular.copy()
-            linear = parent.linear + np.cross(angular, arm[:, :, None], axis=1)
-            own = mobilizer.velocities
-            angular[:, :, own] = parent.rotation @ joint.angular
-            linear[:, :, own] = parent.rotation @ joint.linear
-            at_joint = BodyMotion(
-                parent.rotation @ R_PB, parent.position + arm, angular, linear, mobilizer.dofs
+        tree, n = self.tree, len(self.q)
+        poses = np.zeros((n, len(tree.bodies), 4, 4))
+        angular, linear = np.zeros((2, n, len(tree.bodies), 3, tree.num_velocities))
+        calc_kinematics(tree.records, np.ascontiguousarray(self.q), poses, angular, linear)
+        return {
+            tree.bodies[mobilizer.body]: BodyMotion(
+                poses[:, mobilizer.body, :3, :3],
+                poses[:, mobilizer.body, :3, 3],
+                angular[:, mobilizer.body],
+                linear[:, mobilizer.body],
+                mobilizer.dofs,
             )
-            offset = at_joint.rotation @ mobilizer.p_MoBo_B
-            frames.append(
-                BodyMotion(
-                    at_joint.rotation,
-                    at_joint.position + offset,
-                    angular,
-                    at_joint.jacobian_at(mobilizer.p_MoBo_B),
-                    mobilizer.dofs,
-                )
-            )
-            if mobilizer.body >= 0:
-                yield self.tree.bodies[mobilizer.body], frames[-1]
+            for mobilizer in tree.mobilizers
+            if mobilizer.body >= 0
+        }

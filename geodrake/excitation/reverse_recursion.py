@@ -15,12 +15,36 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.joints import FrameMotion
-from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.recursion import Samples, motion_pieces, world_motion
+from geodrake.robot.compiling import compiled, inlined
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import (
+    MOTION,
+    Record,
+    Samples,
+    TreeRecords,
+    angle_place,
+    features_of,
+    find_subspaces,
+    inboard_motion,
+    move,
+)
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    combination,
+    cross,
+    dot,
+    inertia_times,
+    put,
+    put_row,
+    row,
+    scale,
+    subtract,
+    times,
+    vector,
+)
 
-_CYCLE = [0, 1, 2, 0, 1]
-_BEFORE = [2, 0, 1]
 _IMAGINARY_STEP = 1e-30  # so small that its square is nothing: the derivative is exact
 
 
@@ -48,140 +72,150 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
         weights: (N, nv, 10 nb) W.
     """
     result = MotionGradient(*(np.zeros(x.shape) for x in samples))
-    for part, (q, v, _), motions in motion_pieces(tree, samples):
-        covectors: list[Array | float] = [0.0] * len(motions)
-        for i in reversed(range(len(motions))):
-            mobilizer, motion = tree.mobilizers[i], motions[i]
-            covector = covectors[i]
-            if mobilizer.body >= 0:
-                first = PARAMETERS_PER_BODY * mobilizer.body
-                block = weights[part, :, first : first + PARAMETERS_PER_BODY]
-                covector = covector + _body_covector(motion, block[:, mobilizer.dofs])
-            if isinstance(covector, float):
-                continue  # a massless frame that carries nothing
-            own, parent = mobilizer.velocities, mobilizer.parent
-            inboard = motions[parent] if parent >= 0 else world_motion(tree, mobilizer)
-            sample = (q[mobilizer.positions], v[own])
-            passed_on, by_q, by_v, by_vd = _move_back(mobilizer, inboard, sample, motion, covector)
-            result.q[part, mobilizer.positions] = by_q.T
-            result.v[part, own], result.vd[part, own] = by_v.T, by_vd.T
-            if parent >= 0:
-                covectors[parent] = covectors[parent] + passed_on
+    gradient = result.q, result.v, result.vd
+    calc_motion_gradient(tree.records, samples, np.ascontiguousarray(weights), gradient)
     return result
 
 
-def _body_covector(motion: Array, weights: Array) -> Array:
-    """Gradient (3, 3 + 2k, n) of a body's share of Σ W ∘ Y with respect to its motion."""
-    k = weights.shape[1]
-    c = np.ascontiguousarray(weights.transpose(2, 1, 0))
-    m, h, diagonal, product = c[0], c[1:4][_CYCLE], c[4:7], c[7:]
-    w, wd, a = motion[:, 0:1], motion[:, 1:2], motion[:, 2:3]
-    s, t = motion[:, 3 : 3 + k], motion[:, 3 + k :]
+@compiled
+def calc_motion_gradient(tree: TreeRecords, samples: Samples, weights: Array, out: Samples) -> None:
+    """Writes the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv)."""
+    mobilizers, dofs = tree
+    motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    by_turn, by_slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    features, (q, v, _), (by_q, by_v, by_vd) = np.empty(9), samples, out
+    for n in range(len(q)):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        by_turn[:], by_slide[:] = 0.0, 0.0
+        for i in range(len(mobilizers)):
+            nothing = (0.0, 0.0, 0.0)
+            put(by[i].w, nothing)
+            put(by[i].wd, nothing)
+            put(by[i].a, nothing)
+        for i in range(len(mobilizers) - 1, -1, -1):
+            mobilizer, motion = mobilizers[i], motions[i]
+            if mobilizer.body >= 0:
+                for k in range(mobilizer.count):
+                    place = n, dofs[i, k], PARAMETERS_PER_BODY * mobilizer.body
+                    s, t = row(turn, i, k), row(slide, i, k)
+                    by_s, by_t = add_block(motion, (s, t), (weights, place), by[i])
+                    put_row(by_turn, i, k, add(row(by_turn, i, k), by_s))
+                    put_row(by_slide, i, k, add(row(by_slide, i, k), by_t))
+            covector = motion, by[i], mobilizer.p_MoBo_B
+            spin = shift_back(covector, (turn, slide), (by_turn, by_slide), i, mobilizer.count)
+            by_w, by_wd, by_a = vector(by[i].w), vector(by[i].wd), vector(by[i].a)
+            w_P, wd_P, _ = inboard_motion(mobilizer, motions)
+            # The reverse of `geodrake.robot.recursion.move`, in P.
+            R, p, own = motion.R_PB, vector(motion.p_PMo), mobilizer.velocities
+            by_w, by_wd, by_a = times(R, by_w), times(R, by_wd), times(R, by_a)
+            by_p = add(cross(by_a, wd_P), cross(w_P, cross(w_P, by_a)))
+            turning, sliding = add(by_w, cross(by_wd, w_P)), scale(2.0, cross(by_a, w_P))
+            for k in range(own[1]):
+                s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
+                by_v[n, own[0] + k] = dot(s, turning) + dot(t, sliding)
+                by_vd[n, own[0] + k] = dot(s, by_wd) + dot(t, by_a)
+            parent = mobilizer.parent
+            if parent >= 0:
+                for k in range(mobilizers[parent].count):
+                    by_s, by_t = times(R, row(by_turn, i, k)), times(R, row(by_slide, i, k))
+                    by_p = add(by_p, cross(by_t, row(turn, parent, k)))
+                    by_s = add(row(by_turn, parent, k), add(by_s, cross(p, by_t)))
+                    put_row(by_turn, parent, k, by_s)
+                    put_row(by_slide, parent, k, add(row(by_slide, parent, k), by_t))
+                rates = combination(mobilizer.angular, v, n, own)
+                by_w = add(by_w, add(cross(rates, by_wd), by_turning(by_a, w_P, p)))
+                rates = combination(mobilizer.linear, v, n, own)
+                by_w = add(by_w, scale(2.0, cross(rates, by_a)))
+                put(by[parent].w, add(vector(by[parent].w), by_w))
+                by_wd = add(by_wd, cross(p, by_a))
+                put(by[parent].wd, add(vector(by[parent].wd), by_wd))
+                put(by[parent].a, add(vector(by[parent].a), by_a))
+            for j in range(mobilizer.positions[1]):
+                place = mobilizer.positions[0] + j
+                by_q[n, place] += dot(column(mobilizer.translation, j), by_p)
+                if mobilizer.features > 0:
+                    by_q[n, place] += dot(turning_rate(mobilizer, motion, q, n, j), spin)
 
-    def inertia(x: Array) -> Array:
-        """I x (3, …) of a cyclic x."""
-        return diagonal * x[:3] + product * x[1:4] + product[_BEFORE] * x[2:5]
 
-    hw, hh = _dot(h, w), h[:3]
-    Iw = inertia(w)[_CYCLE]
-    out = np.empty((3, 3 + 2 * k, motion.shape[2]))
-    out[:, 3 : 3 + k] = inertia(wd) + _cross(w, Iw) + _cross(h, a)
-    out[:, 3 + k :] = m * a[:3] + _cross(wd, h) + w[:3] * hw - hh * _dot(w, w)
-    out[:, 2] = (m * t[:3] + _cross(s, h)).sum(1)
-    out[:, 1] = (_cross(h, t) + inertia(s)).sum(1)
-    turning = t[:3] * hw + hh * _dot(t, w) + inertia(_cross(s, w)[_CYCLE]) + _cross(Iw, s)
-    out[:, 0] = turning.sum(1) - 2.0 * w[:3, 0] * _dot(t, h).sum(0)
-    return out
+@inlined
+def shift_back(
+    covector: tuple[Record, Record, Array],
+    subspaces: tuple[Array, Array],
+    by_subspaces: tuple[Array, Array],
+    i: int,
+    count: int,
+) -> Vector:
+    """Turns the gradient with a body's motion about Bo into that about Mo.
 
-
-def _move_back(
-    mobilizer: Mobilizer, parent: Array, sample: tuple[Array, Array], motion: Array, covector: Array
-) -> tuple[Array, Array, Array, Array]:
-    """The reverse of `geodrake.robot.recursion._move`.
-
-    Args:
-        mobilizer: What moves B in P.
-        parent: (5, 3 + 2j, n) motion of P.
-        sample: The mobilizer's own q and v, each (·, n).
-        motion: (5, 3 + 2k, n) motion of B.
-        covector: (3, 3 + 2k, n) gradient with respect to it.
-
-    Returns:
-        The gradients with respect to the motion of P, and to q, v and v̇.
+    The covector is the motion, the gradient with it, and the position of Bo from Mo. Returns the
+    gradient with a rotation of B.
     """
-    (q, v), joint, k = sample, mobilizer.motion, len(mobilizer.dofs)
-    at_Mo, covector = _shift_back(mobilizer.p_MoBo_B, motion, covector)
-    spin = _cross(covector[_CYCLE], at_Mo).sum(1)  # of a rotation of B, in B
-    R_PB = (joint.rotation @ joint.features(q)).reshape(3, 3, 1, -1)
-    by_seen = (R_PB * covector).sum(1)[_CYCLE]
-
-    old = (parent.shape[1] - 3) // 2
-    s_P, w_P, wd_P = parent[:, 3 : 3 + old], parent[:, 0], parent[:, 1]
-    w, t = ((x[_CYCLE] @ v) for x in (joint.angular, joint.linear))
-    p = joint.offset[_CYCLE, None] + joint.translation[_CYCLE] @ q
-    by_w, by_wd, by_a, by_t = by_seen[:, 0], by_seen[:, 1], by_seen[:, 2], by_seen[:, 3 + k :]
-    by_t_P = by_t[:, :old]
-    twice = _cross(w_P, _cross(w_P, by_a)[_CYCLE])
-    by_p = _cross(by_a, wd_P) + twice + _cross(by_t_P, s_P).sum(1)
-    by_v = joint.angular.T @ (by_w[:3] + _cross(by_wd, w_P))
-    by_v += joint.linear.T @ (2.0 * _cross(by_a, w_P))
-    by_vd = joint.angular.T @ by_wd[:3] + joint.linear.T @ by_a[:3]
-    by_q = joint.translation.T @ by_p + _by_rotation(joint, q, R_PB[:, :, 0], spin)
-
-    passed_on = np.empty((3, 3 + 2 * old, by_a.shape[1]))
-    passed_on[:, 3 : 3 + old] = by_seen[:3, 3 : 3 + old] + _cross(p[:, None], by_t_P)
-    passed_on[:, 3 + old :] = by_t_P[:3]
-    passed_on[:, 2] = by_a[:3]
-    passed_on[:, 1] = by_wd[:3] + _cross(p, by_a)
-    passed_on[:, 0] = by_w[:3] + _cross(w, by_wd) + 2.0 * _cross(t, by_a)
-    passed_on[:, 0] += _by_turning(by_a, w_P, p)
-    return passed_on, by_q, by_v, by_vd
+    (turn, slide), (by_turn, by_slide), (motion, by, shift) = subspaces, by_subspaces, covector
+    p, by_a, w, wd = vector(shift), vector(by.a), vector(motion.w), vector(motion.wd)
+    put(by.w, add(vector(by.w), by_turning(by_a, w, p)))
+    put(by.wd, add(vector(by.wd), cross(p, by_a)))
+    a = subtract(vector(motion.a), add(cross(wd, p), cross(w, cross(w, p))))
+    spin = add(add(cross(vector(by.w), w), cross(vector(by.wd), wd)), cross(by_a, a))
+    for k in range(count):
+        s, by_t = row(turn, i, k), row(by_slide, i, k)
+        by_s, t = add(row(by_turn, i, k), cross(p, by_t)), row(slide, i, k)
+        put_row(by_turn, i, k, by_s)
+        spin = add(spin, add(cross(by_s, s), cross(by_t, subtract(t, cross(s, p)))))
+    return spin
 
 
-def _shift_back(p_MoBo_B: Array, motion: Array, covector: Array) -> tuple[Array, Array]:
-    """The motion of B about Mo from that about Bo, and the gradient with respect to it."""
-    if not p_MoBo_B.any():
-        return motion, covector
-    k = (motion.shape[1] - 3) // 2
-    p, w, wd = p_MoBo_B[_CYCLE, None, None], motion[:, 0:1], motion[:, 1:2]
-    at_Mo, moved = motion.copy(), covector.copy()
-    at_Mo[:, 2:3] -= (_cross(wd, p) + _cross(w, _cross(w, p)[_CYCLE]))[_CYCLE]
-    at_Mo[:, 3 + k :] -= _cross(motion[:, 3 : 3 + k], p)[_CYCLE]
-    by_a = covector[_CYCLE, 2:3]
-    moved[:, 0:1] += _by_turning(by_a, w, p)
-    moved[:, 1:2] += _cross(p, by_a)
-    moved[:, 3 : 3 + k] += _cross(p, covector[_CYCLE, 3 + k :])
-    return at_Mo, moved
+@inlined
+def add_block(
+    motion: Record,
+    subspace: tuple[Vector, Vector],
+    weights: tuple[Array, tuple[int, int, int]],
+    by: Record,
+) -> tuple[Vector, Vector]:
+    """Adds the gradient of a block's inner product with "parameters" c to that with the motion.
 
-
-def _by_rotation(joint: FrameMotion, q: Array, R_PB: Array, spin: Array) -> Array:
-    """Gradient (nq_j, n) with respect to positions, from that with respect to a rotation in B.
-
-    The features are differentiated by a complex step, which is exact and the same for all joints.
+    The weights (N, nv, 10 nb) come with the place of the first of c. Returns the gradient with s
+    and t.
     """
-    gradient = np.zeros(q.shape)
-    if joint.rotation.shape[1] == 1:
-        return gradient  # the joint does not rotate
-    for j in range(len(q)):
-        moved = q.astype(complex)
-        moved[j] += 1j * _IMAGINARY_STEP
-        slopes = np.asarray(joint.features(moved)).imag / _IMAGINARY_STEP
-        rates = (joint.rotation @ slopes).reshape(3, 3, -1)
-        skew = np.einsum("abn,acn->bcn", R_PB, rates)  # Rᵀ ∂R/∂q, the cross product of a rate
-        gradient[j] = skew[2, 1] * spin[0] + skew[0, 2] * spin[1] + skew[1, 0] * spin[2]
-    return gradient
+    (s, t), (W, (n, line, first)) = subspace, weights
+    c = W[n, line : line + 1, first : first + PARAMETERS_PER_BODY]
+    w, wd, a = vector(motion.w), vector(motion.wd), vector(motion.a)
+    m, h = c[0, 0], (c[0, 1], c[0, 2], c[0, 3])
+    momentum, along = inertia_times(c, 0, w), dot(h, w)
+    by_w = add(scale(along, t), scale(dot(t, w), h))
+    by_w = add(by_w, add(inertia_times(c, 0, cross(s, w)), cross(momentum, s)))
+    by_w = subtract(by_w, scale(2.0 * dot(t, h), w))
+    put(by.w, add(vector(by.w), by_w))
+    put(by.wd, add(vector(by.wd), add(cross(h, t), inertia_times(c, 0, s))))
+    put(by.a, add(vector(by.a), add(scale(m, t), cross(s, h))))
+    by_s = add(add(inertia_times(c, 0, wd), cross(w, momentum)), cross(h, a))
+    by_t = add(add(scale(m, a), cross(wd, h)), subtract(scale(along, w), scale(dot(w, w), h)))
+    return by_s, by_t
 
 
-def _by_turning(by_a: Array, w: Array, p: Array) -> Array:
-    """Gradient (3, …) of by_a · (ω × (ω × p)) with respect to ω, of cyclic vectors."""
-    return by_a[:3] * _dot(w, p) + p[:3] * _dot(w, by_a) - 2.0 * w[:3] * _dot(by_a, p)
+@compiled
+def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) -> Vector:
+    """The angular rate of B, in B, at which its rotation changes with its joint's position j."""
+    moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)
+    moved[0] = q[n]
+    moved[0, mobilizer.positions[0] + j] += 1j * _IMAGINARY_STEP
+    number = features_of(mobilizer.features, moved, 0, angle_place(mobilizer), slopes)
+    rates, R, C = np.zeros((3, 3)), motion.R_PB, mobilizer.rotation
+    for entry in range(9):
+        for k in range(number):
+            slope = slopes[k].imag / _IMAGINARY_STEP
+            rates[entry // 3, entry % 3] += C[entry, k] * slope
+    # Rᵀ ∂R/∂q is the cross product of the rate.
+    return (
+        dot(column(R, 2), column(rates, 1)),
+        dot(column(R, 0), column(rates, 2)),
+        dot(column(R, 1), column(rates, 0)),
+    )
 
 
-def _dot(a: Array, b: Array) -> Array:
-    """Inner products of the first three components."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products (3, …) of cyclic vectors (5, …)."""
-    return a[1:4] * b[2:5] - a[2:5] * b[1:4]
+@inlined
+def by_turning(by_a: Vector, w: Vector, p: Vector) -> Vector:
+    """Gradient of by_a · (ω × (ω × p)) with respect to ω."""
+    both = add(scale(dot(w, p), by_a), scale(dot(w, by_a), p))
+    return subtract(both, scale(2.0 * dot(by_a, p), w))

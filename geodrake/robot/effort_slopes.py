@@ -13,8 +13,7 @@ inboard of j change also because the wrench on B moves along. A change of v_j gi
 
     δω = s,   δα = ω_P × s + s × ω_r,   δa = 2 (ω_P × t + s × v_r),
 
-and one of v̇_j δα = s, δa = t, so that the slope is a column of M. Arrays are laid out as in
-`geodrake.robot.recursion`: the components x y z x y of vectors first, samples last.
+and one of v̇_j δα = s, δa = t, so that the slope is a column of M.
 """
 
 from __future__ import annotations
@@ -26,10 +25,34 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.errors import ArgumentError
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, spatial_inertia_matrix
-from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.recursion import motion_pieces
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.compiling import compiled, inlined
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import (
+    MOTION,
+    Record,
+    Samples,
+    TreeRecords,
+    find_subspaces,
+    move,
+    wrench_of,
+)
 from geodrake.robot.regressor import checked_samples
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    cross,
+    dot,
+    inertia_times,
+    put_row,
+    row,
+    scale,
+    subtract,
+    vector,
+)
+
+_ALONG = 3  # what the wrench on B does by moving along with q, which joints inboard see
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,133 +93,121 @@ def effort_slopes(
     phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
     if phi.shape != expected:
         raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
-    nv = tree.num_velocities
-    found = np.zeros((3, nv, nv, len(samples[0])))
-    for part, (_, speed, rate), motions in motion_pieces(tree, samples):
-        for mobilizer, motion in zip(tree.mobilizers, motions, strict=True):
-            if mobilizer.body >= 0 and phi[mobilizer.body].any():
-                body = _Body.of(tree, mobilizer, motion, (speed, rate))
-                wrenches, follow = body.changes(phi[mobilizer.body])
-                slopes = np.einsum("cin,ckjn->kijn", body.subspace, wrenches)
-                inboard = np.tri(len(mobilizer.dofs), k=-1).T[:, :, None]
-                slopes[0] += inboard * np.einsum("cin,cjn->ijn", body.subspace, follow)
-                dofs = np.array(mobilizer.dofs)
-                found[:, dofs[:, None], dofs, part] += slopes
+    count, nv = len(samples[0]), tree.num_velocities
+    slopes = np.zeros((3, count, nv, nv))
+    calc_effort_slopes(tree.records, samples, np.ascontiguousarray(phi), slopes)
     for mobilizer in tree.mobilizers:
         own = mobilizer.velocities
         if own.stop - own.start > 1:
-            found[:, :, own] = np.nan
-    position, velocity, acceleration = found.transpose(0, 3, 1, 2)
-    return EffortSlopes(position, velocity, acceleration)
+            slopes[..., own] = np.nan
+    return EffortSlopes(*slopes)
 
 
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """A body B, and for each of the k velocities that move it the body P inboard of its joint.
+@compiled
+def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
+    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv)."""
+    mobilizers, dofs = tree
+    motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    inboard = np.empty((5, most, 3))
+    forces, moments = np.empty((4, most, 3)), np.empty((4, most, 3))
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        for i in range(len(mobilizers)):
+            body, count = mobilizers[i].body, mobilizers[i].count
+            if body < 0:
+                continue
+            look_inboard(mobilizers, motions, (turn, slide), (samples, n, i), inboard)
+            force, moment = wrench_of(phi, body, motions[i])
+            for j in range(count):
+                s, t = row(turn, i, j), row(slide, i, j)
+                changes = motion_changes(s, t, inboard, j)
+                for kind in range(3):
+                    by_force, by_moment = wrench_change(
+                        phi, body, vector(motions[i].w), changes[kind]
+                    )
+                    put_row(forces, kind, j, by_force)
+                    put_row(moments, kind, j, by_moment)
+                put_row(forces, _ALONG, j, cross(s, force))
+                put_row(moments, _ALONG, j, add(cross(s, moment), cross(t, force)))
+            for k in range(count):
+                s, t = row(turn, i, k), row(slide, i, k)
+                for j in range(count):
+                    for kind in range(3):
+                        felt = dot(t, row(forces, kind, j)) + dot(s, row(moments, kind, j))
+                        if kind == 0 and k < j:  # inboard of it
+                            felt += dot(t, row(forces, _ALONG, j)) + dot(s, row(moments, _ALONG, j))
+                        out[kind, n, dofs[i, k], dofs[i, j]] += felt
 
-    Attributes:
-        motion: (5, 3, n) ω, α and a of B.
-        turn: (5, k, n) s of every velocity.
-        slide: (5, k, n) t.
-        inboard: (3, 5, k, n) ω_P, α_P and a_P.
-        across: (2, 5, k, n) ω_r and v_r.
+
+@inlined
+def look_inboard(
+    mobilizers: Record,
+    motions: Record,
+    subspaces: tuple[Array, Array],
+    place: tuple[Samples, int, int],
+    out: Array,
+) -> None:
+    """Writes ω_P, α_P, a_P, ω_r and v_r (5, k, 3) of each velocity of a body, as seen from it.
+
+    The place is the sample, of which motion, and the body's mobilizer.
     """
-
-    motion: Array
-    turn: Array
-    slide: Array
-    inboard: Array
-    across: Array
-
-    @classmethod
-    def of(
-        cls, tree: KinematicTree, mobilizer: Mobilizer, motion: Array, rates: tuple[Array, Array]
-    ) -> _Body:
-        """From the body's motion (5, 3 + 2k, n) and the rates v and v̇ (nv, n) of a piece."""
-        k = len(mobilizer.dofs)
-        turn, slide = motion[:, 3 : 3 + k], motion[:, 3 + k :]
-        inboard = np.empty((3, 5, k, motion.shape[2]))
-        across = np.empty((2, 5, k, motion.shape[2]))
-        w, wd, a = (motion[:, i : i + 1] for i in range(3))
-        speed = np.zeros_like(w)
-        last, step = k, mobilizer
-        while True:
-            # From the outboard to the inboard side of one joint.
-            own = slice(last - (step.velocities.stop - step.velocities.start), last)
-            v, vd = (x[step.velocities] for x in rates)
-            s, t = turn[:, own], slide[:, own]
-            u, w_r, shift = ((x * v).sum(1, keepdims=True) for x in (t, s, t * _slides(step)))
-            w_P = w - w_r
-            a = a - (t * vd).sum(1, keepdims=True)
-            a -= _cyclic(2.0 * _cross(w_P, u) + _cross(w_r, u - shift))
-            wd = wd - (s * vd).sum(1, keepdims=True) - _cyclic(_cross(w_P, w_r))
-            w, speed = w_P, speed + u
-            for values, now in zip(
-                (*inboard, *across), (w, wd, a, motion[:, :1] - w, speed), strict=True
-            ):
-                values[:, own] = now
-            if step.parent < 0:
-                return cls(motion[:, :3], turn, slide, inboard, across)
-            last, step = own.start, tree.mobilizers[step.parent]
-
-    @property
-    def subspace(self) -> Array:
-        """(6, k, n) s and t."""
-        return np.concatenate([self.turn[:3], self.slide[:3]])
-
-    def changes(self, phi: Array) -> tuple[Array, Array]:
-        """What moments and forces on B change with the motion of every velocity's joint.
-
-        Args:
-            phi: (10,) parameters of B.
-
-        Returns:
-            (6, 3, k, n) slopes with q, v and v̇, seen from B, and (6, k, n) what of that with q
-            joints inboard see beyond, as the wrench moves along.
-        """
-        s, t, (w_P, wd_P, a_P), (w_r, v_r) = self.turn, self.slide, self.inboard, self.across
-        turned, slid = _cyclic(_cross(w_P, s)), _cyclic(_cross(w_P, t))
-        dw = np.stack([turned, s], 1)  # with q and with v
-        dwd = np.stack(
-            [_cross(wd_P, s) + _cross(turned, w_r), turned[:3] + _cross(s, w_r), s[:3]], 1
-        )
-        da = np.stack(
-            [
-                _cross(a_P, s) + _cross(wd_P, t) + _cross(w_P, slid) + 2.0 * _cross(turned, v_r),
-                2.0 * (slid[:3] + _cross(s, v_r)),
-                t[:3],
-            ],
-            1,
-        )
-        inertia = spatial_inertia_matrix(phi)
-        changed = np.tensordot(inertia, np.concatenate([dwd, da]), 1)
-        # The parts quadratic in ω: ω × I ω and ω × (ω × h).
-        w = self.motion[:, :1]
-        momentum = np.tensordot(inertia[:, :3], w[:3], 1)
-        turning = np.tensordot(inertia[:, :3], dw[:3], 1)
-        for i in (0, 3):
-            before, after = _cyclic(momentum[i : i + 3]), _cyclic(turning[i : i + 3])
-            changed[i : i + 3, :2] += _cross(dw, before[:, None]) + _cross(w[:, None], after)
-        wrench = np.tensordot(
-            inertia, np.concatenate([self.motion[:3, 1:2], self.motion[:3, 2:]]), 1
-        )
-        for i in (0, 3):
-            wrench[i : i + 3] += _cross(w, _cyclic(momentum[i : i + 3]))
-        moment, force = _cyclic(wrench[:3]), _cyclic(wrench[3:])
-        follow = np.concatenate([_cross(s, moment) + _cross(t, force), _cross(s, force)])
-        return changed, follow
+    (turn, slide), ((_, v, vd), n, i) = subspaces, place
+    w, wd, a = vector(motions[i].w), vector(motions[i].wd), vector(motions[i].a)
+    whole, speed = w, (0.0, 0.0, 0.0)
+    last, step = mobilizers[i].count, i
+    while step >= 0:
+        # From the outboard to the inboard side of one joint.
+        first, number = mobilizers[step].velocities
+        u = w_r = shift = du = dw_r = (0.0, 0.0, 0.0)
+        for k in range(number):
+            s, t = row(turn, i, last - number + k), row(slide, i, last - number + k)
+            u, w_r = add(u, scale(v[n, first + k], t)), add(w_r, scale(v[n, first + k], s))
+            du, dw_r = add(du, scale(vd[n, first + k], t)), add(dw_r, scale(vd[n, first + k], s))
+            axis = column(mobilizers[step].angular, k)
+            if dot(axis, axis) == 0.0:
+                shift = add(shift, scale(v[n, first + k], t))  # what slides and does not turn
+        w_P = subtract(w, w_r)
+        a = subtract(a, du)
+        a = subtract(a, add(scale(2.0, cross(w_P, u)), cross(w_r, subtract(u, shift))))
+        wd = subtract(wd, add(dw_r, cross(w_P, w_r)))
+        w, speed = w_P, add(speed, u)
+        for k in range(last - number, last):
+            put_row(out, 0, k, w)
+            put_row(out, 1, k, wd)
+            put_row(out, 2, k, a)
+            put_row(out, 3, k, subtract(whole, w))
+            put_row(out, 4, k, speed)
+        last, step = last - number, mobilizers[step].parent
 
 
-def _slides(mobilizer: Mobilizer) -> Array:
-    """(k, 1) 1 for own velocities that turn nothing."""
-    return np.where(mobilizer.motion.angular.any(0), 0.0, 1.0)[:, None]
+@inlined
+def motion_changes(
+    s: Vector, t: Vector, inboard: Array, j: int
+) -> tuple[tuple[Vector, Vector, Vector], ...]:
+    """What ω, α and a of a body change with q, v and v̇ of its velocity j."""
+    w_P, wd_P, a_P = row(inboard, 0, j), row(inboard, 1, j), row(inboard, 2, j)
+    w_r, v_r = row(inboard, 3, j), row(inboard, 4, j)
+    turned, slid = cross(w_P, s), cross(w_P, t)
+    along = add(add(cross(a_P, s), cross(wd_P, t)), cross(w_P, slid))
+    along = add(along, scale(2.0, cross(turned, v_r)))
+    return (
+        (turned, add(cross(wd_P, s), cross(turned, w_r)), along),
+        (s, add(turned, cross(s, w_r)), scale(2.0, add(slid, cross(s, v_r)))),
+        ((0.0, 0.0, 0.0), s, t),
+    )
 
 
-def _cyclic(vector: Array) -> Array:
-    """Vectors x y z (3, …) as x y z x y (5, …)."""
-    return np.concatenate([vector, vector[:2]])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products (3, …) of cyclic vectors (5, …)."""
-    return np.asarray(a[1:4] * b[2:5] - a[2:5] * b[1:4])
+@inlined
+def wrench_change(
+    phi: Array, b: int, w: Vector, change: tuple[Vector, Vector, Vector]
+) -> tuple[Vector, Vector]:
+    """The first-order change of `wrench_of` with changes of ω, α and a."""
+    dw, dwd, da = change
+    h = phi[b, 1], phi[b, 2], phi[b, 3]
+    force = add(scale(phi[b, 0], da), cross(dwd, h))
+    force = add(force, add(cross(dw, cross(w, h)), cross(w, cross(dw, h))))
+    moment = add(inertia_times(phi, b, dwd), cross(h, da))
+    moment = add(moment, cross(dw, inertia_times(phi, b, w)))
+    return force, add(moment, cross(w, inertia_times(phi, b, dw)))

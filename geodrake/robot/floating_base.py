@@ -21,9 +21,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.boundary.arguments import integer, number, real_array
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.joints import FrameMotion, constant
+from geodrake.robot.joints import Features, FrameMotion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.recursion import pieces
+from geodrake.robot.recursion import calc_kinematics, calc_regressor
 from geodrake.robot.regressor import checked_samples, checked_tree
 
 _LEAST_FORCE = 1e-9  # of the largest number in a wrench
@@ -63,10 +63,7 @@ def base_wrench_regressor(
     resting = np.zeros((len(q), 6))
     samples = (q, np.hstack([v, resting]), np.hstack([vd, resting]))
     regressor = np.zeros((len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
-    for part, blocks in pieces(on_a_free_world(tree), samples):
-        for mobilizer, block in blocks:
-            first = PARAMETERS_PER_BODY * mobilizer.body
-            regressor[part, :, first : first + PARAMETERS_PER_BODY] = block.transpose(2, 1, 0)
+    calc_regressor(on_a_free_world(tree).records, samples, tree.num_velocities, regressor)
     return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor
 
 
@@ -141,16 +138,8 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
     tree = checked_tree(plant)
     q = real_array(q, "q", ("N", tree.num_positions))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))
-    X_WM: list[Array] = []
-    for mobilizer in tree.mobilizers:
-        motion, at = mobilizer.motion, q[:, mobilizer.positions]
-        X_PB = np.zeros((len(q), 4, 4))
-        R_PB = (motion.rotation @ motion.features(at.T)).T.reshape(-1, 3, 3)
-        X_PB[:, :3, :3], X_PB[:, 3, 3] = R_PB, 1.0
-        X_PB[:, :3, 3] = motion.offset + at @ motion.translation.T + R_PB @ mobilizer.p_MoBo_B
-        X_WM.append(X_PB if mobilizer.parent < 0 else X_WM[mobilizer.parent] @ X_PB)
-        if mobilizer.body >= 0:
-            poses[:, mobilizer.body] = X_WM[-1]
+    none = np.empty((0, 0, 3, 0))
+    calc_kinematics(tree.records, q, poses, none, none)
     return poses
 
 
@@ -163,7 +152,7 @@ def on_a_free_world(tree: KinematicTree) -> KinematicTree:
     own = slice(tree.num_velocities, tree.num_velocities + 6)
     dofs = tuple(range(own.start, own.stop))
     still, six = np.zeros((3, 0)), np.eye(6)
-    motion = FrameMotion(constant, np.eye(3).reshape(9, 1), still, six[:3], six[3:])
+    motion = FrameMotion(Features.CONSTANT, np.eye(3).reshape(9, 1), still, six[:3], six[3:])
     mobilizers: list[Mobilizer] = []
     place: list[int] = []
     for mobilizer in tree.mobilizers:

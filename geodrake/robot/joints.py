@@ -7,8 +7,8 @@ frame between. Positions and velocities are Drake's.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -32,30 +32,17 @@ _ZERO = np.zeros((3, 3))
 _X_AXIS, _Y_AXIS, _Z_AXIS = _IDENTITY
 
 
-def constant(q: Array) -> Array:
-    """The one feature (1, 1) of a joint that does not rotate."""
-    return np.ones((1, 1))
+class Features(IntEnum):
+    """The functions of a joint's positions that its rotation is linear in.
 
+    A constant; 1, cos and sin of an angle, the last position; the entries of Rz(yaw) Ry(pitch)
+    Rx(roll); the entries of the rotation of the quaternion w, x, y, z, normalized.
+    """
 
-def cosine_sine(q: Array) -> Array:
-    """The features 1, cos, sin (3, n) of the angle in the last row of q, rad."""
-    return np.stack([np.ones_like(q[-1]), np.cos(q[-1]), np.sin(q[-1])])
-
-
-def rpy_rotation(q: Array) -> Array:
-    """The entries (9, n) of Rz(yaw) Ry(pitch) Rx(roll), the first three rows of q in rad."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(q[:3]), np.cos(q[:3])
-    x = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-    y = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-    return np.stack([*x, *y, -sp, cp * sr, cp * cr])
-
-
-def quaternion_rotation(q: Array) -> Array:
-    """The entries (9, n) of the rotation of w, x, y, z, the first four rows of q, normalized."""
-    w, x, y, z = q[:4] * np.sqrt(2.0 / (q[:4] ** 2).sum(0))
-    i = 1.0 - y * y - z * z, x * y - w * z, x * z + w * y
-    j = x * y + w * z, 1.0 - x * x - z * z, y * z - w * x
-    return np.stack([*i, *j, x * z - w * y, y * z + w * x, 1.0 - x * x - y * y])
+    CONSTANT = 0
+    ANGLE = 1
+    RPY = 2
+    QUATERNION = 3
 
 
 @dataclass(frozen=True)
@@ -66,7 +53,7 @@ class FrameMotion:
     displaced to Mo, in the frame of the inboard body P.
 
     Attributes:
-        features: Maps positions (nq_j, n) to the (f, n) functions that the rotation is linear in.
+        features: The f functions of the positions that the rotation is linear in.
         rotation: (9, f) matrix C with vec(R) = C features(q), row after row.
         offset: (3,) position of Mo at q = 0, m.
         translation: (3, nq_j) matrix T: the position of Mo is offset + T q, m.
@@ -74,7 +61,7 @@ class FrameMotion:
         linear: (3, nv_j) matrix S: the velocity of Mo is S v, m/s.
     """
 
-    features: Callable[[Array], Array]
+    features: Features
     rotation: Array
     translation: Array
     angular: Array
@@ -114,7 +101,9 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
             motions = [_axis_motion(sign * joint.revolute_axis())]
         case PrismaticJoint():
             along = sign * joint.translation_axis()[:, None]
-            motions = [FrameMotion(constant, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)]
+            motions = [
+                FrameMotion(Features.CONSTANT, _IDENTITY.reshape(9, 1), along, 0.0 * along, along)
+            ]
         case ScrewJoint():
             slide = joint.screw_pitch() / (2.0 * np.pi)
             axis = _screw_axis(joint)
@@ -125,11 +114,11 @@ def joint_motions(joint: Joint, sign: float) -> list[FrameMotion]:
             turn = np.diag(_Z_AXIS)
             motions = [_axis_motion(_Z_AXIS, translation=_IDENTITY - turn, angular=turn)]
         case BallRpyJoint():
-            motions = [FrameMotion(rpy_rotation, np.eye(9), _ZERO, _IDENTITY, _ZERO)]
+            motions = [FrameMotion(Features.RPY, np.eye(9), _ZERO, _IDENTITY, _ZERO)]
         case RpyFloatingJoint():
-            motions = [_floating_motion(rpy_rotation, rotation_positions=3)]
+            motions = [_floating_motion(Features.RPY, rotation_positions=3)]
         case QuaternionFloatingJoint():
-            motions = [_floating_motion(quaternion_rotation, rotation_positions=4)]
+            motions = [_floating_motion(Features.QUATERNION, rotation_positions=4)]
         case _:
             raise ModelError(
                 f"Joint {joint.name()!r} has the unsupported type {type(joint).__name__}.",
@@ -149,7 +138,7 @@ def _axis_motion(
     along = np.outer(axis, axis)
     parts = (along, _IDENTITY - along, np.cross(_IDENTITY, axis))  # of 1, cos, sin
     rotation = np.stack([part.ravel() for part in parts], axis=-1)
-    return FrameMotion(cosine_sine, rotation, translation, angular, translation)
+    return FrameMotion(Features.ANGLE, rotation, translation, angular, translation)
 
 
 def _screw_axis(joint: ScrewJoint) -> Array:
@@ -161,7 +150,7 @@ def _screw_axis(joint: ScrewJoint) -> Array:
     return V_FM_F.rotational()
 
 
-def _floating_motion(rotation: Callable[[Array], Array], *, rotation_positions: int) -> FrameMotion:
+def _floating_motion(rotation: Features, *, rotation_positions: int) -> FrameMotion:
     """Free motion: q is the rotation's positions, then p_FoMo_F; v is w_FM_F, then v_FMo_F."""
     translation = np.hstack([np.zeros((3, rotation_positions)), _IDENTITY])
     angular, linear = np.hstack([_IDENTITY, _ZERO]), np.hstack([_ZERO, _IDENTITY])

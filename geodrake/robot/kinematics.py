@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.robot.joints import FrameMotion, joint_motions
+from geodrake.robot.recursion import MOBILIZER, TreeRecords
 
 _WORLD, _MASSLESS = -1, -2
 
@@ -123,6 +125,27 @@ class KinematicTree:
             index = path[-1].parent
         path = [replace(mobilizer, parent=i - 1) for i, mobilizer in enumerate(reversed(path))]
         return replace(self, mobilizers=tuple(path))
+
+    @cached_property
+    def records(self) -> TreeRecords:
+        """The tree for compiled code."""
+        most = max((len(mobilizer.dofs) for mobilizer in self.mobilizers), default=0)
+        dofs = np.zeros((len(self.mobilizers), most), np.int64)
+        records = np.zeros(len(self.mobilizers), MOBILIZER)
+        for record, own, mobilizer in zip(records, dofs, self.mobilizers, strict=True):
+            joint, q, v = mobilizer.motion, mobilizer.positions, mobilizer.velocities
+            own[: len(mobilizer.dofs)] = mobilizer.dofs
+            record["parent"], record["body"] = mobilizer.parent, mobilizer.body
+            record["positions"], record["velocities"] = (
+                (x.start, x.stop - x.start) for x in (q, v)
+            )
+            record["count"], record["features"] = len(mobilizer.dofs), joint.features
+            for name in ("rotation", "translation", "angular", "linear"):
+                matrix = getattr(joint, name)
+                record[name][:, : matrix.shape[1]] = matrix
+            record["offset"], record["p_MoBo_B"] = joint.offset, mobilizer.p_MoBo_B
+            record["gravity"] = mobilizer.gravity * self.gravity
+        return records, dofs
 
     def columns(self, dof: int) -> NDArray[np.intp]:
         """Columns of the regressor that can differ from zero in the row of one velocity."""

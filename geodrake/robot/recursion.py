@@ -1,244 +1,368 @@
-"""The recursion behind the regressor: motion outwards, a closed form a body, samples together.
+"""The recursion behind efforts and their regressor: motion outwards, a closed form a body.
 
 From the world outwards it carries the motion of every body B, and the motion subspace of the
-velocities that move it, about Bo and expressed in B. For one subspace column with angular part s
-and linear part t, the effort that B asks of that velocity is
+velocities that move it, about Bo and expressed in B. For one velocity with the angular part s and
+the linear part t, the effort that B asks of it is
 
     τ = t·f + s·n,   f = m a + (α× + ω×ω×) h,   n = I α + ω × I ω + h × a,
 
 with ω, α the angular velocity and acceleration of B, and a the acceleration of Bo less gravity.
-This is linear in (m, h, I) with the closed-form row of `_body_block`: no wrench is propagated
-inwards, and nothing is computed for the velocities that do not move B.
-
-Samples are the last axis of every array, worked off in pieces that fit the cache. The first axis
-is the components x y z x y of a vector: with two of them repeated, a cross product is a difference
-of two products of slices, and the off-diagonal terms of I are products of shifted slices.
+This is linear in (m, h, I): the ten factors are the regressor's block. Where φ is known, wrenches
+(f, n) are carried inwards instead, which asks for no subspace (Newton and Euler).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.kinematics import KinematicTree, Mobilizer
+from geodrake.robot.compiling import compiled, inlined
+from geodrake.robot.joints import Features, FrameMotion
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    combination,
+    cross,
+    dot,
+    inertia_times,
+    put,
+    put_row,
+    row,
+    scale,
+    subtract,
+    times,
+    transposed_times,
+    vector,
+)
 
 Samples = tuple[Array, Array, Array]
 """Positions (N, nq), velocities (N, nv) and accelerations (N, nv)."""
 
-_CYCLE = [0, 1, 2, 0, 1]
-_CACHE_NUMBERS = 160_000  # of doubles, about a megabyte
-_OMEGA, _ALPHA, _ACCEL, _COLUMNS = slice(0, 1), slice(1, 2), slice(2, 3), 3
+Indices = NDArray[np.int64]
+Numbers = NDArray[np.float64] | NDArray[np.complex128]
+Record = Any
+"""One of an array of records: compiled code reads its fields by their names."""
+
+MOBILIZER = np.dtype(
+    [
+        ("parent", np.int64),
+        ("body", np.int64),
+        ("positions", np.int64, (2,)),  # the first one, and how many
+        ("velocities", np.int64, (2,)),
+        ("count", np.int64),  # of the velocities that move the body
+        ("features", np.int64),
+        ("rotation", float, (9, 9)),
+        ("offset", float, (3,)),
+        ("translation", float, (3, 7)),
+        ("angular", float, (3, 6)),
+        ("linear", float, (3, 6)),
+        ("p_MoBo_B", float, (3,)),
+        ("gravity", float, (3,)),  # acceleration by gravity in the world
+    ],
+    align=True,
+)
+"""A mobilizer for compiled code; see `geodrake.robot.kinematics.Mobilizer`."""
+
+MOTION = np.dtype(
+    [
+        ("R_PB", float, (3, 3)),
+        ("p_PMo", float, (3,)),
+        ("w", float, (3,)),
+        ("wd", float, (3,)),
+        ("a", float, (3,)),
+    ],
+    align=True,
+)
+"""How a body B stands to P inboard of it at one sample, and ω, α and a of Bo less gravity, in B."""
+
+_CONSTANT, _ANGLE, _RPY = (int(f) for f in (Features.CONSTANT, Features.ANGLE, Features.RPY))
 
 
-def piece_size(tree: KinematicTree) -> int:
-    """Samples for which the motion of one body, with its subspace, fits the cache."""
-    most = max((len(mobilizer.dofs) for mobilizer in tree.mobilizers), default=0)
-    return max(256, _CACHE_NUMBERS // (5 * (_COLUMNS + 2 * most)))
+TreeRecords = tuple[NDArray[np.void], Indices]
+"""A tree for compiled code: records (m,) of `MOBILIZER`; velocities (m, k) that move each body.
+
+Of the velocities, as many as the record counts.
+"""
 
 
-def pieces(
-    tree: KinematicTree, samples: Samples
-) -> Iterator[tuple[slice, Iterator[tuple[Mobilizer, Array]]]]:
-    """Cuts samples into pieces.
+@inlined
+def features_of(kind: int, q: Numbers, n: int, first: int, out: Numbers) -> int:
+    """Writes the functions of a joint's positions that its rotation is linear in; how many."""
+    if kind == _CONSTANT:
+        out[0] = 1.0
+        return 1
+    if kind == _ANGLE:
+        out[0], out[1], out[2] = 1.0, np.cos(q[n, first]), np.sin(q[n, first])
+        return 3
+    x, y, z = q[n, first], q[n, first + 1], q[n, first + 2]
+    if kind == _RPY:
+        sr, sp, sy = np.sin(x), np.sin(y), np.sin(z)
+        cr, cp, cy = np.cos(x), np.cos(y), np.cos(z)
+        out[0], out[1], out[2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+        out[3], out[4], out[5] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+        out[6], out[7], out[8] = -sp, cp * sr, cp * cr
+        return 9
+    w, x, y, z = x, y, z, q[n, first + 3]
+    size = np.sqrt(2.0 / (w * w + x * x + y * y + z * z))
+    w, x, y, z = size * w, size * x, size * y, size * z
+    out[0], out[1], out[2] = 1.0 - y * y - z * z, x * y - w * z, x * z + w * y
+    out[3], out[4], out[5] = x * y + w * z, 1.0 - x * x - z * z, y * z - w * x
+    out[6], out[7], out[8] = x * z - w * y, y * z + w * x, 1.0 - x * x - y * y
+    return 9
 
-    Args:
-        tree: The kinematic tree.
-        samples: Positions (N, nq), velocities (N, nv) and accelerations (N, nv) in Drake's order.
 
-    Yields:
-        Which samples a piece has, and an iterator over its bodies: the mobilizer that moves the
-        body and the body's block (10, k, n) of the regressor, for the k velocities in `dofs` and
-        the n samples. The next body overwrites the block.
+@inlined
+def angle_place(mobilizer: Record) -> int:
+    """Where the positions begin that the features of a joint are functions of."""
+    first, number = mobilizer.positions
+    return int(first + number - 1 if mobilizer.features == _ANGLE else first)
+
+
+@inlined
+def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> None:
+    """The rotation R_PB and the position of Mo in P at sample n; `features` is room (9,)."""
+    number = features_of(mobilizer.features, q, n, angle_place(mobilizer), features)
+    C, R = mobilizer.rotation, out.R_PB
+    for j in range(3):
+        for k in range(3):
+            R[j, k] = C[3 * j + k, 0] * features[0]
+    for f in range(1, number):
+        for j in range(3):
+            for k in range(3):
+                R[j, k] += C[3 * j + k, f] * features[f]
+    slid = combination(mobilizer.translation, q, n, mobilizer.positions)
+    put(out.p_PMo, add(vector(mobilizer.offset), slid))
+
+
+@inlined
+def inboard_motion(mobilizer: Record, motions: Record) -> tuple[Vector, Vector, Vector]:
+    """ω, α and a of the body inboard of a joint; the world is accelerated against gravity."""
+    if mobilizer.parent < 0:
+        still = (0.0, 0.0, 0.0)
+        return still, still, scale(-1.0, vector(mobilizer.gravity))
+    inboard = motions[mobilizer.parent]
+    return vector(inboard.w), vector(inboard.wd), vector(inboard.a)
+
+
+@inlined
+def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions: Record) -> None:
+    """Motion of all bodies at sample n, inboard before outboard."""
+    q, v, vd = samples
+    for i in range(len(mobilizers)):
+        mobilizer, motion = mobilizers[i], motions[i]
+        pose(mobilizer, q, n, features, motion)
+        own, R, p = mobilizer.velocities, motion.R_PB, vector(motion.p_PMo)
+        turn = combination(mobilizer.angular, v, n, own)
+        slide = combination(mobilizer.linear, v, n, own)
+        w_P, wd_P, a_P = inboard_motion(mobilizer, motions)
+        # Of B about Mo, in P.
+        w = add(w_P, turn)
+        wd = add(add(wd_P, combination(mobilizer.angular, vd, n, own)), cross(w_P, turn))
+        a = add(add(a_P, combination(mobilizer.linear, vd, n, own)), cross(wd_P, p))
+        a = add(a, cross(w_P, add(cross(w_P, p), scale(2.0, slide))))
+        w, wd, a = transposed_times(R, w), transposed_times(R, wd), transposed_times(R, a)
+        shift = vector(mobilizer.p_MoBo_B)
+        put(motion.w, w)
+        put(motion.wd, wd)
+        put(motion.a, add(a, add(cross(wd, shift), cross(w, cross(w, shift)))))
+
+
+@inlined
+def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Array) -> None:
+    """Writes the angular and linear parts (m, k, 3) of the motion subspaces, once poses are known.
+
+    About Bo, in B.
     """
-    work = _Workspace(tree, min(len(samples[0]), piece_size(tree)))
-    for part, piece in sample_pieces(tree, samples):
-        yield part, _blocks(tree, piece, work)
+    for i in range(len(mobilizers)):
+        mobilizer, R, p = mobilizers[i], motions[i].R_PB, vector(motions[i].p_PMo)
+        parent, shift = mobilizer.parent, vector(mobilizer.p_MoBo_B)
+        old = mobilizers[parent].count if parent >= 0 else 0
+        for k in range(mobilizer.count):
+            if k < old:
+                s = row(turn, parent, k)
+                t = add(row(slide, parent, k), cross(s, p))
+            else:
+                s, t = column(mobilizer.angular, k - old), column(mobilizer.linear, k - old)
+            s, t = transposed_times(R, s), transposed_times(R, t)
+            put_row(turn, i, k, s)
+            put_row(slide, i, k, add(t, cross(s, shift)))
 
 
-def motion_pieces(
-    tree: KinematicTree, samples: Samples
-) -> Iterator[tuple[slice, Samples, list[Array]]]:
-    """Cuts samples into pieces, as `pieces` does, for what needs all bodies of a piece at once.
+@inlined
+def put_block(motion: Record, s: Vector, t: Vector, out: Array, place: Any) -> None:
+    """Writes the ten factors of φ in the effort that a body asks of a velocity.
 
-    Args:
-        tree: The kinematic tree.
-        samples: Positions (N, nq), velocities (N, nv) and accelerations (N, nv) in Drake's order.
-
-    Yields:
-        Which samples a piece has, its (nq, n), (nv, n) and (nv, n) positions, velocities and
-        accelerations, and for every mobilizer the motion (5, 3 + 2k, n) of the body that it moves:
-        the columns ω, α and a, then k angular and k linear parts of the motion subspace. The next
-        piece overwrites the motions.
+    The place is that of the first of them in out (N, rows, columns).
     """
-    work = _Workspace(tree, min(len(samples[0]), piece_size(tree)))
-    for part, piece in sample_pieces(tree, samples):
-        yield part, piece, [motion for _, motion in _motions(tree, piece, work)]
-
-
-def sample_pieces(tree: KinematicTree, samples: Samples) -> Iterator[tuple[slice, Samples]]:
-    """Samples in pieces that fit the cache, with the samples as the last axis.
-
-    Args:
-        tree: The kinematic tree.
-        samples: Positions (N, nq), velocities (N, nv) and accelerations (N, nv) in Drake's order.
-    """
-    count, size = len(samples[0]), piece_size(tree)
-    for start in range(0, count, size):
-        part = slice(start, min(start + size, count))
-        q, v, vd = (np.ascontiguousarray(x[part].T) for x in samples)
-        yield part, (q, v, vd)
-
-
-class _Workspace:
-    """Arrays for one piece of samples: to allocate them anew would cost as much as to fill them."""
-
-    def __init__(self, tree: KinematicTree, count: int) -> None:
-        dofs = [len(mobilizer.dofs) for mobilizer in tree.mobilizers]
-        most = max(dofs, default=0)
-        self.motions = [np.empty((5, _COLUMNS + 2 * k, count)) for k in dofs]
-        self.inboard = np.empty((3, _COLUMNS + 2 * most, count))
-        self.product = np.empty((3, _COLUMNS + 2 * most, count))
-        self.turned = np.empty((5, most, count))
-        self.block = np.empty((PARAMETERS_PER_BODY, most, count))
-
-    def sum_products(self, out: Array, *pairs: tuple[Array, Array]) -> None:
-        """Writes the sum of x y over the pairs (x, y) into `out` (3 or 1, rows, n)."""
-        np.multiply(*pairs[0], out=out)
-        self.add_products(out, *pairs[1:])
-
-    def add_products(self, out: Array, *pairs: tuple[Array, Array]) -> None:
-        """Adds the sum of x y over the pairs (x, y) to `out` (3 or 1, rows, n)."""
-        product = self.product[: out.shape[0], : out.shape[1], : out.shape[2]]
-        for x, y in pairs:
-            np.multiply(x, y, out=product)
-            out += product
-
-
-def _blocks(
-    tree: KinematicTree, piece: Samples, work: _Workspace
-) -> Iterator[tuple[Mobilizer, Array]]:
-    """The blocks of one piece, inboard bodies first."""
-    for mobilizer, motion in _motions(tree, piece, work):
-        if mobilizer.body >= 0:
-            yield mobilizer, _body_block(motion, work)
-
-
-def _motions(
-    tree: KinematicTree, piece: Samples, work: _Workspace
-) -> Iterator[tuple[Mobilizer, Array]]:
-    """The motions of one piece, inboard bodies first."""
-    q, v, vd = piece
-    count = q.shape[1]
-    for mobilizer, storage in zip(tree.mobilizers, work.motions, strict=True):
-        if mobilizer.parent >= 0:
-            parent = work.motions[mobilizer.parent][:, :, :count]
-        else:
-            parent = world_motion(tree, mobilizer)
-        own = mobilizer.velocities
-        motion = storage[:, :, :count]
-        _move(mobilizer, parent, (q[mobilizer.positions], v[own], vd[own]), work, out=motion)
-        yield mobilizer, motion
-
-
-def world_motion(tree: KinematicTree, mobilizer: Mobilizer) -> Array:
-    """Motion (5, 3, 1) of the world at the root of a robot: at rest, accelerated against g.
-
-    Args:
-        tree: The kinematic tree, for gravity.
-        mobilizer: One that moves a body relative to the world.
-    """
-    motion = np.zeros((5, _COLUMNS, 1))
-    motion[:, _ACCEL, 0] = -mobilizer.gravity * tree.gravity[_CYCLE, None]
-    return motion
-
-
-def _move(
-    mobilizer: Mobilizer, parent: Array, sample: Samples, work: _Workspace, *, out: Array
-) -> None:
-    """Motion and subspace of B about Bo in B, from those of P about Po in P.
-
-    Both are (5, 3 + 2k, n): ω, α, a, then k angular and k linear parts.
-    """
-    (q, v, vd), joint, k = sample, mobilizer.motion, len(mobilizer.dofs)
-    old = _subspace(parent)[0].shape[
-        1
-    ]  # k where nothing is asked of the mobilizer's own velocities
-    w_P, wd_P, a_P = parent[:, _OMEGA], parent[:, _ALPHA], parent[:, _ACCEL]
-    angular, linear = joint.angular[_CYCLE], joint.linear[_CYCLE]
-    w, wd, t, td = (_map(subspace, x)[:, None] for subspace in (angular, linear) for x in (v, vd))
-    p = (joint.offset[_CYCLE, None] + _map(joint.translation[_CYCLE], q))[:, None]
-
-    seen = work.inboard[:, : _COLUMNS + 2 * k, : out.shape[2]]  # of B about Mo, in P
-    seen[:, _OMEGA] = w_P[:3] + w[:3]
-    seen[:, _ALPHA] = wd_P[:3] + wd[:3] + _cross(w_P, w)
-    coriolis = _cyclic(_cross(w_P, p)) + 2.0 * t
-    seen[:, _ACCEL] = a_P[:3] + td[:3] + _cross(wd_P, p) + _cross(w_P, coriolis)
-    (turn, slide), (turn_P, slide_P) = _subspace(seen), _subspace(parent)
-    turn[:, :old], turn[:, old:] = turn_P[:3], angular[:3, : k - old, None]
-    slide[:, :old], slide[:, old:] = slide_P[:3], linear[:3, : k - old, None]
-    work.add_products(slide[:, :old], (turn_P[1:4], p[2:5]), (turn_P[2:5], -p[1:4]))
-
-    R_PB = (joint.rotation @ joint.features(q)).reshape(3, 3, 1, -1)
-    work.sum_products(out[:3], *((R_PB[i], seen[i]) for i in range(3)))
-    out[3:] = out[:2]
-    if mobilizer.p_MoBo_B.any():
-        _shift(out, mobilizer.p_MoBo_B[_CYCLE, None, None])
-
-
-def _shift(motion: Array, p: Array) -> None:
-    """Moves the point of reference of a motion and its subspace by p, in place."""
-    w, wd, (turn, slide) = motion[:, _OMEGA], motion[:, _ALPHA], _subspace(motion)
-    motion[:, _ACCEL] += _cyclic(_cross(wd, p) + _cross(w, _cyclic(_cross(w, p))))
-    slide += _cyclic(_cross(turn, p))
-
-
-def _body_block(motion: Array, work: _Workspace) -> Array:
-    """Regressor (10, k, n) of a body for the k velocities of its motion (5, 3 + 2k, n)."""
-    w, wd, a = motion[:, _OMEGA], motion[:, _ALPHA], motion[:, _ACCEL]
-    s, t = _subspace(motion)
-    block = work.block[:, : s.shape[1], : s.shape[2]]
-    mass, moment, diagonal, product = block[:1], block[1:4], block[4:7], block[7:]
-    work.sum_products(mass, *((t[i : i + 1], a[i : i + 1]) for i in range(3)))
-
-    # h: a × s + Bᵀ t with B = α× + ω×ω×, one cyclic diagonal for each shift of t.
-    squares, cross = w * w, _cyclic(w[:3] * w[1:4])
-    work.sum_products(
-        moment,
-        (a[1:4], s[2:5]),
-        (-a[2:5], s[1:4]),
-        (-(squares[1:4] + squares[2:5]), t[:3]),
-        (cross[:3] + wd[2:5], t[1:4]),
-        (cross[2:5] - wd[1:4], t[2:5]),
-    )
+    n, line, start = place
+    w, wd, a = vector(motion.w), vector(motion.wd), vector(motion.a)
+    # h: a × s + Bᵀ t with B = α× + ω×ω×.
+    h = add(cross(a, s), add(cross(t, wd), subtract(scale(dot(w, t), w), scale(dot(w, w), t))))
     # I: s·(I α) + u·(I ω) with u = s × ω.
-    u = work.turned[:, : s.shape[1], : s.shape[2]]
-    work.sum_products(u[:3], (s[1:4], w[2:5]), (s[2:5], -w[1:4]))
-    u[3:] = u[:2]
-    work.sum_products(diagonal, (s[:3], wd[:3]), (u[:3], w[:3]))
-    work.sum_products(product, (s[:3], wd[1:4]), (s[1:4], wd[:3]), (u[:3], w[1:4]), (u[1:4], w[:3]))
-    return block
+    u = cross(s, w)
+    out[n, line, start] = dot(t, a)
+    out[n, line, start + 1], out[n, line, start + 2], out[n, line, start + 3] = h
+    out[n, line, start + 4] = s[0] * wd[0] + u[0] * w[0]
+    out[n, line, start + 5] = s[1] * wd[1] + u[1] * w[1]
+    out[n, line, start + 6] = s[2] * wd[2] + u[2] * w[2]
+    out[n, line, start + 7] = s[0] * wd[1] + s[1] * wd[0] + u[0] * w[1] + u[1] * w[0]
+    out[n, line, start + 8] = s[1] * wd[2] + s[2] * wd[1] + u[1] * w[2] + u[2] * w[1]
+    out[n, line, start + 9] = s[2] * wd[0] + s[0] * wd[2] + u[2] * w[0] + u[0] * w[2]
 
 
-def _subspace(motion: Array) -> tuple[Array, Array]:
-    """The angular and the linear parts of a motion's subspace, as views."""
-    middle = (_COLUMNS + motion.shape[1]) // 2
-    return motion[:, _COLUMNS:middle], motion[:, middle:]
+@compiled
+def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) -> None:
+    """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb)."""
+    mobilizers, dofs = tree
+    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        for i in range(len(mobilizers)):
+            body = mobilizers[i].body
+            if body >= 0:
+                for k in range(mobilizers[i].count):
+                    place = n, dofs[i, k] - first, PARAMETERS_PER_BODY * body
+                    put_block(motions[i], row(turn, i, k), row(slide, i, k), out, place)
 
 
-def _map(matrix: Array, x: Array) -> Array:
-    """The product of a matrix (m, k) and vectors (k, n), one column where it is all zero."""
-    if not matrix.any():
-        return np.zeros((len(matrix), 1))
-    return matrix * x if len(x) == 1 else matrix @ x
+@compiled
+def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Array) -> None:
+    """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch."""
+    mobilizers, dofs = tree
+    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        for i in range(len(mobilizers)):
+            if mobilizers[i].body == body:
+                for k in range(mobilizers[i].count):
+                    place = n, dofs[i, k], 0
+                    put_block(motions[i], row(turn, i, k), row(slide, i, k), out, place)
 
 
-def _cyclic(vector: Array) -> Array:
-    """Vectors x y z (3, …) as x y z x y (5, …)."""
-    return np.concatenate([vector, vector[:2]])
+@inlined
+def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
+    """Force and moment about Bo that give body b of φ (nb, 10) its motion."""
+    w, wd, a = vector(motion.w), vector(motion.wd), vector(motion.a)
+    h = phi[b, 1], phi[b, 2], phi[b, 3]
+    force = add(scale(phi[b, 0], a), add(cross(wd, h), cross(w, cross(w, h))))
+    moment = add(inertia_times(phi, b, wd), cross(w, inertia_times(phi, b, w)))
+    return force, add(moment, cross(h, a))
 
 
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products (3, …) of cyclic vectors (5, …)."""
-    return a[1:4] * b[2:5] - a[2:5] * b[1:4]
+@compiled
+def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
+    """Writes the efforts (N, nv) that a motion needs, for parameters φ (nb, 10)."""
+    mobilizers, _ = tree
+    bodies = len(mobilizers)
+    motions, features = np.empty(bodies, MOTION), np.empty(9)
+    forces, moments = np.empty((bodies, 3)), np.empty((bodies, 3))
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        for i in range(bodies):
+            force = moment = (0.0, 0.0, 0.0)
+            if mobilizers[i].body >= 0:
+                force, moment = wrench_of(phi, mobilizers[i].body, motions[i])
+            forces[i, 0], forces[i, 1], forces[i, 2] = force
+            moments[i, 0], moments[i, 1], moments[i, 2] = moment
+        for i in range(bodies - 1, -1, -1):
+            mobilizer, R = mobilizers[i], motions[i].R_PB
+            force = forces[i, 0], forces[i, 1], forces[i, 2]
+            moment = moments[i, 0], moments[i, 1], moments[i, 2]
+            moment = add(moment, cross(vector(mobilizer.p_MoBo_B), force))  # about Mo
+            force, moment = times(R, force), times(R, moment)
+            first, number = mobilizer.velocities
+            for k in range(number):
+                s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
+                out[n, first + k] = dot(s, moment) + dot(t, force)
+            parent = mobilizer.parent
+            if parent >= 0:
+                moment = add(moment, cross(vector(motions[i].p_PMo), force))
+                for x in range(3):
+                    forces[parent, x] += force[x]
+                    moments[parent, x] += moment[x]
+
+
+@inlined
+def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> None:
+    """Writes R_WB and the position of Bo in W, from those of the body inboard."""
+    place = add(vector(motion.p_PMo), times(motion.R_PB, vector(mobilizer.p_MoBo_B)))
+    if mobilizer.parent < 0:
+        own.R_PB[:] = motion.R_PB
+        put(own.p_PMo, place)
+    else:
+        inboard = world[mobilizer.parent]
+        for k in range(3):
+            axis = times(inboard.R_PB, column(motion.R_PB, k))
+            own.R_PB[0, k], own.R_PB[1, k], own.R_PB[2, k] = axis
+        put(own.p_PMo, add(vector(inboard.p_PMo), times(inboard.R_PB, place)))
+
+
+@compiled
+def calc_kinematics(
+    tree: TreeRecords, q: Array, poses: Array, angular: Array, linear: Array
+) -> None:
+    """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, into zeros.
+
+    The Jacobians (N, nb, 3, nv) of ω and of the velocity of Bo, in W; none if they have no samples.
+    """
+    mobilizers, dofs = tree
+    bodies = len(mobilizers)
+    motions, features = np.empty(bodies, MOTION), np.empty(9)
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    world = np.empty(bodies, MOTION)  # R_WB and the position of Bo in W
+    for n in range(len(q)):
+        for i in range(bodies):
+            mobilizer, own = mobilizers[i], world[i]
+            pose(mobilizer, q, n, features, motions[i])
+            put_pose(mobilizer, motions[i], world, own)
+            body = mobilizer.body
+            if body >= 0:
+                poses[n, body, 3, 3] = 1.0
+                for j in range(3):
+                    poses[n, body, j, 3] = own.p_PMo[j]
+                    for k in range(3):
+                        poses[n, body, j, k] = own.R_PB[j, k]
+        if len(angular):
+            find_subspaces(mobilizers, motions, turn, slide)
+            for i in range(bodies):
+                body, R = mobilizers[i].body, world[i].R_PB
+                if body >= 0:
+                    for k in range(mobilizers[i].count):
+                        s, t = times(R, row(turn, i, k)), times(R, row(slide, i, k))
+                        for x in range(3):
+                            angular[n, body, x, dofs[i, k]] = s[x]
+                            linear[n, body, x, dofs[i, k]] = t[x]
+
+
+def joint_rotations(joint: FrameMotion, q: Array) -> Array:
+    """Rotations R_PB (N, 3, 3) that a joint makes.
+
+    Args:
+        joint: The motion of the joint.
+        q: (N, nq_j) its positions.
+    """
+    rotations = np.empty((len(q), 3, 3))
+    calc_joint_rotations(int(joint.features), joint.rotation, np.ascontiguousarray(q), rotations)
+    return rotations
+
+
+@compiled
+def calc_joint_rotations(kind: int, rotation: Array, q: Array, out: Array) -> None:
+    """Writes the rotations (N, 3, 3) of a joint."""
+    features = np.empty(9)
+    first = q.shape[1] - 1 if kind == _ANGLE else 0
+    for n in range(len(q)):
+        number = features_of(kind, q, n, first, features)
+        for entry in range(9):
+            value = 0.0
+            for k in range(number):
+                value += rotation[entry, k] * features[k]
+            out[n, entry // 3, entry % 3] = value

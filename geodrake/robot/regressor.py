@@ -17,9 +17,15 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.boundary.arguments import Sizes, integer, real_array
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.kinematics import KinematicTree, Mobilizer
-from geodrake.robot.newton_euler import efforts
-from geodrake.robot.recursion import Samples, piece_size, pieces, sample_pieces
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import (
+    Samples,
+    calc_body_regressor,
+    calc_inverse_dynamics,
+    calc_regressor,
+)
+
+_PIECE = 1024
 
 
 def inverse_dynamics_regressor(
@@ -44,10 +50,10 @@ def inverse_dynamics_regressor(
         ModelError: The plant has a joint that is not supported.
     """
     tree, samples = checked_samples(plant, q, v, vd)
-    shape = len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies)
-    regressor = np.empty(shape)
-    for part, piece in regressor_pieces(tree, *samples):
-        regressor[part] = piece.transpose(2, 0, 1)
+    regressor = np.zeros(
+        (len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
+    )
+    calc_regressor(tree.records, samples, 0, regressor)
     return regressor
 
 
@@ -66,10 +72,7 @@ def body_regressor(
     tree, samples = checked_samples(plant, q, v, vd)
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
-    for part, blocks in pieces(tree.branch(body), samples):
-        for mobilizer, block in blocks:
-            if mobilizer.body == body:
-                regressor[part, mobilizer.dofs] = block.transpose(2, 1, 0)
+    calc_body_regressor(tree.branch(body).records, samples, body, regressor)
     return regressor
 
 
@@ -92,8 +95,7 @@ def inverse_dynamics(
     tree, samples = checked_samples(plant, q, v, vd)
     phi = real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY))
     effort = np.empty((len(samples[0]), tree.num_velocities))
-    for part, piece in sample_pieces(tree, samples):
-        effort[part] = efforts(tree, piece, phi).T
+    calc_inverse_dynamics(tree.records, samples, phi, effort)
     return effort
 
 
@@ -109,16 +111,16 @@ def regressor_pieces(
         vd: (N, nv) accelerations v̇ in Drake's order.
 
     Yields:
-        The samples, as a slice, and their Y as (nv, 10 nb, n): the rows of velocity k are
-        `Y[k].T`, in the column order that LAPACK works on. The next piece overwrites the array.
+        The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
     """
     tree, samples = checked_samples(plant, q, v, vd)
     columns = PARAMETERS_PER_BODY * len(tree.bodies)
-    regressor = np.zeros((tree.num_velocities, columns, piece_size(tree)))
-    for part, blocks in pieces(tree, samples):
-        piece = regressor[:, :, : part.stop - part.start]
-        for mobilizer, block in blocks:
-            piece[mobilizer.dofs, _columns(mobilizer)] = block.transpose(1, 0, 2)
+    room = np.zeros((min(_PIECE, len(samples[0])), tree.num_velocities, columns))
+    for start in range(0, len(samples[0]), _PIECE):
+        part = slice(start, min(start + _PIECE, len(samples[0])))
+        piece = room[: part.stop - start]  # what is zero in one piece is so in all
+        q, v, vd = (x[part] for x in samples)
+        calc_regressor(tree.records, (q, v, vd), 0, piece)
         yield part, piece
 
 
@@ -141,6 +143,7 @@ def checked_samples(
     nq, nv = tree.num_positions, tree.num_velocities
     q = real_array(q, "q", ("N", nq), sizes)
     v, vd = real_array(v, "v", ("N", nv), sizes), real_array(vd, "vd", ("N", nv), sizes)
+    q, v, vd = (np.require(x, requirements=("C", "W")) for x in (q, v, vd))
     return tree, (q, v, vd)
 
 
@@ -152,8 +155,3 @@ def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:
         ModelError: The plant is not finalized, or has a joint that is not supported.
     """
     return plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
-
-
-def _columns(mobilizer: Mobilizer) -> slice:
-    first = PARAMETERS_PER_BODY * mobilizer.body
-    return slice(first, first + PARAMETERS_PER_BODY)

@@ -17,7 +17,6 @@ from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.robot.joints import joint_motions
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.recursion import piece_size
 from geodrake.robot.regressor import (
     body_regressor,
     inverse_dynamics,
@@ -67,25 +66,22 @@ def test_random_trees(kinds, seed):
     assert_equals_drake(random_tree(rng, kinds), rng)
 
 
-def test_samples_do_not_mix_across_pieces(arm):
-    tree = KinematicTree.from_plant(arm)
-    count = 2 * piece_size(tree) + 7
-    q, v, vd = random_motion(arm, np.random.default_rng(1), count)
-    whole = inverse_dynamics_regressor(tree, q, v, vd)
-    some = np.r_[0, piece_size(tree) - 1 : piece_size(tree) + 1, count - 8 : count]
-    alone = [inverse_dynamics_regressor(arm, q[[i]], v[[i]], vd[[i]])[0] for i in some]
-    np.testing.assert_allclose(whole[some], alone, rtol=1e-12, atol=1e-12)
+def test_samples_do_not_mix(arm):
+    q, v, vd = random_motion(arm, np.random.default_rng(1), 20)
+    whole = inverse_dynamics_regressor(arm, q, v, vd)
+    alone = [inverse_dynamics_regressor(arm, q[[i]], v[[i]], vd[[i]])[0] for i in range(20)]
+    np.testing.assert_array_equal(whole, alone)
 
 
 def test_other_forms_agree(arm):
     tree = KinematicTree.from_plant(arm)
-    motion = random_motion(arm, np.random.default_rng(2), piece_size(tree) + 100)
+    motion = random_motion(arm, np.random.default_rng(2), 2_300)
     whole, phi = inverse_dynamics_regressor(arm, *motion), inertial_parameters(arm)
     np.testing.assert_allclose(inverse_dynamics(tree, *motion, phi), whole @ phi.ravel(), atol=1e-9)
     for body in range(len(tree.bodies)):
         columns = whole[:, :, 10 * body : 10 * body + 10]
         np.testing.assert_array_equal(body_regressor(tree, *motion, body), columns)
-    parts = [piece.transpose(2, 0, 1).copy() for _, piece in regressor_pieces(tree, *motion)]
+    parts = [piece.copy() for _, piece in regressor_pieces(tree, *motion)]
     np.testing.assert_array_equal(np.concatenate(parts), whole)
 
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from geodrake.control.regressor.spatial_algebra import SWAP, motion_transform, skew
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.joints import constant, cosine_sine
+from geodrake.robot.joints import Features
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
+from geodrake.robot.recursion import joint_rotations
 
 Indices = NDArray[np.intp]
 
@@ -88,7 +89,7 @@ class OnlineTree:
                 reaction[mobilizer.body, 3:] = -mobilizer.gravity * tree.gravity
             before = [dof for dof in mobilizer.dofs if not own.start <= dof < own.stop]
             moves_inboard[own, before] = 1.0
-            if joint.features in (constant, cosine_sine):
+            if joint.features in (Features.CONSTANT, Features.ANGLE):
                 angles[i] = mobilizer.positions.stop - 1
                 transforms[:, i] = _transform_features(mobilizer)
             else:
@@ -128,7 +129,7 @@ class OnlineTree:
         X = still + by_cos * np.cos(angle) + by_sin * np.sin(angle)
         for i, mobilizer in self._general:
             joint = mobilizer.motion
-            R_PB = (joint.rotation @ joint.features(q[mobilizer.positions, None])).reshape(3, 3)
+            R_PB = joint_rotations(joint, q[None, mobilizer.positions])[0]
             X[i] = motion_transform(R_PB, joint.offset + R_PB @ mobilizer.p_MoBo_B)
         columns = self._columns
         if self._sliding:
