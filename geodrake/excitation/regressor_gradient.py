@@ -77,12 +77,13 @@ def base_wrench_regressor_gradient(
         ArgumentError: A shape does not fit the plant, a value is not finite, or X_WP is no pose.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, (q, v, vd) = checked_samples(plant, q, v, vd)
+    tree, (q, v, _, vd) = checked_samples(plant, q, v, vd)
     weights = _checked_weights(weights, (len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
     if X_WP is not None:
         weights = np.swapaxes(wrench_map(X_WP, len(q)), -1, -2) @ weights
     nv, resting = tree.num_velocities, np.zeros((len(q), 6))
-    samples = (q, np.hstack([v, resting]), np.hstack([vd, resting]))
+    v = np.hstack([v, resting])
+    samples = (q, v, v, np.hstack([vd, resting]))
     rows = np.concatenate([np.zeros((len(q), nv, weights.shape[-1])), weights], axis=1)
     gradient = reverse_recursion(on_a_free_world(tree), samples, rows)
     return MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])

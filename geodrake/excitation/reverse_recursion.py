@@ -45,6 +45,9 @@ from geodrake.robot.vectors import (
     vector,
 )
 
+Gradient = tuple[Array, Array, Array]
+"""With respect to positions (N, nq), velocities (N, nv) and accelerations (N, nv)."""
+
 _IMAGINARY_STEP = 1e-30  # so small that its square is nothing: the derivative is exact
 
 
@@ -68,23 +71,26 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
 
     Args:
         tree: The kinematic tree.
-        samples: Positions (N, nq), velocities (N, nv) and accelerations (N, nv) in Drake's order.
+        samples: A motion itself, in Drake's order.
         weights: (N, nv, 10 nb) W.
     """
-    result = MotionGradient(*(np.zeros(x.shape) for x in samples))
+    q, _, v, vd = samples
+    result = MotionGradient(*(np.zeros(x.shape) for x in (q, v, vd)))
     gradient = result.q, result.v, result.vd
     calc_motion_gradient(tree.records, samples, np.ascontiguousarray(weights), gradient)
     return result
 
 
 @compiled
-def calc_motion_gradient(tree: TreeRecords, samples: Samples, weights: Array, out: Samples) -> None:
+def calc_motion_gradient(
+    tree: TreeRecords, samples: Samples, weights: Array, out: Gradient
+) -> None:
     """Writes the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv)."""
     mobilizers, dofs = tree
     motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)
     turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
     by_turn, by_slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
-    features, (q, v, _), (by_q, by_v, by_vd) = np.empty(9), samples, out
+    features, (q, v, _, _), (by_q, by_v, by_vd) = np.empty(9), samples, out
     for n in range(len(q)):
         move(mobilizers, samples, n, features, motions)
         find_subspaces(mobilizers, motions, turn, slide)
@@ -106,7 +112,7 @@ def calc_motion_gradient(tree: TreeRecords, samples: Samples, weights: Array, ou
             covector = motion, by[i], mobilizer.p_MoBo_B
             spin = shift_back(covector, (turn, slide), (by_turn, by_slide), i, mobilizer.count)
             by_w, by_wd, by_a = vector(by[i].w), vector(by[i].wd), vector(by[i].a)
-            w_P, wd_P, _ = inboard_motion(mobilizer, motions)
+            w_P, _, wd_P, _ = inboard_motion(mobilizer, motions)
             # The reverse of `geodrake.robot.recursion.move`, in P.
             R, p, own = motion.R_PB, vector(motion.p_PMo), mobilizer.velocities
             by_w, by_wd, by_a = times(R, by_w), times(R, by_wd), times(R, by_a)

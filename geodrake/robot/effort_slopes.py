@@ -153,7 +153,7 @@ def look_inboard(
 
     The place is the sample, of which motion, and the body's mobilizer.
     """
-    (turn, slide), ((_, v, vd), n, i) = subspaces, place
+    (turn, slide), ((_, v, _, vd), n, i) = subspaces, place
     w, wd, a = vector(motions[i].w), vector(motions[i].wd), vector(motions[i].a)
     whole, speed = w, (0.0, 0.0, 0.0)
     last, step = mobilizers[i].count, i

@@ -59,9 +59,10 @@ def base_wrench_regressor(
         ArgumentError: A shape does not fit, a value is not finite, or X_WP is no pose.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, (q, v, vd) = checked_samples(plant, q, v, vd)
+    tree, (q, v, _, vd) = checked_samples(plant, q, v, vd)
     resting = np.zeros((len(q), 6))
-    samples = (q, np.hstack([v, resting]), np.hstack([vd, resting]))
+    v = np.hstack([v, resting])
+    samples = (q, v, v, np.hstack([vd, resting]))
     regressor = np.zeros((len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
     calc_regressor(on_a_free_world(tree).records, samples, tree.num_velocities, regressor)
     return regressor if X_WP is None else wrench_map(X_WP, len(q)) @ regressor

@@ -4,9 +4,14 @@ From the world outwards it carries the motion of every body B, and the motion su
 velocities that move it, about Bo and expressed in B. For one velocity with the angular part s and
 the linear part t, the effort that B asks of it is
 
-    τ = t·f + s·n,   f = m a + (α× + ω×ω×) h,   n = I α + ω × I ω + h × a,
+    τ = t·f + s·n,   f = m a + α × h + u × (ω × h),
+    n = I (α − ½ ω × u) + ½ (ω × I u + u × I ω) + h × a,
 
-with ω, α the angular velocity and acceleration of B, and a the acceleration of Bo less gravity.
+with ω the angular velocity of B and u that of a reference motion v; the rates of the reference
+motion's velocities as B moves are α and a, the latter of Bo and less gravity. So the efforts are
+M v̇ + C(q, q̇) v − τ_g with Ṁ − 2 C skew symmetric ([Lee2019] Eq. (5.2.10)); where velocities are
+rates of positions, C is the matrix of Christoffel symbols. Inverse dynamics has v = q̇ and u = ω.
+
 This is linear in (m, h, I): the ten factors are the regressor's block. Where φ is known, wrenches
 (f, n) are carried inwards instead, which asks for no subspace (Newton and Euler).
 """
@@ -39,8 +44,11 @@ from geodrake.robot.vectors import (
     vector,
 )
 
-Samples = tuple[Array, Array, Array]
-"""Positions (N, nq), velocities (N, nv) and accelerations (N, nv)."""
+Samples = tuple[Array, Array, Array, Array]
+"""Positions q (N, nq), velocities q̇, reference velocities v and their rates v̇, each (N, nv).
+
+Of a motion itself, v is q̇.
+"""
 
 Indices = NDArray[np.int64]
 Numbers = NDArray[np.float64] | NDArray[np.complex128]
@@ -72,12 +80,13 @@ MOTION = np.dtype(
         ("R_PB", float, (3, 3)),
         ("p_PMo", float, (3,)),
         ("w", float, (3,)),
+        ("u", float, (3,)),
         ("wd", float, (3,)),
         ("a", float, (3,)),
     ],
     align=True,
 )
-"""How a body B stands to P inboard of it at one sample, and ω, α and a of Bo less gravity, in B."""
+"""How a body B stands to P inboard of it at one sample, and ω, u, α and a of Bo, in B."""
 
 _CONSTANT, _ANGLE, _RPY = (int(f) for f in (Features.CONSTANT, Features.ANGLE, Features.RPY))
 
@@ -139,36 +148,46 @@ def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> N
 
 
 @inlined
-def inboard_motion(mobilizer: Record, motions: Record) -> tuple[Vector, Vector, Vector]:
-    """ω, α and a of the body inboard of a joint; the world is accelerated against gravity."""
+def inboard_motion(mobilizer: Record, motions: Record) -> tuple[Vector, Vector, Vector, Vector]:
+    """ω, u, α and a of the body inboard of a joint; the world is accelerated against gravity."""
     if mobilizer.parent < 0:
         still = (0.0, 0.0, 0.0)
-        return still, still, scale(-1.0, vector(mobilizer.gravity))
+        return still, still, still, scale(-1.0, vector(mobilizer.gravity))
     inboard = motions[mobilizer.parent]
-    return vector(inboard.w), vector(inboard.wd), vector(inboard.a)
+    return vector(inboard.w), vector(inboard.u), vector(inboard.wd), vector(inboard.a)
 
 
 @inlined
 def move(mobilizers: Record, samples: Samples, n: int, features: Array, motions: Record) -> None:
     """Motion of all bodies at sample n, inboard before outboard."""
-    q, v, vd = samples
+    q, qd, v, vd = samples
     for i in range(len(mobilizers)):
         mobilizer, motion = mobilizers[i], motions[i]
         pose(mobilizer, q, n, features, motion)
         own, R, p = mobilizer.velocities, motion.R_PB, vector(motion.p_PMo)
-        turn = combination(mobilizer.angular, v, n, own)
-        slide = combination(mobilizer.linear, v, n, own)
-        w_P, wd_P, a_P = inboard_motion(mobilizer, motions)
-        # Of B about Mo, in P.
-        w = add(w_P, turn)
-        wd = add(add(wd_P, combination(mobilizer.angular, vd, n, own)), cross(w_P, turn))
+        w_P, u_P, wd_P, a_P = inboard_motion(mobilizer, motions)
+        turned = combination(mobilizer.angular, v, n, own)
+        slid = combination(mobilizer.linear, v, n, own)
+        slide = combination(mobilizer.linear, qd, n, own)
+        # Of B about Mo, in P; p grows by ω_P × p + slide.
+        w, u = add(w_P, combination(mobilizer.angular, qd, n, own)), add(u_P, turned)
+        wd = add(add(wd_P, combination(mobilizer.angular, vd, n, own)), cross(w_P, turned))
         a = add(add(a_P, combination(mobilizer.linear, vd, n, own)), cross(wd_P, p))
-        a = add(a, cross(w_P, add(cross(w_P, p), scale(2.0, slide))))
-        w, wd, a = transposed_times(R, w), transposed_times(R, wd), transposed_times(R, a)
+        a = add(a, add(cross(u_P, add(cross(w_P, p), slide)), cross(w_P, slid)))
+        w, u = transposed_times(R, w), transposed_times(R, u)
+        wd, a = transposed_times(R, wd), transposed_times(R, a)
         shift = vector(mobilizer.p_MoBo_B)
         put(motion.w, w)
+        put(motion.u, u)
         put(motion.wd, wd)
-        put(motion.a, add(a, add(cross(wd, shift), cross(w, cross(w, shift)))))
+        put(motion.a, add(a, add(cross(wd, shift), cross(u, cross(w, shift)))))
+
+
+@inlined
+def carried(mobilizer: Record, motion: Record, s: Vector, t: Vector) -> tuple[Vector, Vector]:
+    """A motion (s, t) about Mo in P, as the same about Bo in B."""
+    s, t = transposed_times(motion.R_PB, s), transposed_times(motion.R_PB, t)
+    return s, add(t, cross(s, vector(mobilizer.p_MoBo_B)))
 
 
 @inlined
@@ -178,8 +197,8 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
     About Bo, in B.
     """
     for i in range(len(mobilizers)):
-        mobilizer, R, p = mobilizers[i], motions[i].R_PB, vector(motions[i].p_PMo)
-        parent, shift = mobilizer.parent, vector(mobilizer.p_MoBo_B)
+        mobilizer, p = mobilizers[i], vector(motions[i].p_PMo)
+        parent = mobilizer.parent
         old = mobilizers[parent].count if parent >= 0 else 0
         for k in range(mobilizer.count):
             if k < old:
@@ -187,9 +206,9 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
                 t = add(row(slide, parent, k), cross(s, p))
             else:
                 s, t = column(mobilizer.angular, k - old), column(mobilizer.linear, k - old)
-            s, t = transposed_times(R, s), transposed_times(R, t)
+            s, t = carried(mobilizer, motions[i], s, t)
             put_row(turn, i, k, s)
-            put_row(slide, i, k, add(t, cross(s, shift)))
+            put_row(slide, i, k, t)
 
 
 @inlined
@@ -199,19 +218,21 @@ def put_block(motion: Record, s: Vector, t: Vector, out: Array, place: Any) -> N
     The place is that of the first of them in out (N, rows, columns).
     """
     n, line, start = place
-    w, wd, a = vector(motion.w), vector(motion.wd), vector(motion.a)
-    # h: a × s + Bᵀ t with B = α× + ω×ω×.
-    h = add(cross(a, s), add(cross(t, wd), subtract(scale(dot(w, t), w), scale(dot(w, w), t))))
-    # I: s·(I α) + u·(I ω) with u = s × ω.
-    u = cross(s, w)
+    w, u, wd, a = vector(motion.w), vector(motion.u), vector(motion.wd), vector(motion.a)
+    # h: a × s + Bᵀ t with B = α× + u×ω×.
+    h = add(cross(a, s), cross(t, wd))
+    h = add(h, subtract(scale(dot(w, t), u), scale(dot(w, u), t)))
+    # I: s·(I α) + c·(I u) − ½ tr(I) c·u with c = s × ω, the same by I (ω × u).
+    c = cross(s, w)
+    trace = 0.5 * dot(c, u)
     out[n, line, start] = dot(t, a)
     out[n, line, start + 1], out[n, line, start + 2], out[n, line, start + 3] = h
-    out[n, line, start + 4] = s[0] * wd[0] + u[0] * w[0]
-    out[n, line, start + 5] = s[1] * wd[1] + u[1] * w[1]
-    out[n, line, start + 6] = s[2] * wd[2] + u[2] * w[2]
-    out[n, line, start + 7] = s[0] * wd[1] + s[1] * wd[0] + u[0] * w[1] + u[1] * w[0]
-    out[n, line, start + 8] = s[1] * wd[2] + s[2] * wd[1] + u[1] * w[2] + u[2] * w[1]
-    out[n, line, start + 9] = s[2] * wd[0] + s[0] * wd[2] + u[2] * w[0] + u[0] * w[2]
+    out[n, line, start + 4] = s[0] * wd[0] + c[0] * u[0] - trace
+    out[n, line, start + 5] = s[1] * wd[1] + c[1] * u[1] - trace
+    out[n, line, start + 6] = s[2] * wd[2] + c[2] * u[2] - trace
+    out[n, line, start + 7] = s[0] * wd[1] + s[1] * wd[0] + c[0] * u[1] + c[1] * u[0]
+    out[n, line, start + 8] = s[1] * wd[2] + s[2] * wd[1] + c[1] * u[2] + c[2] * u[1]
+    out[n, line, start + 9] = s[2] * wd[0] + s[0] * wd[2] + c[2] * u[0] + c[0] * u[2]
 
 
 @compiled
@@ -250,11 +271,12 @@ def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Arr
 @inlined
 def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
     """Force and moment about Bo that give body b of φ (nb, 10) its motion."""
-    w, wd, a = vector(motion.w), vector(motion.wd), vector(motion.a)
+    w, u, wd, a = vector(motion.w), vector(motion.u), vector(motion.wd), vector(motion.a)
     h = phi[b, 1], phi[b, 2], phi[b, 3]
-    force = add(scale(phi[b, 0], a), add(cross(wd, h), cross(w, cross(w, h))))
-    moment = add(inertia_times(phi, b, wd), cross(w, inertia_times(phi, b, w)))
-    return force, add(moment, cross(h, a))
+    force = add(scale(phi[b, 0], a), add(cross(wd, h), cross(u, cross(w, h))))
+    gyroscopic = add(cross(w, inertia_times(phi, b, u)), cross(u, inertia_times(phi, b, w)))
+    moment = inertia_times(phi, b, subtract(wd, scale(0.5, cross(w, u))))
+    return force, add(add(moment, scale(0.5, gyroscopic)), cross(h, a))
 
 
 @compiled

@@ -119,15 +119,15 @@ def regressor_pieces(
     for start in range(0, len(samples[0]), _PIECE):
         part = slice(start, min(start + _PIECE, len(samples[0])))
         piece = room[: part.stop - start]  # what is zero in one piece is so in all
-        q, v, vd = (x[part] for x in samples)
-        calc_regressor(tree.records, (q, v, vd), 0, piece)
+        q, qd, v, vd = (x[part] for x in samples)
+        calc_regressor(tree.records, (q, qd, v, vd), 0, piece)
         yield part, piece
 
 
 def checked_samples(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> tuple[KinematicTree, Samples]:
-    """The tree, and samples q (N, nq), v and vd (N, nv) as arrays that fit it.
+    """The tree, and samples of a motion itself as arrays that fit it.
 
     Args:
         plant: A finalized plant, or its tree.
@@ -144,7 +144,7 @@ def checked_samples(
     q = real_array(q, "q", ("N", nq), sizes)
     v, vd = real_array(v, "v", ("N", nv), sizes), real_array(vd, "vd", ("N", nv), sizes)
     q, v, vd = (np.require(x, requirements=("C", "W")) for x in (q, v, vd))
-    return tree, (q, v, vd)
+    return tree, (q, v, v, vd)
 
 
 def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, one_or_each
-from geodrake.control.regressor.online_tree import OnlineTree
 from geodrake.control.regressor.rigid_bodies import RigidSample
 from geodrake.effects import Effect, JointMotion, RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
@@ -39,7 +38,7 @@ class ControlModel:
         measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
     """
 
-    tree: OnlineTree
+    tree: KinematicTree
     effects: tuple[Effect, ...]
     bodies: tuple[str, ...]
     joints: tuple[str, ...]
@@ -54,7 +53,6 @@ class ControlModel:
     _all_single: bool
     _payloads: tuple[tuple[int, slice], ...]
     _scales: tuple[tuple[int, int], ...]
-    _kinematics: KinematicTree
     _total_phi: Array
 
     @classmethod
@@ -93,7 +91,7 @@ class ControlModel:
         columns.rows(trial(*np.zeros((3, 1, len(joints)))))  # do they fit the robot?
         values = [model.phi.ravel(), *(fitted.parameters for fitted in model.effects)]
         return cls(
-            tree=OnlineTree.of(model.tree),
+            tree=model.tree,
             effects=effects,
             bodies=bodies,
             joints=joints,
@@ -108,7 +106,6 @@ class ControlModel:
             _all_single=bool(single.all()),
             _payloads=_payloads(model),
             _scales=_scales(model),
-            _kinematics=model.tree,
             _total_phi=model.total_phi,
         )
 
@@ -330,4 +327,4 @@ class ControlSample:
     def _bodies(self) -> RobotBodies:
         """Poses and Jacobians of the bodies."""
         model = self.model
-        return RobotBodies(model._kinematics, self._motion[0][None], model._total_phi)
+        return RobotBodies(model.tree, self._motion[0][None], model._total_phi)

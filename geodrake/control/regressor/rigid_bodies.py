@@ -1,13 +1,8 @@
-"""Rigid bodies at one sample: Y φ, Yᵀ r and Y of the Slotine–Li regressor.
+"""Rigid bodies at one sample: the Slotine–Li regressor and what comes from it.
 
     M(q) a + C(q, q̇) v − τ_g(q) = Y(q, q̇, v, a) φ                      [Lee2019] Eq. (5.2.10)
 
-For a body with spatial inertia G, velocity V of the motion q̇ and U of the motion v, the wrench is
-
-    F = G A' + ½ (V ×* G U + U ×* G V),   A' = A − ½ V × U,
-
-where A = J a + J̇ v is an acceleration, less gravity. Then Ṁ − 2 C is skew symmetric, and where
-velocities are rates of positions C is the matrix of Christoffel symbols, C(q, q̇) v = C(q, v) q̇.
+with Ṁ − 2 C skew symmetric; see `geodrake.robot.recursion`.
 """
 
 from __future__ import annotations
@@ -17,15 +12,31 @@ from functools import cached_property
 
 import numpy as np
 
-from geodrake.control.regressor.online_tree import OnlineTree, Placement
-from geodrake.control.regressor.spatial_algebra import (
-    INERTIA,
-    MOMENTUM,
-    MOTION_CROSS,
-    SLOTINE_LI,
-    motion_cross,
-)
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.compiling import compiled, inlined
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import (
+    MOTION,
+    Samples,
+    TreeRecords,
+    calc_inverse_dynamics,
+    calc_regressor,
+    carried,
+    find_subspaces,
+    move,
+)
+from geodrake.robot.vectors import (
+    Vector,
+    add,
+    column,
+    combination,
+    cross,
+    dot,
+    put_row,
+    row,
+    transposed_times,
+    vector,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +45,15 @@ class RigidSample:
 
     Attributes:
         tree: What is constant.
-        placement: What depends on q.
-        motions: (nb, 6, 3) columns A, U and V of each body about Bo, in B.
-        subspace_rate: (nv, 6) rate of the placement's subspace along the motion q̇.
+        motion: The sample, with one row in each array.
     """
 
-    tree: OnlineTree
-    placement: Placement
-    motions: Array
-    subspace_rate: Array
+    tree: KinematicTree
+    motion: Samples
 
     @classmethod
-    def at(cls, tree: OnlineTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
-        """Kinematics at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,).
+    def at(cls, tree: KinematicTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
+        """The bodies at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,).
 
         Args:
             tree: The kinematic tree.
@@ -55,84 +62,122 @@ class RigidSample:
             v: (nv,) velocities that take the place of one q̇ in products of two.
             a: (nv,) accelerations.
         """
-        placement = tree.place(q)
-        S, sums = placement.subspace, np.empty((len(v), 6, 3))
-        np.multiply(S[:, :, None], np.array((a, v, qd)).T[:, None], out=sums)
-        carried = motion_cross(tree.moves_inboard @ sums[:, :, 2])
-        subspace_rate = (carried @ S[:, :, None])[:, :, 0]
-        if tree.swings:
-            swing = placement.inboard[:, :3, :3].transpose(0, 2, 1) @ (tree.swing @ qd)[:, :, None]
-            subspace_rate[:, 3:] += swing[:, :, 0]
-        sums[:, :, 0] += subspace_rate * v[:, None]
-        motions = (tree.moves @ sums.reshape(-1, 18)).reshape(-1, 6, 3)
-        motions[:, :, 0] += tree.reaction
-        return cls(tree, placement, placement.transforms @ motions, subspace_rate)
-
-    @cached_property
-    def wrench_maps(self) -> Array:
-        """Matrices X (nb, 10, 6): φᵀ X is the wrench F of a body about Bo, in B."""
-        count = len(self.motions)
-        features = np.empty((count, 42))
-        features[:, :6] = self.motions[:, :, 0]
-        U, V = self.motions[:, :, 1, None], self.motions[:, None, :, 2]
-        np.multiply(U, V, out=features[:, 6:].reshape(count, 6, 6))
-        return (features @ SLOTINE_LI).reshape(count, PARAMETERS_PER_BODY, 6)
+        # (Copies: compiled code knows contiguous arrays that it may write to.)
+        motion = (np.array(q, float, ndmin=2), np.array(qd, float, ndmin=2))
+        reference = (np.array(v, float, ndmin=2), np.array(a, float, ndmin=2))
+        return cls(tree, (*motion, *reference))
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
-        wrenches = (phi[:, None] @ self.wrench_maps) @ self.placement.transforms
-        total = self.tree.moves.T @ wrenches[:, 0]
-        return np.einsum("ij,ij->i", self.placement.subspace, total)
-
-    def covector(self, r: Array) -> Array:
-        """Yᵀ r (nb, 10) for r (nv,), from spatial velocities alone."""
-        along = self.tree.moves @ (self.placement.subspace * r[:, None])
-        return (self.wrench_maps @ (self.placement.transforms @ along[:, :, None]))[:, :, 0]
+        effort = np.empty_like(self.motion[1])
+        calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
+        return np.asarray(effort[0])
 
     @cached_property
     def regressor(self) -> Array:
         """Y (nv, 10 nb)."""
-        product = self.placement.subspace @ self._in_world(self.wrench_maps).T
-        product *= self.tree.moves_columns
-        return product
+        regressor = self._zeros()
+        calc_regressor(self.tree.records, self.motion, 0, regressor)
+        return np.asarray(regressor[0])
 
     @cached_property
     def momentum_regressors(self) -> Array:
         """Regressors (2, nv, 10 nb) of M q̇ = Σ Jᵀ G V and of Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g."""
-        # (All products at once: the cost is in the number of calls. One of the four is not needed.)
-        V, S = self.motions[:, :, 2], self.placement.subspace
-        reaction = (self.placement.transforms @ self.tree.reaction[:, :, None])[:, :, 0]
-        maps = (np.concatenate((V, reaction)) @ MOMENTUM).reshape(2, -1, PARAMETERS_PER_BODY, 6)
-        product = np.concatenate((S, self.subspace_rate)) @ self._in_world(maps).T
-        moves, (nv, n) = self.tree.moves_columns, self.tree.moves_columns.shape
-        product[nv:, :n] -= product[:nv, n:]
-        return product[:, :n].reshape(2, nv, n) * moves
+        momentum, drift = self._zeros(), self._zeros()
+        q, qd, _, _ = self.motion
+        calc_momentum_regressors(self.tree.records, (q, qd, qd, qd), momentum, drift)
+        return np.concatenate((momentum, drift))
 
     def mass_matrix(self, phi: Array) -> Array:
-        """M (nv, nv) for φ (nb, 10)."""
-        J = self._jacobian(self.placement.subspace)
-        return _sum_of_products(J, J @ (phi @ INERTIA).reshape(-1, 6, 6))
+        """M (nv, nv) for φ (nb, 10): the efforts of unit accelerations less those of none."""
+        q, qd, _, _ = self.motion
+        nv = qd.shape[1]
+        still, accelerations = np.zeros((nv + 1, nv)), np.eye(nv + 1, nv)
+        samples = (np.repeat(q, nv + 1, axis=0), still, still, accelerations)
+        efforts = np.empty((nv + 1, nv))
+        calc_inverse_dynamics(self.tree.records, samples, np.array(phi, float), efforts)
+        M = efforts[:-1] - efforts[-1]
+        return np.asarray(0.5 * (M + M.T))
 
-    def coriolis_matrix(self, phi: Array) -> Array:
-        """C(q, q̇) (nv, nv) for φ (nb, 10), with Ṁ − 2 C skew symmetric."""
-        J, J_rate = (self._jacobian(x) for x in (self.placement.subspace, self.subspace_rate))
-        G = (phi @ INERTIA).reshape(-1, 6, 6)
-        V = self.motions[:, :, 2]
-        turned = G @ motion_cross(V)
-        pushed = np.einsum("kij,ni->njk", MOTION_CROSS.reshape(6, 6, 6), (V[:, None] @ G)[:, 0])
-        B = -0.5 * (turned + turned.transpose(0, 2, 1) + pushed)
-        return _sum_of_products(J, J_rate @ G + J @ B.transpose(0, 2, 1))
-
-    def _in_world(self, maps: Array) -> Array:
-        """Wrenches of unit parameters (k nb 10, 6) in W about Wo, from maps (k, nb, 10, 6) in B."""
-        return (maps @ self.placement.transforms).reshape(-1, 6)
-
-    def _jacobian(self, subspace: Array) -> Array:
-        """Rows (nb, nv, 6) of the bodies' velocities in B, from directions (nv, 6) in W."""
-        along = self.tree.moves[:, :, None] * subspace
-        return along @ self.placement.transforms.transpose(0, 2, 1)
+    def _zeros(self) -> Array:
+        nv, nb = self.motion[1].shape[1], len(self.tree.bodies)
+        return np.zeros((1, nv, PARAMETERS_PER_BODY * nb))
 
 
-def _sum_of_products(J: Array, F: Array) -> Array:
-    """Σ J Fᵀ over bodies, both (nb, nv, 6)."""
-    return np.asarray(np.tensordot(J, F, ((0, 2), (0, 2))))
+@compiled
+def calc_momentum_regressors(
+    tree: TreeRecords, samples: Samples, momentum: Array, drift: Array
+) -> None:
+    """Adds regressors (N, nv, 10 nb) of M q̇ and of Cᵀ q̇ + τ_g to zeros.
+
+    The second has the rates at which the motion of the bodies inboard of a joint changes its
+    subspace, seen from a point at rest.
+    """
+    mobilizers, dofs = tree
+    q, qd, _, _ = samples
+    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
+    subspace = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    rates = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    velocities, gravities = np.empty((len(mobilizers), 1, 3)), np.empty((len(mobilizers), 1, 3))
+    still = (0.0, 0.0, 0.0)
+    for n in range(len(q)):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, subspace[0], subspace[1])
+        for i in range(len(mobilizers)):
+            mobilizer, motion = mobilizers[i], motions[i]
+            parent, p = mobilizer.parent, vector(motion.p_PMo)
+            w_P = v_P = still
+            g_P, old = vector(mobilizer.gravity), 0
+            if parent >= 0:
+                w_P, v_P = vector(motions[parent].w), row(velocities, parent, 0)
+                g_P, old = row(gravities, parent, 0), mobilizers[parent].count
+            slide = combination(mobilizer.linear, qd, n, mobilizer.velocities)
+            v_Mo = add(v_P, add(cross(w_P, p), slide))
+            for k in range(mobilizer.count):
+                if k < old:
+                    s, t = row(rates[0], parent, k), row(rates[1], parent, k)
+                    t = add(t, cross(s, p))
+                else:
+                    axis = column(mobilizer.angular, k - old)
+                    s, t = cross(w_P, axis), cross(w_P, column(mobilizer.linear, k - old))
+                    t = add(t, cross(v_Mo, axis))
+                s, t = carried(mobilizer, motion, s, t)
+                put_row(rates[0], i, k, s)
+                put_row(rates[1], i, k, t)
+            R, w = motion.R_PB, vector(motion.w)
+            v = add(transposed_times(R, v_Mo), cross(w, vector(mobilizer.p_MoBo_B)))
+            g = transposed_times(R, g_P)
+            put_row(velocities, i, 0, v)
+            put_row(gravities, i, 0, g)
+            if mobilizer.body < 0:
+                continue
+            first = PARAMETERS_PER_BODY * mobilizer.body
+            for k in range(mobilizer.count):
+                along = row(subspace[0], i, k), row(subspace[1], i, k)
+                add_momentum(along, (w, v), momentum[n, dofs[i, k]], first)
+                add_momentum(along, (still, g), drift[n, dofs[i, k]], first)
+                along = row(rates[0], i, k), row(rates[1], i, k)
+                add_momentum(along, (w, v), drift[n, dofs[i, k]], first)
+
+
+@inlined
+def add_momentum(
+    along: tuple[Vector, Vector], velocity: tuple[Vector, Vector], out: Array, first: int
+) -> None:
+    """Adds the ten factors of φ in the momentum that a body has along a motion (s, t).
+
+    Its momentum is m v + ω × h, and I ω + h × v about Bo; out is a row, in which the first of the
+    factors has a place.
+    """
+    (s, t), (w, v) = along, velocity
+    h = add(cross(t, w), cross(v, s))
+    out[first] += dot(t, v)
+    out[first + 1] += h[0]
+    out[first + 2] += h[1]
+    out[first + 3] += h[2]
+    out[first + 4] += s[0] * w[0]
+    out[first + 5] += s[1] * w[1]
+    out[first + 6] += s[2] * w[2]
+    out[first + 7] += s[0] * w[1] + s[1] * w[0]
+    out[first + 8] += s[1] * w[2] + s[2] * w[1]
+    out[first + 9] += s[2] * w[0] + s[0] * w[2]
