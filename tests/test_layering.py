@@ -13,6 +13,7 @@ PACKAGE = ROOT / "geodrake"
 
 LAYERS = (
     "errors",
+    "compiling",
     "boundary",
     "inertia",
     "manifolds",
@@ -194,13 +195,20 @@ def test_functions_stay_short():
     assert not offenders(SHIPPED, problems)
 
 
+def is_inlined(node):
+    return "inlined" in {getattr(each, "id", "") for each in getattr(node, "decorator_list", [])}
+
+
 def public_functions(tree):
-    """Public functions, and public methods of public classes, each with its class or None."""
+    """Public functions, and public methods of public classes, each with its class or None.
+
+    What is inlined is a part of a kernel, an equation of numbers.
+    """
     pending = [(None, tree)]
     while pending:
         owner, node = pending.pop()
         for child in node.body:
-            if getattr(child, "name", "_").startswith("_"):
+            if getattr(child, "name", "_").startswith("_") or is_inlined(child):
                 continue
             if isinstance(child, ast.ClassDef):
                 pending.append((child, child))

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from geodrake.boundary.escaping import printable
-from geodrake.robot.compiling import while_compiling
+from geodrake.compiling import while_compiling
 
 Update = Callable[[str], None]
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import calc_kinematics
@@ -96,7 +97,7 @@ class RobotBodies:
         tree, n = self.tree, len(self.q)
         poses = np.zeros((n, len(tree.bodies), 4, 4))
         angular, linear = np.zeros((2, n, len(tree.bodies), 3, tree.num_velocities))
-        calc_kinematics(tree.records, np.ascontiguousarray(self.q), poses, angular, linear)
+        calc_kinematics(tree.records, contiguous(self.q), poses, angular, linear)
         return {
             tree.bodies[mobilizer.body]: BodyMotion(
                 poses[:, mobilizer.body, :3, :3],

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.compiling import compiled, inlined
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -77,7 +77,7 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
     q, _, v, vd = samples
     result = MotionGradient(*(np.zeros(x.shape) for x in (q, v, vd)))
     gradient = result.q, result.v, result.vd
-    calc_motion_gradient(tree.records, samples, np.ascontiguousarray(weights), gradient)
+    calc_motion_gradient(tree.records, samples, contiguous(weights), gradient)
     return result
 
 
@@ -85,7 +85,14 @@ def reverse_recursion(tree: KinematicTree, samples: Samples, weights: Array) -> 
 def calc_motion_gradient(
     tree: TreeRecords, samples: Samples, weights: Array, out: Gradient
 ) -> None:
-    """Writes the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv)."""
+    """Writes the gradient of Σ W ∘ Y into zeros (N, nq), (N, nv), (N, nv).
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion itself.
+        weights: (N, nv, 10 nb) W.
+        out: Zeros, then the gradient.
+    """
     mobilizers, dofs = tree
     motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)
     turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
@@ -200,7 +207,7 @@ def add_block(
     return by_s, by_t
 
 
-@compiled
+@inlined
 def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) -> Vector:
     """The angular rate of B, in B, at which its rotation changes with its joint's position j."""
     moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)

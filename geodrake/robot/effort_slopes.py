@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.compiling import compiled, inlined
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -95,7 +95,7 @@ def effort_slopes(
         raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
     count, nv = len(samples[0]), tree.num_velocities
     slopes = np.zeros((3, count, nv, nv))
-    calc_effort_slopes(tree.records, samples, np.ascontiguousarray(phi), slopes)
+    calc_effort_slopes(tree.records, samples, contiguous(phi), slopes)
     for mobilizer in tree.mobilizers:
         own = mobilizer.velocities
         if own.stop - own.start > 1:
@@ -105,7 +105,14 @@ def effort_slopes(
 
 @compiled
 def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv)."""
+    """Adds the slopes with q, v and v̇ of all bodies' efforts to (3, N, nv, nv).
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion itself.
+        phi: (nb, 10) inertial parameters.
+        out: (3, N, nv, nv) zeros, then the slopes.
+    """
     mobilizers, dofs = tree
     motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
     turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))

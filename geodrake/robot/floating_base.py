@@ -19,6 +19,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.boundary.arguments import integer, number, real_array
+from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.robot.joints import Features, FrameMotion
@@ -137,7 +138,7 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
         (N, nb, 4, 4) homogeneous matrices.
     """
     tree = checked_tree(plant)
-    q = real_array(q, "q", ("N", tree.num_positions))
+    q = contiguous(real_array(q, "q", ("N", tree.num_positions)))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))
     none = np.empty((0, 0, 3, 0))
     calc_kinematics(tree.records, q, poses, none, none)

@@ -23,9 +23,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.compiling import compiled, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.compiling import compiled, inlined
-from geodrake.robot.joints import Features, FrameMotion
+from geodrake.robot.joints import Features
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -87,6 +87,9 @@ MOTION = np.dtype(
     align=True,
 )
 """How a body B stands to P inboard of it at one sample, and ω, u, α and a of Bo, in B."""
+
+POSE = np.dtype([("R_WB", float, (3, 3)), ("p_WoBo_W", float, (3,))], align=True)
+"""Where a body is at one sample."""
 
 _CONSTANT, _ANGLE, _RPY = (int(f) for f in (Features.CONSTANT, Features.ANGLE, Features.RPY))
 
@@ -237,7 +240,14 @@ def put_block(motion: Record, s: Vector, t: Vector, out: Array, place: Any) -> N
 
 @compiled
 def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) -> None:
-    """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb)."""
+    """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb).
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion.
+        first: The first velocity that has a row.
+        out: (N, rows, 10 nb) zeros, then Y.
+    """
     mobilizers, dofs = tree
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
     turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
@@ -254,7 +264,14 @@ def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) 
 
 @compiled
 def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Array) -> None:
-    """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch."""
+    """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch.
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion.
+        body: Index of the body.
+        out: (N, nv, 10) zeros, then its columns.
+    """
     mobilizers, dofs = tree
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
     turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
@@ -281,7 +298,14 @@ def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
 
 @compiled
 def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Writes the efforts (N, nv) that a motion needs, for parameters φ (nb, 10)."""
+    """Writes the efforts (N, nv) that a motion needs, for parameters φ (nb, 10).
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion.
+        phi: (nb, 10) inertial parameters.
+        out: (N, nv) the efforts, N·m or N.
+    """
     mobilizers, _ = tree
     bodies = len(mobilizers)
     motions, features = np.empty(bodies, MOTION), np.empty(9)
@@ -317,14 +341,14 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
     """Writes R_WB and the position of Bo in W, from those of the body inboard."""
     place = add(vector(motion.p_PMo), times(motion.R_PB, vector(mobilizer.p_MoBo_B)))
     if mobilizer.parent < 0:
-        own.R_PB[:] = motion.R_PB
-        put(own.p_PMo, place)
+        own.R_WB[:] = motion.R_PB
+        put(own.p_WoBo_W, place)
     else:
         inboard = world[mobilizer.parent]
         for k in range(3):
-            axis = times(inboard.R_PB, column(motion.R_PB, k))
-            own.R_PB[0, k], own.R_PB[1, k], own.R_PB[2, k] = axis
-        put(own.p_PMo, add(vector(inboard.p_PMo), times(inboard.R_PB, place)))
+            axis = times(inboard.R_WB, column(motion.R_PB, k))
+            own.R_WB[0, k], own.R_WB[1, k], own.R_WB[2, k] = axis
+        put(own.p_WoBo_W, add(vector(inboard.p_WoBo_W), times(inboard.R_WB, place)))
 
 
 @compiled
@@ -334,12 +358,19 @@ def calc_kinematics(
     """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, into zeros.
 
     The Jacobians (N, nb, 3, nv) of ω and of the velocity of Bo, in W; none if they have no samples.
+
+    Args:
+        tree: `KinematicTree.records`.
+        q: (N, nq) positions.
+        poses: (N, nb, 4, 4) zeros, then X_WB.
+        angular: (N, nb, 3, nv) zeros, then the Jacobians of ω in W; none if (0, …).
+        linear: The same of the velocities of Bo.
     """
     mobilizers, dofs = tree
     bodies = len(mobilizers)
     motions, features = np.empty(bodies, MOTION), np.empty(9)
     turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
-    world = np.empty(bodies, MOTION)  # R_WB and the position of Bo in W
+    world = np.empty(bodies, POSE)
     for n in range(len(q)):
         for i in range(bodies):
             mobilizer, own = mobilizers[i], world[i]
@@ -349,42 +380,16 @@ def calc_kinematics(
             if body >= 0:
                 poses[n, body, 3, 3] = 1.0
                 for j in range(3):
-                    poses[n, body, j, 3] = own.p_PMo[j]
+                    poses[n, body, j, 3] = own.p_WoBo_W[j]
                     for k in range(3):
-                        poses[n, body, j, k] = own.R_PB[j, k]
+                        poses[n, body, j, k] = own.R_WB[j, k]
         if len(angular):
             find_subspaces(mobilizers, motions, turn, slide)
             for i in range(bodies):
-                body, R = mobilizers[i].body, world[i].R_PB
+                body, R = mobilizers[i].body, world[i].R_WB
                 if body >= 0:
                     for k in range(mobilizers[i].count):
                         s, t = times(R, row(turn, i, k)), times(R, row(slide, i, k))
                         for x in range(3):
                             angular[n, body, x, dofs[i, k]] = s[x]
                             linear[n, body, x, dofs[i, k]] = t[x]
-
-
-def joint_rotations(joint: FrameMotion, q: Array) -> Array:
-    """Rotations R_PB (N, 3, 3) that a joint makes.
-
-    Args:
-        joint: The motion of the joint.
-        q: (N, nq_j) its positions.
-    """
-    rotations = np.empty((len(q), 3, 3))
-    calc_joint_rotations(int(joint.features), joint.rotation, np.ascontiguousarray(q), rotations)
-    return rotations
-
-
-@compiled
-def calc_joint_rotations(kind: int, rotation: Array, q: Array, out: Array) -> None:
-    """Writes the rotations (N, 3, 3) of a joint."""
-    features = np.empty(9)
-    first = q.shape[1] - 1 if kind == _ANGLE else 0
-    for n in range(len(q)):
-        number = features_of(kind, q, n, first, features)
-        for entry in range(9):
-            value = 0.0
-            for k in range(number):
-                value += rotation[entry, k] * features[k]
-            out[n, entry // 3, entry % 3] = value

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.boundary.arguments import Sizes, integer, real_array
+from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
@@ -93,7 +94,7 @@ def inverse_dynamics(
         phi: (nb, 10) inertial parameters.
     """
     tree, samples = checked_samples(plant, q, v, vd)
-    phi = real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY))
+    phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
     effort = np.empty((len(samples[0]), tree.num_velocities))
     calc_inverse_dynamics(tree.records, samples, phi, effort)
     return effort
@@ -143,7 +144,7 @@ def checked_samples(
     nq, nv = tree.num_positions, tree.num_velocities
     q = real_array(q, "q", ("N", nq), sizes)
     v, vd = real_array(v, "v", ("N", nv), sizes), real_array(vd, "vd", ("N", nv), sizes)
-    q, v, vd = (np.require(x, requirements=("C", "W")) for x in (q, v, vd))
+    q, v, vd = contiguous(q), contiguous(v), contiguous(vd)
     return tree, (q, v, v, vd)
 
 

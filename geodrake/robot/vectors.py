@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from geodrake.compiling import inlined
 from geodrake.inertia import Array
-from geodrake.robot.compiling import inlined
 
 Vector = tuple[float, float, float]
 

@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from geodrake.compiling import compiled, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.compiling import compiled, inlined
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -112,6 +112,12 @@ def calc_momentum_regressors(
 
     The second has the rates at which the motion of the bodies inboard of a joint changes its
     subspace, seen from a point at rest.
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion itself.
+        momentum: (N, nv, 10 nb) zeros, then the first.
+        drift: (N, nv, 10 nb) zeros, then the second.
     """
     mobilizers, dofs = tree
     q, qd, _, _ = samples
