@@ -59,7 +59,8 @@ def contiguous(x: ArrayLike) -> NDArray[np.float64]:
     Args:
         x: (...) numbers.
     """
-    return np.require(x, float, ("C", "W"))
+    array = np.asarray(x, float)
+    return array if array.flags.carray else np.array(array, order="C")
 
 
 @contextmanager

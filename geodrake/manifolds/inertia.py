@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, is_physical, pullback_metric
 from geodrake.inertia.kernels import (
     BASIS,
@@ -17,6 +18,12 @@ from geodrake.inertia.kernels import (
 )
 from geodrake.inertia.positive_definite import log_det_divergence, whitening
 from geodrake.manifolds.base import Array, Manifold
+from geodrake.manifolds.body_kernels import (
+    calc_clearly_physical,
+    calc_natural_steps,
+    calc_spanned,
+    calc_whitened,
+)
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
 
 _PAIRS = [np.eye(4)[[i, j]] for i in range(4) for j in range(i, 4)]
@@ -24,25 +31,13 @@ _UNIT_TANGENTS = np.array(
     [(np.outer(a, b) + np.outer(b, a)) / (2.0 if a @ b else np.sqrt(2.0)) for a, b in _PAIRS]
 )
 """Orthonormal basis (10, 4, 4) of the symmetric matrices."""
-# The linear maps φ → P(φ), b → X(b), φ → (b → P(φ) X(b)) and P → φ, flat: one product a call, which
-# is what is fast for the few bodies of a robot at every sample.
+# The linear maps φ → P(φ), b → X(b) and P → φ, flat: one product a call.
 _TO_MATRIX = BASIS.reshape(PARAMETERS_PER_BODY, 16)
 _TO_DUAL = calc_dual(np.eye(PARAMETERS_PER_BODY)).reshape(PARAMETERS_PER_BODY, 16)
-_TO_PRODUCT = (BASIS[:, None] @ _TO_DUAL.reshape(-1, 4, 4)).reshape(PARAMETERS_PER_BODY, -1)
-_TO_MATRIX_AND_PRODUCT = np.hstack([_TO_MATRIX, _TO_PRODUCT])
 _TO_GRADIENT, _FROM_GRADIENT = -_TO_MATRIX.T, -_TO_DUAL  # P⁻¹ → ∇h and back
 _FROM_MATRIX = calc_from_pseudo_inertia(np.eye(16).reshape(16, 4, 4))
-_IDENTITY = np.eye(4)
-_TRANSPOSED = np.arange(16).reshape(4, 4).T.ravel()  # places of a flat matrix's transpose
 _ROUNDING = 1e-14  # least relative eigenvalue of P that rounding leaves positive
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
-_USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a direction of P by, on the fast way
-_SHORT = 0.02  # length of a step of all bodies together, for a series
-_SERIES = np.array(
-    [[1.0, 1 / 2, 1 / 6], [0.0, 1 / 24, 1 / 120]]
-)  # of z, z² and z³ in e^z − 1, and in what z² multiplies there
-_WELL_INSIDE = 1e-12  # det P over the product of its diagonal
-_CLEAR = 1e-12  # det P in the units of `is_physical` of a body that clearly is
 
 
 @dataclass(frozen=True)
@@ -60,8 +55,9 @@ class PhysicalInertia(Manifold):
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether P(x) ≻ 0 (...)."""
-        clear = _clearly_physical(x)
-        return clear if clear.all() else is_physical(x)
+        clear = np.empty(x.shape[:-1])
+        calc_clearly_physical(_flat(x), clear.reshape(-1))
+        return clear > 0.0 if clear.all() else is_physical(x)
 
     def calc_barrier(self, x: Array) -> Array:
         """−log det P(x), [Lee2019] Eq. (5.3.23)."""
@@ -117,27 +113,19 @@ class PhysicalInertia(Manifold):
         return MirrorLine(point, value, longest, scale_of(max(most, -least)))
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """P(y(λ)) = (𝟙 − P(x) X(Aᵀ λ))⁻¹ P(x), from P⁻¹(y) = P⁻¹(x) − X(Aᵀ λ)."""
-        k, bodies = len(rows), x.size // PARAMETERS_PER_BODY
-        both = x.reshape(bodies, PARAMETERS_PER_BODY) @ _TO_MATRIX_AND_PRODUCT
-        # b ↦ P(x) X(b) of each body is one matrix (10, 16), for all rows at once.
-        maps = both[:, 16:].reshape(bodies, PARAMETERS_PER_BODY, 16)
-        flat = np.empty((k, bodies, 16))
-        each = rows.reshape(k, bodies, PARAMETERS_PER_BODY).swapaxes(0, 1)
-        np.matmul(each, maps, out=flat.swapaxes(0, 1))
-        PX = flat.reshape(k, 16 * bodies)
-        transposed = flat.take(_TRANSPOSED, -1).reshape(k, 16 * bodies)
+        """P(y(λ)) = L (𝟙 − Lᵀ X(Aᵀ λ) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − X(Aᵀ λ)."""
+        bodies = _flat(x)
+        each = contiguous(rows).reshape(len(rows), *bodies.shape)
+        roots, whitened = np.empty((len(bodies), 4, 4)), np.empty(each.shape)
+        calc_whitened(bodies, each, roots, whitened)
 
         def point(multipliers: Array) -> Array:
-            P = both[:, :16].reshape(bodies, 4, 4)
-            turned = _IDENTITY - (multipliers @ PX).reshape(P.shape)
-            try:
-                moved = np.linalg.solve(turned, P).reshape(bodies, 16)
-                return np.asarray((moved @ _FROM_MATRIX).reshape(x.shape))
-            except np.linalg.LinAlgError:
-                return np.full(x.shape, np.nan)
+            y = np.empty(bodies.shape)
+            calc_spanned(roots, whitened, contiguous(multipliers), y)
+            return y.reshape(x.shape)
 
-        return MirrorSpan(((PX, transposed),), point)
+        half = whitened.reshape(len(rows), -1)
+        return MirrorSpan(((half, half),), point)
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """P(y)⁻¹ = −X(∇h(y))."""
@@ -148,17 +136,13 @@ class PhysicalInertia(Manifold):
             return np.full(gradient.shape, np.nan)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """The geodesic of [Lee2019] Eq. (2.2.9), which needs no inverse on its way.
-
-        P⁺ = L exp(−time Lᵀ X(b) L) Lᵀ with P = L Lᵀ.
-        """
-        P, X = _matrices(x, _TO_MATRIX), _matrices(b, _TO_DUAL)
-        stepped = _short_step(P, X, time)
-        if stepped is None:
-            stepped = _usual_step(P, X, time)
-        if stepped is None:  # long, or at the edge of what can exist
-            return super().calc_natural_step(x, b, time)
-        return _parameters(stepped)
+        """The geodesic of [Lee2019] Eq. (2.2.9), which needs no inverse on its way."""
+        if x.shape == b.shape:
+            stepped, places = np.empty(x.shape), np.arange(0, x.size, PARAMETERS_PER_BODY)
+            each = contiguous(x).ravel(), contiguous(b).ravel(), places, np.full(len(places), time)
+            if calc_natural_steps(*each, stepped.reshape(-1)):
+                return stepped
+        return super().calc_natural_step(x, b, time)  # long, or at the edge of what can exist
 
     def _retract(self, x: Array, v: Array) -> Array:
         """The geodesic, [Lee2019] Eq. (2.2.9)."""
@@ -193,67 +177,9 @@ def _parameters(matrices: Array) -> Array:
     return np.asarray(flat.reshape((*matrices.shape[:-2], PARAMETERS_PER_BODY)))
 
 
-def _short_step(P: Array, X: Array, time: float) -> Array | None:
-    """The natural step of pseudo inertias by a series, if it is short.
-
-    It is exp(Z) P with Z = −time P X, whatever root of P there is.
-    """
-    Z = P @ (X * -time)
-    # tr Z² is the squared length of time Lᵀ X L.
-    if not np.vdot(Z, Z.swapaxes(-1, -2)) < _SHORT**2:
-        return None
-    powers = np.empty((3, *Z.shape))
-    powers[0] = Z
-    square = np.matmul(Z, Z, out=powers[1])
-    np.matmul(square, Z, out=powers[2])
-    low, high = (_SERIES @ powers.reshape(3, -1)).reshape(2, *Z.shape)
-    stepped = P + (low + square @ high) @ P
-    return stepped if _well_inside(stepped) else None
-
-
-def _usual_step(P: Array, X: Array, time: float) -> Array | None:
-    """The natural step of pseudo inertias, if it is neither very long nor ends near the edge."""
-    try:
-        L = np.linalg.cholesky(P)
-        rates, axes = np.linalg.eigh(L.swapaxes(-1, -2) @ X @ L)
-    except np.linalg.LinAlgError:
-        return None
-    if not np.abs(rates).max(initial=0.0) * abs(time) <= _USUAL_GROWTH:
-        return None
-    root = (L @ axes) * np.exp((-0.5 * time) * rates)[..., None, :]
-    stepped = root @ root.swapaxes(-1, -2)
-    return stepped if _well_inside(stepped) else None
-
-
-def _well_inside(P: Array) -> bool:
-    """Whether P (..., 4, 4) are so far from the edge that rounding does not matter.
-
-    P is what a positive-definite matrix was turned into, up to rounding. Where det P is not small
-    beside the product of its diagonal, no eigenvalue is, in units that make the diagonal one: then
-    rounding has not changed a sign of any. (Where both overflow, the answer is no.)
-    """
-    least = _WELL_INSIDE * np.multiply.reduce(P.reshape(-1, 16)[:, ::5], 1)
-    return bool((np.linalg.det(P).ravel() > least).all())
-
-
-def _clearly_physical(x: Array) -> NDArray[np.bool_]:
-    """Whether P(x) ≻ 0 for sure (...): a sixth of the cost of `is_physical`, and may say no.
-
-    In its units, where the largest second moment is the mass, det P = Π Lᵢᵢ² bounds the ratio of
-    eigenvalues from below.
-    """
-    if not np.vdot(x, x) < LARGEST:
-        return np.zeros(x.shape[:-1], bool)
-    flat = x.reshape(-1, PARAMETERS_PER_BODY) @ _TO_MATRIX
-    try:
-        L = np.linalg.cholesky(flat.reshape(-1, 4, 4))
-    except np.linalg.LinAlgError:
-        return np.zeros(x.shape[:-1], bool)
-    moments, masses = flat[:, :15:5], flat[:, 15]
-    least = _CLEAR * masses * np.maximum.reduce(moments, 1) ** 3
-    determinants = np.multiply.reduce(L.reshape(-1, 16)[:, ::5], 1) ** 2
-    clear: NDArray[np.bool_] = determinants > least
-    return clear.reshape(x.shape[:-1])
+def _flat(x: Array) -> Array:
+    """Vectors (..., 10) as (k, 10) for compiled code."""
+    return contiguous(x).reshape(-1, PARAMETERS_PER_BODY)
 
 
 def _root(x: Array) -> Array:

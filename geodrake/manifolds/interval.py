@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import Sizes, integer, real_array
 from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
+from geodrake.manifolds.body_kernels import calc_growth
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
-_USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a slack by, on the fast way
 _MOST = 10**6  # parameters
 _LEAST_SLACK = 1e-150  # whose inverse square is still a number
 
@@ -74,7 +75,7 @@ class Interval(Manifold):
         return np.where(np.isfinite(lower), lower, upper)[self._one_sided]
 
     @cached_property
-    def _only_lower(self) -> bool:
+    def only_lower(self) -> bool:
         """Whether all parameters have a lower bound and no upper one, as coefficients do."""
         return bool(np.isfinite(self.lower).all() and np.isinf(self.upper).all())
 
@@ -95,7 +96,7 @@ class Interval(Manifold):
 
     def calc_gradient(self, x: Array) -> Array:
         """∇h(x), (..., n)."""
-        if self._only_lower:
+        if self.only_lower:
             return np.asarray(-1.0 / (x - self._bounds[0]))
         below, above = self._slacks(x)
         return np.where(self._flat, x, 1.0 / above - 1.0 / below)
@@ -110,7 +111,7 @@ class Interval(Manifold):
 
     def calc_inverse_metric_times(self, x: Array, b: Array) -> Array:
         """g(x)⁻¹ b, [Lee2019] Eq. (B.4.22) and (B.4.23), component by component."""
-        if self._only_lower:
+        if self.only_lower:
             slack = x - self._bounds[0]
             return np.asarray(slack * slack * b)
         return b / self._curvature(x)
@@ -148,7 +149,7 @@ class Interval(Manifold):
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Each parameter by itself; NaN where there is no point of one."""
-        if self._only_lower:
+        if self.only_lower:
             return _span_above(x, rows, self._bounds[0])
         flat, start = rows.reshape(len(rows), x.size), self.calc_gradient(x)
         scaled = (rows / np.sqrt(self._curvature(x))).reshape(flat.shape)
@@ -162,7 +163,7 @@ class Interval(Manifold):
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """Each parameter by itself; NaN where there is no point of one."""
         lower, upper = self._bounds
-        if self._only_lower:
+        if self.only_lower:
             return np.asarray(lower + 1.0 / _positive(-gradient))
         one, two = self._one_sided, np.isfinite(lower) & np.isfinite(upper)
         away = np.where(np.isfinite(lower[one]), 1.0, -1.0)  # from the bound
@@ -173,16 +174,12 @@ class Interval(Manifold):
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
         """Where all have a lower bound only, the geodesic without its cautions, if it is short."""
-        if self._only_lower:
-            slack = x - self._bounds[0]
-            growth = slack * b
-            growth *= -time
-            if np.vdot(growth, growth) <= _USUAL_GROWTH**2:
-                stepped = np.expm1(growth)
-                stepped *= slack
-                stepped += x
-                if (stepped > self._bounds[0]).all() and np.vdot(stepped, stepped) < LARGEST:
-                    return np.asarray(stepped)
+        if self.only_lower and x.shape == b.shape:
+            stepped, places = np.empty(x.shape), np.arange(x.size)
+            bounds = places, np.broadcast_to(self._bounds[0], x.shape).ravel()
+            each = contiguous(x).ravel(), contiguous(b).ravel(), bounds, np.full(x.size, time)
+            if calc_growth(*each, stepped.reshape(-1)):
+                return stepped
         return super().calc_natural_step(x, b, time)
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:

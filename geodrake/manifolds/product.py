@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import instances, real_array
+from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Lift, Manifold
+from geodrake.manifolds.body_kernels import Places, calc_growth, calc_natural_steps
 from geodrake.manifolds.inertia import PhysicalInertia
 from geodrake.manifolds.interval import Interval
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, joined
@@ -254,10 +256,36 @@ class Product(Manifold):
         return self._filled(lambda g, x, v: g.manifold.calc_retract(x, v), x, v)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Each factor by itself."""
+        """Each factor by itself; of one point, those of robots in two loops."""
+        if self._robot is not None and x.ndim == b.ndim == 1:
+            stepped, (x, b) = np.empty(x.shape), (contiguous(x), contiguous(b))
+            bodies, body_shares, bounds, bound_shares = self._robot
+            if calc_natural_steps(x, b, bodies, time * body_shares, stepped) and calc_growth(
+                x, b, bounds, time * bound_shares, stepped
+            ):
+                return stepped
         return self._filled(
             lambda g, x, b: g.manifold.calc_natural_step(x, b, time / g.weight), x, b
         )
+
+    @cached_property
+    def _robot(self) -> tuple[Places, Array, tuple[Places, Array], Array] | None:
+        """Where bodies begin, and 1/w of each; places, lower bounds and 1/w of all else.
+
+        None if there is anything but bodies and parameters with a lower bound.
+        """
+        bodies, bounds = [], []
+        for factor, weight, part in self._factors:
+            if isinstance(factor, PhysicalInertia):
+                bodies.append((part.start, 1.0 / weight))
+            elif isinstance(factor, Interval) and factor.only_lower:
+                places = range(part.start, part.stop)
+                bounds += [(*each, 1.0 / weight) for each in zip(places, factor.lower, strict=True)]
+            else:
+                return None
+        starts, shares = np.reshape(bodies, (-1, 2)).T.copy()
+        at, lower, other_shares = np.reshape(bounds, (-1, 3)).T.copy()
+        return starts.astype(np.int64), shares, (at.astype(np.int64), lower), other_shares
 
 
 def _leaves(product: Product) -> Iterator[tuple[Manifold, float]]:

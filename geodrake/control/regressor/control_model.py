@@ -21,6 +21,7 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.recursion import calc_regressor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -208,10 +209,12 @@ class ControlSample:
     @cached_property
     def regressor(self) -> Array:
         """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
-        rigid = self.rigid.regressor
-        if not self.model.effects:
-            return rigid
-        return self._scaled(np.concatenate((rigid, self._effect_columns), axis=1))
+        model = self.model
+        Y = np.zeros((1, len(model.joints), len(model.prior)))
+        calc_regressor(model.tree.records, self.rigid.motion, 0, Y)
+        if model.effects:
+            Y[0, :, model.num_inertial :] = self._effect_columns
+        return self._scaled(Y[0])
 
     def effort(self, parameters: Array) -> Array:
         """Y p (nv,), N·m or N, for parameters p (p,)."""

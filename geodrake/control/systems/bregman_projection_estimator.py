@@ -10,6 +10,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, State
 
 from geodrake.boundary.arguments import instance, integer, number, positive
+from geodrake.compiling import contiguous
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
 from geodrake.control.online_estimation.sample_update import Rows
 from geodrake.control.regressor import ControlModel
@@ -18,7 +19,7 @@ from geodrake.control.systems.requirements import (
     require_same_robot,
     require_single_joints,
 )
-from geodrake.control.systems.safeguards import Safeguards, Watch, usable
+from geodrake.control.systems.safeguards import Safeguards, Watch, look_at, usable
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 
@@ -174,7 +175,7 @@ class BregmanProjectionEstimator(LeafSystem):
     def _update(self, context: Context, state: DiscreteValues) -> None:
         x, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
         watched = context.get_discrete_state(self._seen).value()
-        measured, new, count = self._watch.fresh(watched, x)
+        measured, new, count = look_at(contiguous(x), self._watch.patience, watched)
         state.set_value(self._seen, np.concatenate((x if new else watched[:-1], (count,))))
         memory = context.get_discrete_state(self._memory).value()
         if not (measured and usable(effort)):

@@ -11,6 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
 
 from geodrake.boundary.arguments import number, real_array
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.inertia.bodies import check_plant
@@ -127,22 +128,6 @@ class Watch:
         """The memory (3 n + 1,) before the first sample."""
         return np.concatenate([np.full(2 * self.size, np.nan), [0.0], np.full(self.size, np.nan)])
 
-    def fresh(self, memory: Array, state: Array) -> tuple[bool, bool, float]:
-        """Whether a state can be used, whether it is new as well, and since how many samples not.
-
-        Args:
-            memory: (2 n + 1, ...) of the last sample.
-            state: (2 n,) measured positions and velocities.
-        """
-        n, count = self.size, float(memory[2 * self.size])
-        if not usable(state):
-            return False, False, count
-        if state[n] != memory[n] or not np.array_equal(state, memory[: 2 * n]):
-            return True, True, 0.0
-        moving = bool((np.abs(state[n:]) > _MOVING).any())
-        count = count + 1.0 if moving else 0.0
-        return count < self.patience, count == 0, count
-
     def look(
         self, memory: Array, state: Array, desired: Array, acceleration: Array
     ) -> tuple[Seen, Array]:
@@ -155,23 +140,84 @@ class Watch:
             acceleration: (n,) desired accelerations.
         """
         n, following = self.size, memory.copy()
-        measured, new, count = self.fresh(memory, state)
-        following[2 * n] = count
-        if new:
-            following[: 2 * n] = state
-        asked = usable(desired) and usable(acceleration)
-        if asked:
-            q_d, v_d, a_d = desired[:n], desired[n:], acceleration
-        else:
-            q_d = memory[2 * n + 1 :]
-            q_d = state[:n] if measured and not usable(q_d) else q_d
-            v_d = a_d = np.zeros(n)
-        known = asked or usable(q_d)
-        if known:
-            following[2 * n + 1 :] = q_d
-        q, qd = (state[:n], state[n:]) if measured else (q_d, v_d)
-        both = measured and asked
-        return Seen(q, qd, q_d, v_d, a_d, both and new, both and not new, known), following
+        seen = np.empty((5, n))
+        desired, acceleration = contiguous(desired), contiguous(acceleration)
+        trusted, repeated, known = calc_look(
+            (contiguous(state), desired, acceleration), self.patience, following, seen
+        )
+        q, qd, q_d, v_d, a_d = seen
+        return Seen(q, qd, q_d, v_d, a_d, trusted, repeated, known), following
+
+
+@compiled
+def calc_look(
+    inputs: tuple[Array, Array, Array], patience: float, memory: Array, seen: Array
+) -> tuple[bool, bool, bool]:
+    """Writes what to go by, and the memory after the sample; see `Watch.look`.
+
+    Args:
+        inputs: State (2 n,), desired state (2 n,) and acceleration (n,).
+        patience: That of a `Watch`.
+        memory: (3 n + 1,) of the last sample, then of this one.
+        seen: (5, n) rows of a `Seen`.
+
+    Returns:
+        Whether it is trusted, repeated and known.
+    """
+    state, desired, acceleration = inputs
+    n = len(acceleration)
+    measured, new, count = look_at(state, patience, memory)
+    memory[2 * n] = count
+    if new:
+        memory[: 2 * n] = state
+    asked = is_usable(desired) and is_usable(acceleration)
+    if asked:
+        seen[2], seen[3], seen[4] = desired[:n], desired[n:], acceleration
+    else:
+        seen[2], seen[3], seen[4] = memory[2 * n + 1 :], 0.0, 0.0
+        if measured and not is_usable(seen[2]):
+            seen[2] = state[:n]
+    known = asked or is_usable(seen[2])
+    if known:
+        memory[2 * n + 1 :] = seen[2]
+    if measured:
+        seen[0], seen[1] = state[:n], state[n:]
+    else:
+        seen[0], seen[1] = seen[2], seen[3]
+    both = measured and asked
+    return both and new, both and not new, known
+
+
+@compiled
+def look_at(state: Array, patience: float, memory: Array) -> tuple[bool, bool, float]:
+    """Whether a state can be used, whether it is new as well, and since how many samples not.
+
+    Args:
+        state: (2 n,) measured positions and velocities.
+        patience: That of a `Watch`.
+        memory: (2 n + 1, ...) of the last sample.
+    """
+    size = len(state)
+    count = memory[size]
+    if not is_usable(state):
+        return False, False, count
+    changed, moving = False, False
+    for i in range(size):
+        changed |= state[i] != memory[i]
+        moving |= i >= size // 2 and abs(state[i]) > _MOVING
+    if changed:
+        return True, True, 0.0
+    count = count + 1.0 if moving else 0.0
+    return count < patience, count == 0.0, count
+
+
+@inlined
+def is_usable(x: Array) -> bool:
+    """Whether all of x (n,) are numbers, and not absurdly large ones."""
+    total = 0.0
+    for value in x:
+        total += value * value
+    return total < np.inf
 
 
 def usable(x: Array) -> bool:

@@ -1,0 +1,296 @@
+"""Steps of physical inertial parameters at every sample, body by body.
+
+P is the pseudo-inertia of φ, and X(b) the symmetric matrix with tr(P(φ) X(b)) = φᵀ b ([Lee2019]
+Eq. (B.1.8)). All is done in units in which the diagonal of P is one, so that those of the user cost
+no precision.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.compiling import compiled, inlined
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.manifolds.base import Array
+
+Places = NDArray[np.int64]
+
+_USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a slack by
+_LONGEST = 2.0  # half a step that squarings follow exactly
+_SHORT = 3e-3  # of a matrix, of whose exponential five terms are exact to rounding
+_WELL_INSIDE = 1e-12  # det P over the product of its diagonal
+_CLEAR = 1e-12  # det P in units in which the largest second moment is the mass
+_ROOT = 2.0**0.5
+
+
+@inlined
+def put_pseudo_inertia(phi: Array, P: Array) -> None:
+    """Writes P(φ) (4, 4)."""
+    half = 0.5 * (phi[4] + phi[5] + phi[6])
+    P[0, 0], P[1, 1], P[2, 2], P[3, 3] = half - phi[4], half - phi[5], half - phi[6], phi[0]
+    P[0, 1] = P[1, 0] = -phi[7]
+    P[1, 2] = P[2, 1] = -phi[8]
+    P[2, 0] = P[0, 2] = -phi[9]
+    for i in range(3):
+        P[i, 3] = P[3, i] = phi[1 + i]
+
+
+@inlined
+def put_parameters(P: Array, phi: Array) -> None:
+    """Writes φ (10,) of P."""
+    phi[0], phi[1], phi[2], phi[3] = P[3, 3], P[0, 3], P[1, 3], P[2, 3]
+    phi[4], phi[5], phi[6] = P[1, 1] + P[2, 2], P[2, 2] + P[0, 0], P[0, 0] + P[1, 1]
+    phi[7], phi[8], phi[9] = -P[0, 1], -P[1, 2], -P[2, 0]
+
+
+@inlined
+def put_dual(b: Array, X: Array) -> None:
+    """Writes X(b) (4, 4)."""
+    X[0, 0], X[1, 1], X[2, 2], X[3, 3] = b[5] + b[6], b[6] + b[4], b[4] + b[5], b[0]
+    X[0, 1] = X[1, 0] = -0.5 * b[7]
+    X[1, 2] = X[2, 1] = -0.5 * b[8]
+    X[2, 0] = X[0, 2] = -0.5 * b[9]
+    for i in range(3):
+        X[i, 3] = X[3, i] = 0.5 * b[1 + i]
+
+
+@inlined
+def put_product(A: Array, B: Array, out: Array) -> None:
+    """Writes A B of matrices (4, 4)."""
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for k in range(4):
+                total += A[i, k] * B[k, j]
+            out[i, j] = total
+
+
+@inlined
+def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
+    """Writes Aᵀ B A of matrices (4, 4), which may be B itself."""
+    put_product(B, A, room)
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for k in range(4):
+                total += A[k, i] * room[k, j]
+            out[i, j] = total
+
+
+@inlined
+def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
+    """Writes exp(Z) of a matrix (4, 4) of Frobenius' norm `size`: a series of Z/2ᵏ, squared."""
+    share, squarings = 1.0, 0
+    while size * share > _SHORT:
+        share, squarings = 0.5 * share, squarings + 1
+    # Horner's scheme, ((… 𝟙 + Z/3) Z/2 + 𝟙) Z + 𝟙.
+    E[:] = np.eye(4)
+    for term in range(5, 0, -1):
+        put_product(E, Z, room)
+        for i in range(4):
+            for j in range(4):
+                E[i, j] = share / term * room[i, j]
+            E[i, i] += 1.0
+    for _ in range(squarings):
+        put_product(E, E, room)
+        E[:] = room
+
+
+@inlined
+def put_root(P: Array, L: Array) -> float:
+    """Writes the lower triangular L (4, 4) with P = L Lᵀ; det P, or zero where there is none."""
+    determinant = 1.0
+    for j in range(4):
+        pivot = P[j, j]
+        for k in range(j):
+            pivot -= L[j, k] * L[j, k]
+        if not pivot > 0.0:
+            return 0.0
+        determinant *= pivot
+        L[j, j] = np.sqrt(pivot)
+        for i in range(j + 1, 4):
+            entry = P[i, j]
+            for k in range(j):
+                entry -= L[i, k] * L[j, k]
+            L[i, j] = entry / L[j, j]
+            L[j, i] = 0.0
+    return determinant
+
+
+@inlined
+def put_units(P: Array, d: Array) -> bool:
+    """Divides P by the roots d (4,) of its diagonal; False where there are none."""
+    for i in range(4):
+        if not P[i, i] > 0.0:
+            return False
+        d[i] = np.sqrt(P[i, i])
+    for i in range(4):
+        for j in range(4):
+            P[i, j] /= d[i] * d[j]
+    return True
+
+
+@compiled
+def calc_natural_steps(x: Array, b: Array, places: Places, times: Array, out: Array) -> bool:
+    """Writes the geodesics P⁺ = exp(Z) P = E P Eᵀ, [Lee2019] Eq. (2.2.9).
+
+    With Z = −time P X(b) and E = exp(½ Z).
+
+    Args:
+        x: (n,) coordinates, among them φ of k bodies.
+        b: (n,) covectors.
+        places: (k,) where each φ begins.
+        times: (k,) how long to follow −g⁻¹ b of each.
+        out: (n,) the points.
+
+    Returns:
+        False, with `out` unfinished, where a step is very long or near the edge.
+    """
+    P, X, Z = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    E, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
+    for body in range(len(places)):
+        first, last = places[body], places[body] + PARAMETERS_PER_BODY
+        put_pseudo_inertia(x[first:last], P)
+        if not put_units(P, d):
+            return False
+        put_dual(b[first:last], X)
+        for i in range(4):
+            for j in range(4):
+                X[i, j] *= -0.5 * times[body] * d[i] * d[j]
+        put_product(X, P, Z)  # whose exponential is Eᵀ
+        size = np.sqrt(np.sum(Z * Z))
+        if not size < _LONGEST:
+            return False
+        put_exponential(Z, size, F, E)
+        put_congruence(E, P, F, P)
+        if not put_root(P, F) > _WELL_INSIDE * P[0, 0] * P[1, 1] * P[2, 2] * P[3, 3]:
+            return False
+        for i in range(4):
+            for j in range(4):
+                P[i, j] *= d[i] * d[j]
+        put_parameters(P, out[first:last])
+    return True
+
+
+@compiled
+def calc_growth(x: Array, b: Array, bounds: tuple[Places, Array], times: Array, out: Array) -> bool:
+    """Writes the points l + (x − l) exp(−time (x − l) b), the geodesics above lower bounds l.
+
+    Args:
+        x: (n,) coordinates, among them k with a lower bound only.
+        b: (n,) covectors.
+        bounds: (k,) where each is, and (k,) l.
+        times: (k,) how long to follow −g⁻¹ b of each.
+        out: (n,) the points.
+
+    Returns:
+        False, with `out` unfinished, where the step is long or ends near a bound.
+    """
+    (places, lower), length, size = bounds, 0.0, 0.0
+    for k in range(len(places)):
+        at = places[k]
+        slack = x[at] - lower[k]
+        growth = -times[k] * slack * b[at]
+        out[at] = x[at] + slack * np.expm1(growth)
+        if not out[at] > lower[k]:
+            return False
+        length += growth * growth
+        size += out[at] * out[at]
+    return length <= _USUAL_GROWTH * _USUAL_GROWTH and size < LARGEST
+
+
+@compiled
+def calc_clearly_physical(x: Array, out: Array) -> None:
+    """Writes whether P(φ) ≻ 0 by more than rounding, of φ (k, 10), into (k,).
+
+    Args:
+        x: (k, 10) φ.
+        out: (k,) one where it is, and zero where it may not be.
+    """
+    P, L = np.empty((4, 4)), np.empty((4, 4))
+    for body in range(len(x)):
+        put_pseudo_inertia(x[body], P)
+        moment = max(P[0, 0], P[1, 1], P[2, 2])
+        least = _CLEAR * P[3, 3] * moment * moment * moment
+        determinant = put_root(P, L)
+        out[body] = 1.0 if max(least, 0.0) < determinant < np.inf else 0.0
+
+
+@compiled
+def calc_whitened(x: Array, rows: Array, L: Array, out: Array) -> None:
+    """Writes Lᵀ X(b) L with P(φ) = L Lᵀ, in an orthonormal basis of the symmetric matrices.
+
+    Args:
+        x: (k, 10) φ.
+        rows: (r, k, 10) covectors b.
+        L: (k, 4, 4) the roots; not a number where there is none.
+        out: (r, k, 10) the matrices.
+    """
+    P, X, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
+    for body in range(len(x)):
+        root = L[body]
+        put_pseudo_inertia(x[body], P)
+        if not (put_units(P, d) and put_root(P, root) > 0.0):
+            root[:] = np.nan
+        for i in range(4):
+            for j in range(4):
+                root[i, j] *= d[i]
+        for r in range(len(rows)):
+            put_dual(rows[r, body], X)
+            put_congruence(root, X, F, X)
+            entry = 0
+            for i in range(4):
+                out[r, body, entry] = X[i, i]
+                for j in range(i):
+                    out[r, body, entry + 1 + j] = _ROOT * X[i, j]
+                entry += i + 1
+
+
+@inlined
+def put_combination(rows: Array, multipliers: Array, M: Array) -> None:
+    """Writes 𝟙 − Σ λ W (4, 4) of W (r, 10) from `calc_whitened`."""
+    entry = 0
+    for i in range(4):
+        for j in range(-1, i):  # the diagonal first
+            value = 0.0
+            for r in range(len(rows)):
+                value += multipliers[r] * rows[r, entry]
+            if j < 0:
+                M[i, i] = 1.0 - value
+            else:
+                M[i, j] = M[j, i] = -value / _ROOT
+            entry += 1
+
+
+@compiled
+def calc_spanned(L: Array, rows: Array, multipliers: Array, out: Array) -> None:
+    """Writes φ with P = L (𝟙 − Σ λ W)⁻¹ Lᵀ, from P⁻¹ − X(Aᵀ λ), or what is not a number.
+
+    Args:
+        L: (k, 4, 4) roots of P.
+        rows: (r, k, 10) W from `calc_whitened`.
+        multipliers: (r,) λ.
+        out: (k, 10) the points.
+    """
+    M, C, Y, P = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
+    for body in range(len(L)):
+        put_combination(rows[:, body], multipliers, M)
+        if not put_root(M, C) > 0.0:
+            out[body] = np.nan
+            continue
+        # Y = C⁻¹ Lᵀ, and P = Yᵀ Y.
+        for j in range(4):
+            for i in range(4):
+                value = L[body, j, i]
+                for k in range(i):
+                    value -= C[i, k] * Y[k, j]
+                Y[i, j] = value / C[i, i]
+        for i in range(4):
+            for j in range(4):
+                total = 0.0
+                for k in range(4):
+                    total += Y[k, i] * Y[k, j]
+                P[i, j] = total
+        put_parameters(P, out[body])
