@@ -18,13 +18,13 @@ from geodrake.inertia.kernels import (
 )
 from geodrake.inertia.positive_definite import log_det_divergence, whitening
 from geodrake.manifolds.base import Array, Manifold
-from geodrake.manifolds.body_kernels import (
-    calc_clearly_physical,
-    calc_natural_steps,
-    calc_spanned,
-    calc_whitened,
-)
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
+from geodrake.manifolds.robot_kernels import (
+    Factors,
+    calc_clearly_inside,
+    calc_natural_steps,
+    robot_span,
+)
 
 _PAIRS = [np.eye(4)[[i, j]] for i in range(4) for j in range(i, 4)]
 _UNIT_TANGENTS = np.array(
@@ -55,9 +55,8 @@ class PhysicalInertia(Manifold):
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether P(x) ≻ 0 (...)."""
-        clear = np.empty(x.shape[:-1])
-        calc_clearly_physical(_flat(x), clear.reshape(-1))
-        return clear > 0.0 if clear.all() else is_physical(x)
+        clear = calc_clearly_inside(contiguous(x).ravel(), _bodies(x))
+        return np.ones(x.shape[:-1], bool) if clear else is_physical(x)
 
     def calc_barrier(self, x: Array) -> Array:
         """−log det P(x), [Lee2019] Eq. (5.3.23)."""
@@ -114,18 +113,7 @@ class PhysicalInertia(Manifold):
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """P(y(λ)) = L (𝟙 − Lᵀ X(Aᵀ λ) L)⁻¹ Lᵀ, from P⁻¹(y) = P⁻¹(x) − X(Aᵀ λ)."""
-        bodies = _flat(x)
-        each = contiguous(rows).reshape(len(rows), *bodies.shape)
-        roots, whitened = np.empty((len(bodies), 4, 4)), np.empty(each.shape)
-        calc_whitened(bodies, each, roots, whitened)
-
-        def point(multipliers: Array) -> Array:
-            y = np.empty(bodies.shape)
-            calc_spanned(roots, whitened, contiguous(multipliers), y)
-            return y.reshape(x.shape)
-
-        half = whitened.reshape(len(rows), -1)
-        return MirrorSpan(((half, half),), point)
+        return robot_span(contiguous(x), contiguous(rows), _bodies(x))
 
     def calc_point_of_gradient(self, gradient: Array, near: Array) -> Array:
         """P(y)⁻¹ = −X(∇h(y))."""
@@ -138,9 +126,8 @@ class PhysicalInertia(Manifold):
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
         """The geodesic of [Lee2019] Eq. (2.2.9), which needs no inverse on its way."""
         if x.shape == b.shape:
-            stepped, places = np.empty(x.shape), np.arange(0, x.size, PARAMETERS_PER_BODY)
-            each = contiguous(x).ravel(), contiguous(b).ravel(), places, np.full(len(places), time)
-            if calc_natural_steps(*each, stepped.reshape(-1)):
+            stepped, each = np.empty(x.shape), (contiguous(x).ravel(), contiguous(b).ravel())
+            if calc_natural_steps(*each, _bodies(x), float(time), stepped.reshape(-1)):
                 return stepped
         return super().calc_natural_step(x, b, time)  # long, or at the edge of what can exist
 
@@ -177,9 +164,10 @@ def _parameters(matrices: Array) -> Array:
     return np.asarray(flat.reshape((*matrices.shape[:-2], PARAMETERS_PER_BODY)))
 
 
-def _flat(x: Array) -> Array:
-    """Vectors (..., 10) as (k, 10) for compiled code."""
-    return contiguous(x).reshape(-1, PARAMETERS_PER_BODY)
+def _bodies(x: Array) -> Factors:
+    """The factors of vectors (..., 10)."""
+    places = np.arange(0, x.size, PARAMETERS_PER_BODY)
+    return places, np.ones(len(places)), places[:0], np.empty(0), np.empty(0)
 
 
 def _root(x: Array) -> Array:

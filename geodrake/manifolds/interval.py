@@ -13,8 +13,8 @@ from geodrake.boundary.arguments.arrays import LARGEST
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Manifold, excess, slowed_time
-from geodrake.manifolds.body_kernels import calc_growth
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, scale_of
+from geodrake.manifolds.robot_kernels import Factors, calc_natural_steps, robot_span
 
 _LONGEST_GROWTH = 300.0  # logarithm of a growth that is still a number
 _MOST = 10**6  # parameters
@@ -150,7 +150,7 @@ class Interval(Manifold):
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Each parameter by itself; NaN where there is no point of one."""
         if self.only_lower:
-            return _span_above(x, rows, self._bounds[0])
+            return robot_span(contiguous(x), contiguous(rows), self._factors(x))
         flat, start = rows.reshape(len(rows), x.size), self.calc_gradient(x)
         scaled = (rows / np.sqrt(self._curvature(x))).reshape(flat.shape)
 
@@ -175,12 +175,15 @@ class Interval(Manifold):
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
         """Where all have a lower bound only, the geodesic without its cautions, if it is short."""
         if self.only_lower and x.shape == b.shape:
-            stepped, places = np.empty(x.shape), np.arange(x.size)
-            bounds = places, np.broadcast_to(self._bounds[0], x.shape).ravel()
-            each = contiguous(x).ravel(), contiguous(b).ravel(), bounds, np.full(x.size, time)
-            if calc_growth(*each, stepped.reshape(-1)):
+            stepped, each = np.empty(x.shape), (contiguous(x).ravel(), contiguous(b).ravel())
+            if calc_natural_steps(*each, self._factors(x), float(time), stepped.reshape(-1)):
                 return stepped
         return super().calc_natural_step(x, b, time)
+
+    def _factors(self, x: Array) -> Factors:
+        """The factors of points (..., n) that have lower bounds only."""
+        places, lower = np.arange(x.size), np.broadcast_to(self._bounds[0], x.shape).ravel()
+        return places[:0], np.empty(0), places, lower, np.ones(x.size)
 
     def _well_inside(self, x: Array) -> NDArray[np.bool_]:
         return self.calc_contains(x) & (np.abs(x) < LARGEST).all(-1)
@@ -202,18 +205,6 @@ class Interval(Manifold):
         least = np.maximum(np.nextafter(lower, np.inf), lower + _LEAST_SLACK)
         most = np.minimum(np.nextafter(upper, -np.inf), upper - _LEAST_SLACK)
         return np.clip(point, least, most)
-
-
-def _span_above(x: Array, rows: Array, lower: Array) -> MirrorSpan:
-    """The span of parameters that have a lower bound only: 1/slack is linear in λ."""
-    slack = x - lower
-    scaled = rows.reshape(len(rows), x.size) * slack.ravel()
-
-    def point(multipliers: Array) -> Array:
-        left = _positive(1.0 - multipliers @ scaled).reshape(x.shape)
-        return np.asarray(lower + slack / left)
-
-    return MirrorSpan(((scaled, scaled),), point)
 
 
 def _positive(x: Array) -> Array:

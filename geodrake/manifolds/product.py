@@ -14,10 +14,16 @@ from geodrake.boundary.arguments import instances, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array, Lift, Manifold
-from geodrake.manifolds.body_kernels import Places, calc_growth, calc_natural_steps
 from geodrake.manifolds.inertia import PhysicalInertia
 from geodrake.manifolds.interval import Interval
 from geodrake.manifolds.mirror import MirrorLine, MirrorSpan, joined
+from geodrake.manifolds.robot_kernels import (
+    Factors,
+    calc_clearly_inside,
+    calc_natural_steps,
+    factors_of,
+    robot_span,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +159,9 @@ class Product(Manifold):
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether x is inside every factor (...)."""
+        robot = self._robot if x.ndim == 1 else None
+        if robot is not None and calc_clearly_inside(contiguous(x), robot):
+            return np.asarray(True)
         inside = [g.manifold.calc_contains(g.part(x)) for g in self._groups]
         return np.logical_and.reduce(np.concatenate(inside, -1), -1)
 
@@ -227,7 +236,9 @@ class Product(Manifold):
         )
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
-        """Each factor by itself."""
+        """Each factor by itself; those of robots in one loop."""
+        if self._robot is not None and x.ndim == 1:
+            return robot_span(contiguous(x), contiguous(rows), self._robot)
         points, halves = [], []
         for group in self._groups:
             own = group.manifold.calc_mirror_span(group.part(x), group.part(rows))
@@ -256,36 +267,28 @@ class Product(Manifold):
         return self._filled(lambda g, x, v: g.manifold.calc_retract(x, v), x, v)
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
-        """Each factor by itself; of one point, those of robots in two loops."""
+        """Each factor by itself; of one point, those of robots in one loop."""
         if self._robot is not None and x.ndim == b.ndim == 1:
             stepped, (x, b) = np.empty(x.shape), (contiguous(x), contiguous(b))
-            bodies, body_shares, bounds, bound_shares = self._robot
-            if calc_natural_steps(x, b, bodies, time * body_shares, stepped) and calc_growth(
-                x, b, bounds, time * bound_shares, stepped
-            ):
+            if calc_natural_steps(x, b, self._robot, float(time), stepped):
                 return stepped
         return self._filled(
             lambda g, x, b: g.manifold.calc_natural_step(x, b, time / g.weight), x, b
         )
 
     @cached_property
-    def _robot(self) -> tuple[Places, Array, tuple[Places, Array], Array] | None:
-        """Where bodies begin, and 1/w of each; places, lower bounds and 1/w of all else.
-
-        None if there is anything but bodies and parameters with a lower bound.
-        """
-        bodies, bounds = [], []
+    def _robot(self) -> Factors | None:
+        """For compiled loops; None if there is anything but bodies and lower bounds."""
+        bodies, bounded = [], []
         for factor, weight, part in self._factors:
             if isinstance(factor, PhysicalInertia):
                 bodies.append((part.start, 1.0 / weight))
             elif isinstance(factor, Interval) and factor.only_lower:
-                places = range(part.start, part.stop)
-                bounds += [(*each, 1.0 / weight) for each in zip(places, factor.lower, strict=True)]
+                lower = zip(range(part.start, part.stop), factor.lower, strict=True)
+                bounded += [(at, bound, 1.0 / weight) for at, bound in lower]
             else:
                 return None
-        starts, shares = np.reshape(bodies, (-1, 2)).T.copy()
-        at, lower, other_shares = np.reshape(bounds, (-1, 3)).T.copy()
-        return starts.astype(np.int64), shares, (at.astype(np.int64), lower), other_shares
+        return factors_of(bodies, bounded)
 
 
 def _leaves(product: Product) -> Iterator[tuple[Manifold, float]]:

@@ -73,6 +73,12 @@ class Case:
             self.tree, *(x if x is not None else y for x, y in zip(given, own, strict=True))
         )
 
+    def regressor(self, **given):
+        return self.sample(**given).regressor(self.phi.size)
+
+    def momentum_regressors(self, **given):
+        return self.sample(**given).momentum_regressors(self.phi.size)
+
     def coriolis_matrix(self, **given):
         """C(q, q̇), from efforts at unit reference velocities."""
         still, columns = np.zeros(len(self.v)), []
@@ -131,13 +137,13 @@ def on_random_trees(test):
 @on_random_trees
 def test_with_equal_velocities_it_is_the_regressor_of_inverse_dynamics(case):
     expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
-    close(case.sample(v=case.qd).regressor, expected)
+    close(case.regressor(v=case.qd), expected)
 
 
 @on_random_trees
 def test_efforts_without_the_regressor_are_those_with_it(case):
     sample = case.sample()
-    close(sample.effort(case.phi), sample.regressor @ case.phi.ravel())
+    close(sample.effort(case.phi), case.regressor() @ case.phi.ravel())
 
 
 @on_random_trees
@@ -163,9 +169,9 @@ def test_the_rate_of_mass_less_twice_coriolis_is_skew(case):
 
 @on_random_trees
 def test_efforts_are_the_rate_of_momentum_less_its_drift(case):
-    rate = case.rate(lambda q, qd: case.sample(q=q, qd=qd).momentum_regressors[0])
+    rate = case.rate(lambda q, qd: case.momentum_regressors(q=q, qd=qd)[0])
     expected = inverse_dynamics_regressor(case.tree, case.q[None], case.qd[None], case.a[None])[0]
-    drift = case.sample().momentum_regressors[1]
+    drift = case.momentum_regressors()[1]
     close(rate - drift, expected, 1e-7)
 
 
@@ -190,7 +196,7 @@ def test_coriolis_matrix_and_regressor_are_pinocchios(name):
     close(case.coriolis_matrix()[np.ix_(at, at)], C)
     Y = pin.computeJointTorqueRegressor(model, data, q, qd, a)
     blocks = Y.reshape(len(q), -1, 10)[:, :, PINOCCHIO_ORDER]
-    own = case.sample(v=case.qd).regressor.reshape(len(q), -1, 10)
+    own = case.regressor(v=case.qd).reshape(len(q), -1, 10)
     bodies = [
         case.tree.bodies.index(case.plant.GetJointByName(n).child_body().name()) for n in moving
     ]

@@ -9,6 +9,7 @@ from math import isfinite
 import numpy as np
 
 from geodrake.boundary.arguments import integer, positive
+from geodrake.compiling import compiled, contiguous
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import ControlSample, checked_control
 from geodrake.errors import GeodrakeError
@@ -69,13 +70,6 @@ class FilteredRegressor:
         return rows * columns
 
     @cached_property
-    def _weights(self) -> tuple[Array, Array]:
-        """Factors of (Y_p, Y_c), and of the effort, in what `_ends` gives."""
-        of_effort = [1.0, 0.0] if self.held_effort else [0.5, -0.5]
-        h = self.period
-        return np.array([[1 / h, -0.5], [1 / h, 0.5]]), np.array(of_effort)[:, None]
-
-    @cached_property
     def _pass(self) -> float:
         """Share of what is new that one filter lets through."""
         return float(-np.expm1(-self.bandwidth * self.period))
@@ -110,30 +104,21 @@ class FilteredRegressor:
         if sample is None:
             sample = self.control.at(q, qd, qd, np.zeros_like(qd))
         try:
-            now, following = self._ends(sample, effort)
+            both = sample.momentum_regressors.reshape(2, -1)
         except GeodrakeError:  # of an effect that has no finite columns
             return self.skipped(memory)
-        if not _finite(now):
-            return self.skipped(memory)
         after = memory.copy()
+        share = self._pass if memory[0] <= 1 else 1.0 - (1.0 - self._pass) ** memory[0]
+        ends = calc_ends(both, contiguous(effort), self.period, self.held_effort)
         stack = after[1:].reshape(self.order + 1, -1)
-        periods = float(memory[0])
-        if repeated and periods:
-            stack[-1] += following - now
+        if not _finite(ends[0]):
+            return self.skipped(memory)
+        if repeated and memory[0]:
+            stack[-1] += ends[1] - ends[0]
             after[0] += 1.0
-            return after
-        if periods:
-            # The interval's rows are [now] − [before], with the filters linear in both.
-            rows = np.subtract(now, stack[-1], out=now)
-            share = self._pass
-            if periods > 1:
-                rows /= periods
-                share = 1.0 - (1.0 - share) ** periods
-            for i in range(self.order):
-                step = np.subtract(rows, stack[i])
-                step *= share
-                rows = np.add(stack[i], step, out=stack[i])
-        stack[-1], after[0] = following, 1.0
+        else:
+            calc_filtered(ends, float(memory[0]), float(share), stack)
+            after[0] = 1.0
         return after
 
     def skipped(self, memory: Array) -> Array:
@@ -147,14 +132,48 @@ class FilteredRegressor:
         last = memory[1:].reshape(self.order + 1, -1)[self.order - 1]
         return last[: self._entries].reshape(self.shape), last[self._entries :]
 
-    def _ends(self, sample: ControlSample, effort: Array) -> tuple[Array, Array]:
-        """What a sample adds to the interval that it ends, and takes off the one it begins."""
-        of_regressors, of_effort = self._weights
-        ends = np.empty((2, self._entries + len(effort)))
-        both = sample.momentum_regressors.reshape(2, -1)
-        np.matmul(of_regressors, both, out=ends[:, : self._entries])
-        np.multiply(of_effort, effort, out=ends[:, self._entries :])
-        return ends[0], ends[1]
+
+@compiled
+def calc_ends(both: Array, effort: Array, period: float, held: bool) -> Array:
+    """What a sample adds to the interval that it ends, and takes off the one it begins: (2, ·).
+
+    Args:
+        both: (2, nv p) Y_p and Y_c.
+        effort: (nv,) efforts.
+        period: h, s.
+        held: Whether the effort is the one that acted since the last instant.
+    """
+    entries, nv = both.shape[1], len(effort)
+    ends = np.empty((2, entries + nv))
+    for i in range(entries):
+        moved, drift = both[0, i] / period, 0.5 * both[1, i]
+        ends[0, i], ends[1, i] = moved - drift, moved + drift
+    for i in range(nv):
+        ends[0, entries + i] = effort[i] if held else 0.5 * effort[i]
+        ends[1, entries + i] = 0.0 if held else -0.5 * effort[i]
+    return ends
+
+
+@compiled
+def calc_filtered(ends: Array, periods: float, share: float, stack: Array) -> None:
+    """Passes the rows of an interval through all filters, and begins the next one.
+
+    The interval's rows are [now] − [before], with the filters linear in both.
+
+    Args:
+        ends: (2, ·) from `calc_ends`.
+        periods: How many sampling intervals it had; 0 if it is left out.
+        share: What one filter lets through of it.
+        stack: (order + 1, ·) states of the filters, and what the interval began with.
+    """
+    last = len(stack) - 1
+    for i in range(ends.shape[1]):
+        if periods > 0.0:
+            value = (ends[0, i] - stack[last, i]) / periods
+            for k in range(last):
+                stack[k, i] += share * (value - stack[k, i])
+                value = stack[k, i]
+        stack[last, i] = ends[1, i]
 
 
 def _finite(x: Array) -> bool:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from scipy.linalg.lapack import dposv
 
+from geodrake.compiling import compiled
 from geodrake.inertia import Array
 from geodrake.manifolds import Product
 
@@ -51,32 +51,52 @@ def slab_step(
     if len(bound) < len(error):
         Y, error = Y.take(bound, 0), error.take(bound)
     span = manifold.calc_mirror_span(p, Y)
-    multipliers = _multipliers(_softened(span.products), error)
+    multipliers = calc_multipliers(span.products, error)
     length = sqrt(max(float(error @ multipliers) / manifold.least_weight, 0.0))
     return span.point(multipliers * (-relaxation / (1.0 + length)))
 
 
-def _softened(products: Array) -> Array:
-    """The products, changed by a share of each row's squared length that is added to it.
+@compiled
+def calc_multipliers(products: Array, error: Array) -> Array:
+    """Newton's multipliers (k,) of rows outside of their slabs; none pulls a row further out.
 
-    Rows of any length do no harm: Cholesky's decomposition does not depend on their units.
+    A share of each row's squared length is added to it. Rows of any length do no harm: Cholesky's
+    decomposition does not depend on their units.
+
+    Args:
+        products: (k, k) inner products of the rows, overwritten.
+        error: (k,) how far each is outside of its slab.
     """
-    squares = products.ravel()[:: len(products) + 1]
-    squares *= 1.0 + _SHARING
-    squares += _NOTHING
-    return products
-
-
-def _multipliers(products: Array, error: Array) -> Array:
-    """Newton's multipliers (k,) of rows outside of their slabs; none pulls a row further out."""
-    # (LAPACK itself: at so few unknowns the checks of numpy.linalg.solve cost more than solving.)
-    _, found, failed = dposv(products, error)
-    if failed:
-        found = np.linalg.solve(products, error)
-    (right,) = (found * error >= 0).nonzero()
-    if len(right) == len(error):
-        return np.asarray(found)
-    multipliers = np.zeros(len(error))
-    if len(right):
-        multipliers[right] = _multipliers(products[right[:, None], right], error[right])
+    count = len(error)
+    rows, left = np.arange(count), count
+    for i in range(count):
+        products[i, i] = products[i, i] * (1.0 + _SHARING) + _NOTHING
+    while left > 0:
+        # By Cholesky's decomposition P = L Lᵀ of those that are left, forwards and backwards.
+        L, found = np.empty((left, left)), np.empty(left)
+        for i in range(left):
+            for j in range(i + 1):
+                total = products[rows[i], rows[j]]
+                for k in range(j):
+                    total -= L[i, k] * L[j, k]
+                L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+            total = error[rows[i]]
+            for k in range(i):
+                total -= L[i, k] * found[k]
+            found[i] = total / L[i, i]
+        for i in range(left - 1, -1, -1):
+            for k in range(i + 1, left):
+                found[i] -= L[k, i] * found[k]
+            found[i] /= L[i, i]
+        kept = 0
+        for i in range(left):
+            if not found[i] * error[rows[i]] < 0.0:
+                rows[kept] = rows[i]
+                kept += 1
+        if kept == left:
+            break
+        left = kept
+    multipliers = np.zeros(count)
+    for i in range(left):
+        multipliers[rows[i]] = found[i]
     return multipliers

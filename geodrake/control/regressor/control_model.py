@@ -21,7 +21,6 @@ from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.recursion import calc_regressor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -210,11 +209,10 @@ class ControlSample:
     def regressor(self) -> Array:
         """Y (nv, p); formed once, which at one sample costs no more than a product without it."""
         model = self.model
-        Y = np.zeros((1, len(model.joints), len(model.prior)))
-        calc_regressor(model.tree.records, self.rigid.motion, 0, Y)
+        Y = self.rigid.regressor(len(model.prior))
         if model.effects:
-            Y[0, :, model.num_inertial :] = self._effect_columns
-        return self._scaled(Y[0])
+            Y[:, model.num_inertial :] = self._effect_columns
+        return self._scaled(Y)
 
     def effort(self, parameters: Array) -> Array:
         """Y p (nv,), N·m or N, for parameters p (p,)."""
@@ -253,20 +251,18 @@ class ControlSample:
         The inertia of effects must be constant, as that of a rotor is. Load-dependent friction has
         the load of this sample, without accelerations if it was made without.
         """
-        rigid = self.rigid.momentum_regressors
+        columns, (_, qd, v, _), n = self.model._columns, self._motion, self.model.num_inertial
+        both = self.rigid.momentum_regressors(len(self.model.prior))
         if not self.model.effects:
-            return rigid
-        columns, (_, qd, v, _), n = self.model._columns, self._motion, rigid.shape[-1]
-        both = np.zeros((*rigid.shape[:-1], n + columns.count))
-        both[..., :n] = rigid
-        moved, rest = both[..., n:]
+            return both
+        (momentum, drift), (moved, rest) = both[..., :n], both[..., n:]
         if v is qd and columns.depends_on.isdisjoint({"vd", "load", "bodies"}):
-            rest -= self._effect_columns
+            np.negative(self._effect_columns, out=rest)
         else:
             still = self._joints(np.zeros(len(qd)), qd)
-            rest -= columns.at(still, self._seen(-rigid[1]))
-            moved += columns.at(replace(still, vd=qd), self._seen(rigid[0]))
-            moved -= columns.at(still, self._seen(np.zeros_like(rigid[0])))
+            rest -= columns.at(still, self._seen(-drift))
+            moved += columns.at(replace(still, vd=qd), self._seen(momentum))
+            moved -= columns.at(still, self._seen(np.zeros_like(momentum)))
         return np.array([self._scaled(part) for part in both]) if self.model._scales else both
 
     def _scaled(self, regressor: Array) -> Array:
@@ -309,7 +305,7 @@ class ControlSample:
 
         def body_columns(name: str) -> Array:
             first = PARAMETERS_PER_BODY * model.bodies.index(name)
-            Y = self.rigid.regressor if regressor is None else regressor
+            Y = self.rigid.regressor(model.num_inertial) if regressor is None else regressor
             return Y[None, :, first : first + PARAMETERS_PER_BODY]
 
         def seen(joints: JointMotion) -> RobotMotion:

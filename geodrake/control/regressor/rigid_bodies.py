@@ -8,7 +8,6 @@ with Ṁ − 2 C skew symmetric; see `geodrake.robot.recursion`.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -73,20 +72,26 @@ class RigidSample:
         calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
         return np.asarray(effort[0])
 
-    @cached_property
-    def regressor(self) -> Array:
-        """Y (nv, 10 nb)."""
-        regressor = self._zeros()
-        calc_regressor(self.tree.records, self.motion, 0, regressor)
-        return np.asarray(regressor[0])
+    def regressor(self, columns: int) -> Array:
+        """Y (nv, columns).
 
-    @cached_property
-    def momentum_regressors(self) -> Array:
-        """Regressors (2, nv, 10 nb) of M q̇ = Σ Jᵀ G V and of Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g."""
-        momentum, drift = self._zeros(), self._zeros()
+        Args:
+            columns: 10 nb or more, of which those beyond are zero.
+        """
+        Y = np.zeros((1, self.motion[1].shape[1], columns))
+        calc_regressor(self.tree.records, self.motion, 0, Y)
+        return np.asarray(Y[0])
+
+    def momentum_regressors(self, columns: int) -> Array:
+        """Regressors (2, nv, columns) of M q̇ = Σ Jᵀ G V and of Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g.
+
+        Args:
+            columns: 10 nb or more, of which those beyond are zero.
+        """
         q, qd, _, _ = self.motion
-        calc_momentum_regressors(self.tree.records, (q, qd, qd, qd), momentum, drift)
-        return np.concatenate((momentum, drift))
+        both = np.zeros((2, 1, qd.shape[1], columns))
+        calc_momentum_regressors(self.tree.records, (q, qd, qd, qd), both[0], both[1])
+        return np.asarray(both[:, 0])
 
     def mass_matrix(self, phi: Array) -> Array:
         """M (nv, nv) for φ (nb, 10): the efforts of unit accelerations less those of none."""
@@ -98,10 +103,6 @@ class RigidSample:
         calc_inverse_dynamics(self.tree.records, samples, np.array(phi, float), efforts)
         M = efforts[:-1] - efforts[-1]
         return np.asarray(0.5 * (M + M.T))
-
-    def _zeros(self) -> Array:
-        nv, nb = self.motion[1].shape[1], len(self.tree.bodies)
-        return np.zeros((1, nv, PARAMETERS_PER_BODY * nb))
 
 
 @compiled

@@ -1,21 +1,28 @@
-"""Steps of physical inertial parameters at every sample, body by body.
+"""Parameters of a robot at every sample: physical bodies, and coefficients with a lower bound.
 
-P is the pseudo-inertia of φ, and X(b) the symmetric matrix with tr(P(φ) X(b)) = φᵀ b ([Lee2019]
-Eq. (B.1.8)). All is done in units in which the diagonal of P is one, so that those of the user cost
-no precision.
+Of a body, P is the pseudo-inertia of φ, and X(b) the symmetric matrix with tr(P(φ) X(b)) = φᵀ b
+([Lee2019] Eq. (B.1.8)). All is done in units in which the diagonal of P is one, so that those of
+the user cost no precision.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments.arrays import LARGEST
-from geodrake.compiling import compiled, inlined
+from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds.base import Array
+from geodrake.manifolds.mirror import MirrorSpan
 
 Places = NDArray[np.int64]
+Factors = tuple[Places, Array, Places, Array, Array]
+"""Where k bodies begin in a point (n,), and 1/w of each for the weights w of barriers; where all m
+others are, their lower bounds and 1/w.
+"""
 
 _USUAL_GROWTH = 4.0  # logarithm of what one step may multiply a slack by
 _LONGEST = 2.0  # half a step that squarings follow exactly
@@ -133,32 +140,34 @@ def put_units(P: Array, d: Array) -> bool:
 
 
 @compiled
-def calc_natural_steps(x: Array, b: Array, places: Places, times: Array, out: Array) -> bool:
-    """Writes the geodesics P⁺ = exp(Z) P = E P Eᵀ, [Lee2019] Eq. (2.2.9).
+def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: Array) -> bool:
+    """Writes the geodesics along −time g⁻¹ b ([Lee2019] Eq. (2.2.9)).
 
-    With Z = −time P X(b) and E = exp(½ Z).
+    Of a body, P⁺ = exp(Z) P = E P Eᵀ with Z = −time P X(b) and E = exp(½ Z). Above a lower bound l,
+    l + (x − l) exp(−time (x − l) b).
 
     Args:
-        x: (n,) coordinates, among them φ of k bodies.
-        b: (n,) covectors.
-        places: (k,) where each φ begins.
-        times: (k,) how long to follow −g⁻¹ b of each.
-        out: (n,) the points.
+        x: (n,) point.
+        b: (n,) covector.
+        factors: What the coordinates are.
+        time: How long to follow −g⁻¹ b.
+        out: (n,) the point.
 
     Returns:
-        False, with `out` unfinished, where a step is very long or near the edge.
+        False, with `out` unfinished, where the step is very long or near the edge.
     """
+    bodies, shares, places, lower, other_shares = factors
     P, X, Z = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
     E, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
-    for body in range(len(places)):
-        first, last = places[body], places[body] + PARAMETERS_PER_BODY
+    for body in range(len(bodies)):
+        first, last = bodies[body], bodies[body] + PARAMETERS_PER_BODY
         put_pseudo_inertia(x[first:last], P)
         if not put_units(P, d):
             return False
         put_dual(b[first:last], X)
         for i in range(4):
             for j in range(4):
-                X[i, j] *= -0.5 * times[body] * d[i] * d[j]
+                X[i, j] *= -0.5 * time * shares[body] * d[i] * d[j]
         put_product(X, P, Z)  # whose exponential is Eᵀ
         size = np.sqrt(np.sum(Z * Z))
         if not size < _LONGEST:
@@ -171,24 +180,13 @@ def calc_natural_steps(x: Array, b: Array, places: Places, times: Array, out: Ar
             for j in range(4):
                 P[i, j] *= d[i] * d[j]
         put_parameters(P, out[first:last])
-    return True
+    return grown(x, b, (places, lower, time * other_shares), out)
 
 
-@compiled
-def calc_growth(x: Array, b: Array, bounds: tuple[Places, Array], times: Array, out: Array) -> bool:
-    """Writes the points l + (x − l) exp(−time (x − l) b), the geodesics above lower bounds l.
-
-    Args:
-        x: (n,) coordinates, among them k with a lower bound only.
-        b: (n,) covectors.
-        bounds: (k,) where each is, and (k,) l.
-        times: (k,) how long to follow −g⁻¹ b of each.
-        out: (n,) the points.
-
-    Returns:
-        False, with `out` unfinished, where the step is long or ends near a bound.
-    """
-    (places, lower), length, size = bounds, 0.0, 0.0
+@inlined
+def grown(x: Array, b: Array, others: tuple[Places, Array, Array], out: Array) -> bool:
+    """The steps of `calc_natural_steps` of those with lower bounds, each with its time."""
+    (places, lower, times), length, size = others, 0.0, 0.0
     for k in range(len(places)):
         at = places[k]
         slack = x[at] - lower[k]
@@ -202,55 +200,69 @@ def calc_growth(x: Array, b: Array, bounds: tuple[Places, Array], times: Array, 
 
 
 @compiled
-def calc_clearly_physical(x: Array, out: Array) -> None:
-    """Writes whether P(φ) ≻ 0 by more than rounding, of φ (k, 10), into (k,).
+def calc_clearly_inside(x: Array, factors: Factors) -> bool:
+    """Whether all is inside by more than rounding.
 
     Args:
-        x: (k, 10) φ.
-        out: (k,) one where it is, and zero where it may not be.
+        x: (n,) point.
+        factors: What the coordinates are.
     """
+    bodies, _, places, lower, _ = factors
     P, L = np.empty((4, 4)), np.empty((4, 4))
-    for body in range(len(x)):
-        put_pseudo_inertia(x[body], P)
+    for first in bodies:
+        put_pseudo_inertia(x[first : first + PARAMETERS_PER_BODY], P)
         moment = max(P[0, 0], P[1, 1], P[2, 2])
         least = _CLEAR * P[3, 3] * moment * moment * moment
-        determinant = put_root(P, L)
-        out[body] = 1.0 if max(least, 0.0) < determinant < np.inf else 0.0
+        if not max(least, 0.0) < put_root(P, L) < np.inf:
+            return False
+    inside = True
+    for k in range(len(places)):
+        inside &= lower[k] < x[places[k]] < np.inf
+    return inside
 
 
 @compiled
-def calc_whitened(x: Array, rows: Array, L: Array, out: Array) -> None:
-    """Writes Lᵀ X(b) L with P(φ) = L Lᵀ, in an orthonormal basis of the symmetric matrices.
+def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array) -> None:
+    """Writes covectors in an orthonormal frame: A g⁻¹ Aᵀ is W Wᵀ.
+
+    Of a body, Lᵀ X(b) L with P = L Lᵀ, in a basis of the symmetric matrices. Above a lower bound,
+    (x − l) b.
 
     Args:
-        x: (k, 10) φ.
-        rows: (r, k, 10) covectors b.
+        x: (n,) point.
+        rows: (r, n) covectors A.
+        factors: What the coordinates are.
         L: (k, 4, 4) the roots; not a number where there is none.
-        out: (r, k, 10) the matrices.
+        out: (r, n) W.
     """
+    bodies, shares, places, lower, other_shares = factors
     P, X, F, d = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty(4)
-    for body in range(len(x)):
-        root = L[body]
-        put_pseudo_inertia(x[body], P)
+    for body in range(len(bodies)):
+        root, first, share = L[body], bodies[body], np.sqrt(shares[body])
+        put_pseudo_inertia(x[first : first + PARAMETERS_PER_BODY], P)
         if not (put_units(P, d) and put_root(P, root) > 0.0):
             root[:] = np.nan
         for i in range(4):
             for j in range(4):
                 root[i, j] *= d[i]
         for r in range(len(rows)):
-            put_dual(rows[r, body], X)
+            put_dual(rows[r, first : first + PARAMETERS_PER_BODY], X)
             put_congruence(root, X, F, X)
-            entry = 0
+            entry = first
             for i in range(4):
-                out[r, body, entry] = X[i, i]
+                out[r, entry] = share * X[i, i]
                 for j in range(i):
-                    out[r, body, entry + 1 + j] = _ROOT * X[i, j]
+                    out[r, entry + 1 + j] = share * _ROOT * X[i, j]
                 entry += i + 1
+    for k in range(len(places)):
+        scale = (x[places[k]] - lower[k]) * np.sqrt(other_shares[k])
+        for r in range(len(rows)):
+            out[r, places[k]] = scale * rows[r, places[k]]
 
 
 @inlined
-def put_combination(rows: Array, multipliers: Array, M: Array) -> None:
-    """Writes 𝟙 − Σ λ W (4, 4) of W (r, 10) from `calc_whitened`."""
+def put_combination(rows: Array, multipliers: Array, share: float, M: Array) -> None:
+    """Writes 𝟙 − share Σ λ W (4, 4) of W (r, 10) from `calc_whitened`."""
     entry = 0
     for i in range(4):
         for j in range(-1, i):  # the diagonal first
@@ -258,27 +270,35 @@ def put_combination(rows: Array, multipliers: Array, M: Array) -> None:
             for r in range(len(rows)):
                 value += multipliers[r] * rows[r, entry]
             if j < 0:
-                M[i, i] = 1.0 - value
+                M[i, i] = 1.0 - share * value
             else:
-                M[i, j] = M[j, i] = -value / _ROOT
+                M[i, j] = M[j, i] = -share * value / _ROOT
             entry += 1
 
 
 @compiled
-def calc_spanned(L: Array, rows: Array, multipliers: Array, out: Array) -> None:
-    """Writes φ with P = L (𝟙 − Σ λ W)⁻¹ Lᵀ, from P⁻¹ − X(Aᵀ λ), or what is not a number.
+def calc_spanned(
+    x: Array, span: tuple[Array, Array], multipliers: Array, factors: Factors, out: Array
+) -> None:
+    """Writes the point with the gradient ∇h(x) + Aᵀ λ; where there is none, what is no number.
+
+    Of a body, P⁺ = L (𝟙 − Σ λ W)⁻¹ Lᵀ from P⁻¹ − X(Aᵀ λ). Above a lower bound, the inverse slack is
+    linear in λ.
 
     Args:
-        L: (k, 4, 4) roots of P.
-        rows: (r, k, 10) W from `calc_whitened`.
+        x: (n,) point.
+        span: L and W from `calc_whitened`.
         multipliers: (r,) λ.
-        out: (k, 10) the points.
+        factors: What the coordinates are.
+        out: (n,) the point.
     """
+    (L, rows), (bodies, shares, places, lower, other_shares) = span, factors
     M, C, Y, P = np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4)), np.empty((4, 4))
-    for body in range(len(L)):
-        put_combination(rows[:, body], multipliers, M)
+    for body in range(len(bodies)):
+        first, last = bodies[body], bodies[body] + PARAMETERS_PER_BODY
+        put_combination(rows[:, first:last], multipliers, np.sqrt(shares[body]), M)
         if not put_root(M, C) > 0.0:
-            out[body] = np.nan
+            out[first:last] = np.nan
             continue
         # Y = C⁻¹ Lᵀ, and P = Yᵀ Y.
         for j in range(4):
@@ -293,4 +313,44 @@ def calc_spanned(L: Array, rows: Array, multipliers: Array, out: Array) -> None:
                 for k in range(4):
                     total += Y[k, i] * Y[k, j]
                 P[i, j] = total
-        put_parameters(P, out[body])
+        put_parameters(P, out[first:last])
+    for k in range(len(places)):
+        at, value = places[k], 0.0
+        for r in range(len(rows)):
+            value += multipliers[r] * rows[r, at]
+        left = 1.0 - np.sqrt(other_shares[k]) * value
+        out[at] = lower[k] + (x[at] - lower[k]) / left if left > 0.0 else np.nan
+
+
+def robot_span(x: Array, rows: Array, factors: Factors) -> MirrorSpan:
+    """The mirror span of a robot's parameters.
+
+    Args:
+        x: (..., n) points, all coordinates one after the other.
+        rows: (r, ..., n) covectors.
+        factors: What the coordinates are.
+    """
+    flat, roots = x.ravel(), np.empty((len(factors[0]), 4, 4))
+    whitened = np.empty((len(rows), x.size))
+    calc_whitened(flat, rows.reshape(whitened.shape), factors, roots, whitened)
+
+    def point(multipliers: Array) -> Array:
+        y = np.empty(x.shape)
+        calc_spanned(flat, (roots, whitened), contiguous(multipliers), factors, y.reshape(-1))
+        return y
+
+    return MirrorSpan(((whitened, whitened),), point)
+
+
+def factors_of(
+    bodies: Sequence[tuple[int, float]], bounded: Sequence[tuple[int, float, float]]
+) -> Factors:
+    """Factors for these loops.
+
+    Args:
+        bodies: Where each body begins, and 1/w.
+        bounded: Where each of all others is, its lower bound, and 1/w.
+    """
+    starts, shares = np.reshape(np.array(bodies, float), (-1, 2)).T.copy()
+    places, lower, other_shares = np.reshape(np.array(bounded, float), (-1, 3)).T.copy()
+    return starts.astype(np.int64), shares, places.astype(np.int64), lower, other_shares
