@@ -1,8 +1,8 @@
 """How fast the regressor is, against Pinocchio's, and how fast a long log is reduced.
 
-Both engines compute the same (7, 70) regressor of the same arm at the same samples, on one core:
-times are CPU times, medians of repeats. The log is reduced to one triangular factor a joint, piece
-by piece, so that its length does not matter for memory.
+Both engines compute the same regressors of an arm of seven joints, and of a tree of thirty, at the
+same samples, on one core: times are CPU times, medians of repeats. The log is reduced to one
+triangular factor a joint, piece by piece, so that its length does not matter for memory.
 
     python diagrams/regressor_speed.py --samples 10000000 --json speed.json --figures figures
 """
@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from rich.progress import track
@@ -35,14 +36,18 @@ class Speed:
     """CPU times in µs a sample, and the largest difference of the two regressors.
 
     Attributes:
-        regressor: `inverse_dynamics_regressor`.
+        robot: The robot.
+        regressor: `regressor_pieces`, as logs are reduced.
+        at_once: `inverse_dynamics_regressor` of all samples, into new memory.
         efforts: `inverse_dynamics`.
         pinocchio: `computeJointTorqueRegressor` in a Python loop; None if it is not installed.
         ratio: regressor / pinocchio.
         difference: Largest difference of an entry, relative to the largest entry.
     """
 
+    robot: str
     regressor: float
+    at_once: float
     efforts: float
     pinocchio: float | None
     ratio: float | None
@@ -72,36 +77,74 @@ class Reduction:
     noise_found: list[float]
 
 
-def measure_speed(*, samples: int, repeats: int, seed: int) -> Speed:
-    """Times both regressors on the same random samples of the seven-joint arm."""
-    plant = load_plant(ARM).plant
+def measure_speed(robot: Path, *, samples: int, repeats: int, seed: int) -> Speed:
+    """Times both regressors on the same random samples of a robot."""
+    plant = load_plant(robot).plant
     tree, phi = KinematicTree.from_plant(plant), inertial_parameters(plant)
     motion = random_motion(np.random.default_rng(seed), samples, tree.num_velocities)
-    regressor = cpu_time(lambda: inverse_dynamics_regressor(tree, *motion), repeats) / samples
-    efforts = cpu_time(lambda: inverse_dynamics(tree, *motion, phi), repeats) / samples
+
+    def pieces() -> None:
+        for _ in regressor_pieces(tree, *motion):
+            pass
+
+    works = {
+        "regressor": pieces,
+        "at_once": lambda: inverse_dynamics_regressor(tree, *motion),
+        "efforts": lambda: inverse_dynamics(tree, *motion, phi),
+    }
+    ours = {name: 1e6 * cpu_time(work, repeats) / samples for name, work in works.items()}
     try:
         import pinocchio
     except ImportError:
-        return Speed(1e6 * regressor, 1e6 * efforts, None, None, None)
-    model = pinocchio.buildModelFromUrdf(str(ARM))
+        return Speed(robot.stem, **ours, pinocchio=None, ratio=None, difference=None)
+    model = pinocchio.buildModelFromUrdf(str(robot))
     data = model.createData()
 
     def loop() -> None:
         for q, v, vd in zip(*motion, strict=True):
             pinocchio.computeJointTorqueRegressor(model, data, q, v, vd)
 
-    theirs = cpu_time(loop, repeats) / samples
-    first = [x[0] for x in motion]
-    expected = pinocchio.computeJointTorqueRegressor(model, data, *first).reshape(7, 7, 10)
-    ours = inverse_dynamics_regressor(tree, *(x[:1] for x in motion)).reshape(7, 7, 10)
-    error = np.abs(ours - expected[:, :, [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]]).max()
+    theirs = 1e6 * cpu_time(loop, repeats) / samples
+    n, first = tree.num_velocities, [x[0] for x in motion]
+    expected = pinocchio.computeJointTorqueRegressor(model, data, *first).reshape(n, n, 10)
+    own = inverse_dynamics_regressor(tree, *(x[:1] for x in motion)).reshape(n, n, 10)
+    error = np.abs(own - expected[:, :, [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]]).max()
     return Speed(
-        regressor=1e6 * regressor,
-        efforts=1e6 * efforts,
-        pinocchio=1e6 * theirs,
-        ratio=regressor / theirs,
+        robot.stem,
+        **ours,
+        pinocchio=theirs,
+        ratio=ours["regressor"] / theirs,
         difference=float(error / np.abs(expected).max()),
     )
+
+
+def write_tree(folder: Path, *, limbs: int = 5, joints: int = 6, seed: int = 0) -> Path:
+    """A robot of several limbs that hang on one body, as a URDF file."""
+    rng = np.random.default_rng(seed)
+    parts = ['<robot name="tree"><link name="base"/>']
+    for limb in range(limbs):
+        parent = "link_0_0" if limb else "base"
+        for joint in range(joints):
+            name = f"{limb}_{joint}"
+            xyz, rpy = rng.uniform(-0.3, 0.3, 3), rng.uniform(-2.0, 2.0, 3)
+            axis = "xyz".index(rng.choice([*"xyz"]))
+            parts.append(
+                f'<link name="link_{name}"><inertial><origin xyz="{_numbers(0.2 * xyz)}"/>'
+                f'<mass value="{rng.uniform(1.0, 3.0):.3f}"/>'
+                '<inertia ixx="0.03" iyy="0.02" izz="0.025" ixy="0.002" iyz="0" ixz="0.001"/>'
+                f'</inertial></link><joint name="joint_{name}" type="revolute">'
+                f'<origin xyz="{_numbers(xyz)}" rpy="{_numbers(rpy)}"/><parent link="{parent}"/>'
+                f'<child link="link_{name}"/><axis xyz="{_numbers(np.eye(3)[axis])}"/>'
+                '<limit lower="-3" upper="3" effort="100" velocity="3"/></joint>'
+            )
+            parent = f"link_{name}"
+    path = folder / "tree.urdf"
+    path.write_text("\n".join([*parts, "</robot>"]), encoding="utf-8")
+    return path
+
+
+def _numbers(x: np.ndarray) -> str:
+    return " ".join(f"{value:.4f}" for value in x)
 
 
 def measure_reduction(*, samples: int, seed: int) -> Reduction:
@@ -150,19 +193,20 @@ def cpu_time(work: Callable[[], object], repeats: int) -> float:
     return float(np.median(times[1:]))
 
 
-def draw(speed: Speed, path: Path) -> None:
+def draw(speeds: list[Speed], path: Path) -> None:
     """Bars of the CPU time a sample."""
     from matplotlib.figure import Figure
 
-    bars = {"efforts,\ngeodrake": speed.efforts, "regressor,\ngeodrake": speed.regressor}
-    if speed.pinocchio is not None:
-        bars["regressor,\nPinocchio in a loop"] = speed.pinocchio
-    figure = Figure(figsize=(5.0, 3.2), layout="constrained")
-    axes = figure.subplots()
-    axes.bar_label(axes.bar(list(bars), list(bars.values()), width=0.6), fmt="%.2f")
-    axes.set_ylabel("CPU time a sample, µs")
-    axes.set_title("Seven joints, one core")
-    axes.spines[["top", "right"]].set_visible(False)
+    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    for axes, speed in zip(np.atleast_1d(figure.subplots(1, len(speeds))), speeds, strict=True):
+        bars = {"efforts": speed.efforts, "regressor": speed.regressor}
+        if speed.pinocchio is not None:
+            bars["regressor,\nPinocchio\nin a loop"] = speed.pinocchio
+        axes.bar_label(axes.bar(list(bars), list(bars.values()), width=0.6), fmt="%.2f")
+        axes.set_ylabel("CPU time a sample, µs")
+        axes.set_title(f"{speed.robot}, one core")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(y=0.12)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=150)
 
@@ -180,14 +224,19 @@ def main() -> None:
     repeats = 3 if options.quick else 9
 
     reduction = measure_reduction(samples=reduced, seed=options.seed)
-    speed = measure_speed(samples=50_000, repeats=repeats, seed=options.seed)
-    table = {"speed": asdict(speed), "reduction": asdict(reduction)}
+    with TemporaryDirectory() as folder:
+        robots = {ARM: 50_000, write_tree(Path(folder), seed=options.seed): 5_000}
+        speeds = [
+            measure_speed(robot, samples=count, repeats=repeats, seed=options.seed)
+            for robot, count in robots.items()
+        ]
+    table = {"speed": [asdict(each) for each in speeds], "reduction": asdict(reduction)}
     print(json.dumps(table, indent=2))
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(table, indent=2) + "\n")
     if options.figures:
-        draw(speed, options.figures / "regressor_speed.png")
+        draw(speeds, options.figures / "regressor_speed.png")
 
 
 if __name__ == "__main__":

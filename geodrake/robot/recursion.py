@@ -55,6 +55,9 @@ Numbers = NDArray[np.float64] | NDArray[np.complex128]
 Record = Any
 """One of an array of records: compiled code reads its fields by their names."""
 
+Motion = tuple[Vector, Vector, Vector, Vector]
+"""ω, u, α and a of a body B, in B."""
+
 MOBILIZER = np.dtype(
     [
         ("parent", np.int64),
@@ -151,13 +154,18 @@ def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> N
 
 
 @inlined
-def inboard_motion(mobilizer: Record, motions: Record) -> tuple[Vector, Vector, Vector, Vector]:
+def motion_of(motion: Record) -> Motion:
+    """ω, u, α and a of a body, read once: compiled code reads a record again after it writes."""
+    return vector(motion.w), vector(motion.u), vector(motion.wd), vector(motion.a)
+
+
+@inlined
+def inboard_motion(mobilizer: Record, motions: Record) -> Motion:
     """ω, u, α and a of the body inboard of a joint; the world is accelerated against gravity."""
     if mobilizer.parent < 0:
         still = (0.0, 0.0, 0.0)
         return still, still, still, scale(-1.0, vector(mobilizer.gravity))
-    inboard = motions[mobilizer.parent]
-    return vector(inboard.w), vector(inboard.u), vector(inboard.wd), vector(inboard.a)
+    return motion_of(motions[mobilizer.parent])
 
 
 @inlined
@@ -215,13 +223,12 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
 
 
 @inlined
-def put_block(motion: Record, s: Vector, t: Vector, out: Array, place: Any) -> None:
+def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> None:
     """Writes the ten factors of φ in the effort that a body asks of a velocity.
 
     The place is that of the first of them in out (N, rows, columns).
     """
-    n, line, start = place
-    w, u, wd, a = vector(motion.w), vector(motion.u), vector(motion.wd), vector(motion.a)
+    (w, u, wd, a), (n, line, start) = motion, place
     # h: a × s + Bᵀ t with B = α× + u×ω×.
     h = add(cross(a, s), cross(t, wd))
     h = add(h, subtract(scale(dot(w, t), u), scale(dot(w, u), t)))
@@ -257,9 +264,10 @@ def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) 
         for i in range(len(mobilizers)):
             body = mobilizers[i].body
             if body >= 0:
+                motion = motion_of(motions[i])
                 for k in range(mobilizers[i].count):
                     place = n, dofs[i, k] - first, PARAMETERS_PER_BODY * body
-                    put_block(motions[i], row(turn, i, k), row(slide, i, k), out, place)
+                    put_block(motion, row(turn, i, k), row(slide, i, k), out, place)
 
 
 @compiled
@@ -280,15 +288,16 @@ def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Arr
         find_subspaces(mobilizers, motions, turn, slide)
         for i in range(len(mobilizers)):
             if mobilizers[i].body == body:
+                motion = motion_of(motions[i])
                 for k in range(mobilizers[i].count):
                     place = n, dofs[i, k], 0
-                    put_block(motions[i], row(turn, i, k), row(slide, i, k), out, place)
+                    put_block(motion, row(turn, i, k), row(slide, i, k), out, place)
 
 
 @inlined
 def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
     """Force and moment about Bo that give body b of φ (nb, 10) its motion."""
-    w, u, wd, a = vector(motion.w), vector(motion.u), vector(motion.wd), vector(motion.a)
+    w, u, wd, a = motion_of(motion)
     h = phi[b, 1], phi[b, 2], phi[b, 3]
     force = add(scale(phi[b, 0], a), add(cross(wd, h), cross(u, cross(w, h))))
     gyroscopic = add(cross(w, inertia_times(phi, b, u)), cross(u, inertia_times(phi, b, w)))
