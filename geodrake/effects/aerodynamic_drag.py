@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from geodrake.compiling import compiled, contiguous
 from geodrake.effects.base import Array, BodyEffect, Parameter, RobotMotion, Shape
 from geodrake.effects.body_motion import RobotBodies
+from geodrake.robot.vectors import add, column, cross, dot, scale, times, vector
 
 _LEVER = "N·s²/m"
+_LEAST_SPEED = 1e-150  # m/s, whose inverse is a number
 _LEAST_STEP, _LARGEST_STEP = 1e-3, 2.0  # m, of the centre of pressure
 
 
@@ -78,19 +82,45 @@ class AerodynamicDrag(BodyEffect):
         """[Jᵀ |v| v, and its slopes in the position of P] at the joints that move the body."""
         bodies = motion.body_motions(self.name)
         body = bodies.motion(self.body)
-        J = body.jacobian_at(self.center(bodies.mass_center(self.body)))
-        v = np.einsum("nij,nj->ni", J, motion.v)
-        speed = np.linalg.norm(v, axis=1)[:, None]
-        force = speed * v
-        along = v / np.maximum(speed, np.finfo(float).tiny)
-        w = np.einsum("nij,nj->ni", body.angular, motion.v)
-        columns = [np.einsum("nij,ni->nj", J, force)]
-        for arm in body.rotation.transpose(2, 0, 1):
-            change = np.cross(w, arm)
-            slope = speed * change + along * (v * change).sum(1, keepdims=True)
-            columns.append(
-                np.einsum("nij,ni->nj", J, slope)
-                + np.einsum("nij,ni->nj", body.angular, np.cross(arm, force))
-            )
-        all_joints = np.stack(columns, -1)
-        return {motion.joints[i]: all_joints[:, i] for i in body.dofs}
+        center = self.center(bodies.mass_center(self.body))
+        columns = np.zeros((len(motion.v), len(body.dofs), len(self.parameters)))
+        parts = body.rotation, body.angular, body.linear
+        calc_drag_columns(parts, contiguous(motion.v), np.array(body.dofs), center, columns)
+        return {motion.joints[dof]: columns[:, k] for k, dof in enumerate(body.dofs)}
+
+
+@compiled
+def calc_drag_columns(
+    body: tuple[Array, Array, Array], v: Array, dofs: NDArray[np.int64], center: Array, out: Array
+) -> None:
+    """Writes [Jᵀ |v| v, and its slopes in the position of P] of the velocities that move a body.
+
+    Args:
+        body: R_WB (N, 3, 3), and the Jacobians (N, 3, nv) of ω and of the velocity of Bo, in W.
+        v: (N, nv) velocities.
+        dofs: (k,) those that move the body.
+        center: (3,) p_BoP_B, m.
+        out: (N, k, 4) the columns.
+    """
+    rotation, angular, linear = body
+    for n in range(len(v)):
+        R, arm = rotation[n], times(rotation[n], vector(center))
+        w = u = (0.0, 0.0, 0.0)
+        for dof in dofs:
+            w = add(w, scale(v[n, dof], column(angular[n], dof)))
+            u = add(u, scale(v[n, dof], column(linear[n], dof)))
+        u = add(u, cross(w, arm))
+        speed = np.sqrt(dot(u, u))
+        force, along = scale(speed, u), scale(1.0 / max(speed, _LEAST_SPEED), u)
+        moment = cross(arm, force)
+        for k in range(len(dofs)):
+            s, t = column(angular[n], dofs[k]), column(linear[n], dofs[k])
+            out[n, k, 0] = dot(t, force) + dot(s, moment)
+        for axis in range(3):
+            step = column(R, axis)
+            change = cross(w, step)
+            slope = add(scale(speed, change), scale(dot(u, change), along))
+            moment = add(cross(arm, slope), cross(step, force))
+            for k in range(len(dofs)):
+                s, t = column(angular[n], dofs[k]), column(linear[n], dofs[k])
+                out[n, k, 1 + axis] = dot(t, slope) + dot(s, moment)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.recursion import calc_kinematics
+from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics
 
 Array = NDArray[np.float64]
 
@@ -82,15 +82,13 @@ class RobotBodies:
 
         Of gravity g (3,) in the world frame, the needed effort is `gravity_efforts() @ g`.
         """
-        held = np.zeros((len(self.q), self.tree.num_velocities, 3))
-        for mobilizer in self.tree.mobilizers:
-            if mobilizer.body >= 0 and mobilizer.gravity:
-                body = self.tree.bodies[mobilizer.body]
-                mass = float(self.phi[mobilizer.body, 0])
-                if mass > 0.0:
-                    J = self.motion(body).jacobian_at(self.mass_center(body))
-                    held -= mass * J.transpose(0, 2, 1)
-        return held
+        q, still = contiguous(self.q), np.zeros((len(self.q), self.tree.num_velocities))
+        held = np.empty((3, *still.shape))
+        phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
+        for effort, unit in zip(held, np.eye(3), strict=True):
+            records = replace(self.tree, gravity=unit).records
+            calc_inverse_dynamics(records, (q, still, still, still), phi, effort)
+        return np.moveaxis(held, 0, -1)
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:

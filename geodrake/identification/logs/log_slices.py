@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
+_ROWS = 256  # that are put together at once
+
 MOSTLY_STILL = 0.3
 """A joint's sample is left out if it is at rest in more than this share of the filter's window.
 
@@ -114,7 +116,7 @@ class Layout:
         if INERTIA in parts:
             regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
             load, width = regressor @ robot.total_phi.ravel(), regressor.shape[2]
-            inertial = {j: regressor[:, j, c[c < width]] for j, c in enumerate(self.columns)}
+            inertial = {j: regressor[:, j, _span(c[c < width])] for j, c in enumerate(self.columns)}
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
         seen = replace(seen, log=log_number(trajectory.name))
         effects = tuple(part for part in parts if isinstance(part, Effect))
@@ -242,7 +244,7 @@ class LogSlice:
         apply = self.trajectory.filter.apply
         flat = [block for blocks in parts for block in blocks.values()]
         ends = np.cumsum([block.shape[1] for block in flat])
-        pieces = iter(np.split(apply(np.hstack(flat)), ends[:-1], axis=1) if flat else ())
+        pieces = iter(np.split(apply(_beside(flat)), ends[:-1], axis=1) if flat else ())
         return [{j: next(pieces) for j in blocks} for blocks in parts]
 
     def _motion(self, shared: SharedRows) -> Motion:
@@ -268,6 +270,24 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
+
+
+def _span(columns: Indices) -> Indices | slice:
+    """Columns that follow each other as a slice, which copies nothing."""
+    first, count = (columns[0], len(columns)) if len(columns) else (0, 0)
+    following = np.array_equal(columns, np.arange(first, first + count))
+    return slice(first, first + count) if following else columns
+
+
+def _beside(blocks: Sequence[Array]) -> Array:
+    """`np.hstack` of many narrow blocks (N, ·), in rows that stay in the cache meanwhile."""
+    both = np.empty((len(blocks[0]), sum(block.shape[1] for block in blocks)))
+    for start in range(0, len(both), _ROWS):
+        rows, at = slice(start, start + _ROWS), 0
+        for block in blocks:
+            both[rows, at : at + block.shape[1]] = block[rows]
+            at += block.shape[1]
+    return both
 
 
 def _probe(model: RobotModel, samples: int) -> Motion:
