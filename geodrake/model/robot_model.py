@@ -27,7 +27,7 @@ from geodrake.robot.regressor import body_regressor, inverse_dynamics
 
 Array = NDArray[np.float64]
 
-LARGEST_REGRESSOR = 5_000_000
+LARGEST_REGRESSOR = 10_000_000
 """Numbers of a regressor in memory at once: fewer samples for robots of many joints."""
 
 

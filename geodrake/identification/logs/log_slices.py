@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
-_ROWS = 256  # that are put together at once
+_ROWS = 512  # that are put together at once
 
 MOSTLY_STILL = 0.3
 """A joint's sample is left out if it is at rest in more than this share of the filter's window.
