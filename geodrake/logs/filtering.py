@@ -37,7 +37,7 @@ _WELCH_SECONDS = 20.0
 _DEGREE = 5  # of splines
 _LEAST_SAMPLES = 6  # of such a spline
 _SIDE = _DEGREE  # diagonals on either side of the matrix of its samples, at its ends
-_SAME_INSTANT = 1e-9  # s
+_SAME_INSTANT = 1e-4  # of the time between samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,9 @@ class ZeroPhaseFilter:
         count = self.output_count(len(columns))
         if count == 0:
             return np.empty((0, *columns.shape[1:]))
-        flat = np.ascontiguousarray(columns.reshape(len(columns), -1))
+        flat = columns.reshape(len(columns), -1)
+        if flat.strides[1] != flat.itemsize:
+            flat = np.ascontiguousarray(flat)
         # What every output sees, without a copy: windows of all columns, (count, 2L+1, columns).
         row, column = flat.strides
         shape = count, len(self.kernel), flat.shape[1]
@@ -207,7 +209,7 @@ def differentiate(signal: ArrayLike, period: float) -> Array:
     return np.asarray(slopes @ coefficients / period).reshape(signal.shape)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=12)
 def _uniform_spline(count: int) -> tuple[Array, NDArray[np.intc], csr_array]:
     """What all quintic splines through n uniform samples share, one unit apart.
 
@@ -249,7 +251,8 @@ def resample(time: Array, smooth: Array, sharp: Array, instants: Array) -> tuple
     """
     start = int(np.argmin(np.abs(time - instants[0]))) if len(instants) else 0
     same = time[start : start + len(instants)]
-    if len(same) == len(instants) and (np.abs(same - instants) < _SAME_INSTANT).all():
+    near = _SAME_INSTANT * (time[-1] - time[0]) / max(len(time) - 1, 1)
+    if len(same) == len(instants) and (np.abs(same - instants) <= near).all():
         there = slice(start, start + len(instants))
         return smooth[there], sharp[there]
     linear = np.stack([np.interp(instants, time, column) for column in sharp.T], 1)

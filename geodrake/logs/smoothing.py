@@ -136,7 +136,18 @@ class SmoothPiece:
             signal.setflags(write=False)  # whoever looks gets a view
         return segment
 
-    def _made(self, samples: slice) -> Segment:
+    def velocity(self, samples: slice) -> Array:
+        """Velocities (N, n) of some of the samples."""
+        if self.kept:
+            return self._all.velocity[samples]
+        _, inner, _, velocity = self._near(samples)
+        return velocity[inner]
+
+    def _near(self, samples: slice) -> tuple[Piece, slice, Array, Array]:
+        """Some of the samples and others around, where they are there, and all as it is smoothed.
+
+        Positions and velocities (N, n).
+        """
         start, stop, _ = samples.indices(len(self))
         margin = self.smoother.halfwidth + 2 * SPLINE_REACH  # velocities, then accelerations
         low, high = max(0, start - margin), min(len(self), stop + margin)
@@ -148,6 +159,11 @@ class SmoothPiece:
         else:
             late = self.smoother.smooth(near.velocity)
             velocity = late + self.lag * differentiate(late, period)
+        return near, inner, position, velocity
+
+    def _made(self, samples: slice) -> Segment:
+        near, inner, position, velocity = self._near(samples)
+        period = self.piece.period
         acceleration = differentiate(velocity, period)
         return Segment(
             near.time[inner],
@@ -208,7 +224,9 @@ class Stretch:
     @cached_property
     def peak_speed(self) -> Array:
         """(n,) largest speed of every joint, rad/s or m/s."""
-        return np.max([np.abs(chunk.velocity).max(axis=0) for _, chunk in self.chunks()], axis=0)
+        starts = range(self.first, self.stop, CHUNK)
+        parts = [slice(first, min(first + CHUNK, self.stop)) for first in starts]
+        return np.max([np.abs(self.piece.velocity(part)).max(axis=0) for part in parts], axis=0)
 
     def chunks(self, *, backwards: bool = False) -> Iterator[tuple[int, Segment]]:
         """First sample and samples of one slice after another, from either end."""

@@ -21,13 +21,14 @@ from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.robot.regressor import inverse_dynamics_regressor, regressor_pieces
 
 Array = NDArray[np.float64]
 INERTIA = "inertia"
 """What columns of inertial parameters belong to, as others belong to an effect."""
 
 _ROWS = 512  # that are put together at once
+_WIDE = 16  # columns that are filtered as they are
 
 MOSTLY_STILL = 0.3
 """A joint's sample is left out if it is at rest in more than this share of the filter's window.
@@ -114,14 +115,29 @@ class Layout:
         """
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
         if INERTIA in parts:
-            regressor = inverse_dynamics_regressor(self.model.tree, motion.q, motion.v, motion.vd)
-            load, width = regressor @ robot.total_phi.ravel(), regressor.shape[2]
-            inertial = {j: regressor[:, j, _span(c[c < width])] for j, c in enumerate(self.columns)}
+            inertial, load = self._inertial_at(motion, robot.total_phi.ravel())
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
         seen = replace(seen, log=log_number(trajectory.name))
         effects = tuple(part for part in parts if isinstance(part, Effect))
         found = dict(zip(effects, EffectColumns(robot.joints, effects).rows(seen), strict=True))
         return [inertial if isinstance(part, str) else found[part] for part in parts], seen.load
+
+    @cached_property
+    def _inertial(self) -> tuple[Indices, Indices]:
+        """Places of the joints' inertial columns in a flat regressor, and where each joint ends."""
+        width = self.model.phi.size
+        own = [width * j + c[c < width] for j, c in enumerate(self.columns)]
+        return np.concatenate(own), np.cumsum([len(c) for c in own])
+
+    def _inertial_at(self, motion: Motion, phi: Array) -> tuple[dict[int, Array], Array]:
+        """Inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
+        places, ends = self._inertial
+        rows, load = np.empty((len(motion), len(places))), np.empty(motion.v.shape)
+        for part, Y in regressor_pieces(self.model.tree, motion.q, motion.v, motion.vd):
+            np.matmul(Y, phi, out=load[part])
+            flat = Y.reshape(len(Y), -1)
+            np.take(flat, places, axis=1, out=rows[part], mode="clip")  # (checked modes copy)
+        return dict(enumerate(np.split(rows, ends[:-1], axis=1))), load
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +259,16 @@ class LogSlice:
     def _filtered(self, parts: Sequence[Blocks]) -> list[Blocks]:
         apply = self.trajectory.filter.apply
         flat = [block for blocks in parts for block in blocks.values()]
-        ends = np.cumsum([block.shape[1] for block in flat])
-        pieces = iter(np.split(apply(_beside(flat)), ends[:-1], axis=1) if flat else ())
-        return [{j: next(pieces) for j in blocks} for blocks in parts]
+        narrow = [block for block in flat if block.shape[1] < _WIDE]
+        ends = np.cumsum([block.shape[1] for block in narrow])
+        pieces = iter(np.split(apply(_beside(narrow)), ends[:-1], axis=1) if narrow else ())
+        return [
+            {
+                j: next(pieces) if block.shape[1] < _WIDE else apply(block)
+                for j, block in blocks.items()
+            }
+            for blocks in parts
+        ]
 
     def _motion(self, shared: SharedRows) -> Motion:
         key, model = ("unfiltered motion", self.place), self.layout.model
@@ -270,13 +293,6 @@ class LogSlice:
         if start == 0 or not any(effect.state_count for effect in self.layout.effects):
             return np.zeros((0, len(self.layout.model.joints)))
         return self.stretch[max(0, start - MEMORY) : start].position
-
-
-def _span(columns: Indices) -> Indices | slice:
-    """Columns that follow each other as a slice, which copies nothing."""
-    first, count = (columns[0], len(columns)) if len(columns) else (0, 0)
-    following = np.array_equal(columns, np.arange(first, first + count))
-    return slice(first, first + count) if following else columns
 
 
 def _beside(blocks: Sequence[Array]) -> Array:
