@@ -77,16 +77,17 @@ class RobotBodies:
         m, *moment = self.phi[self.tree.bodies.index(body), :4].tolist()
         return np.array(moment) / m if m > 0.0 else np.zeros(3)
 
-    def gravity_efforts(self) -> Array:
-        """(N, nv, 3) effort that holding the bodies needs for each unit of gravity, kg·m.
+    def gravity_efforts(self, gravities: Array) -> Array:
+        """(N, nv, k) efforts that holding the bodies needs, N·m or N.
 
-        Of gravity g (3,) in the world frame, the needed effort is `gravity_efforts() @ g`.
+        Args:
+            gravities: (3, k) k gravities in the world frame, m/s².
         """
         q, still = contiguous(self.q), np.zeros((len(self.q), self.tree.num_velocities))
-        held = np.empty((3, *still.shape))
+        held = np.empty((gravities.shape[1], *still.shape))
         phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
-        for effort, unit in zip(held, np.eye(3), strict=True):
-            records = replace(self.tree, gravity=unit).records
+        for effort, gravity in zip(held, gravities.T, strict=True):
+            records = replace(self.tree, gravity=gravity).records
             calc_inverse_dynamics(records, (q, still, still, still), phi, effort)
         return np.moveaxis(held, 0, -1)
 

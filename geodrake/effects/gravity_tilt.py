@@ -74,7 +74,7 @@ class GravityTilt(RobotEffect):
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """Effort of the change of gravity that each angle makes, at every joint."""
         bodies = motion.body_motions(self.name)
-        columns = bodies.gravity_efforts() @ self._change(bodies.gravity)
+        columns = bodies.gravity_efforts(self._change(bodies.gravity))
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
     def _change(self, gravity: Array) -> Array:

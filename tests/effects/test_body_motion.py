@@ -56,7 +56,7 @@ def test_weights(plant, q, bodies):
     for i in range(COUNT):
         plant.SetPositions(context, q[i])
         held = -plant.CalcGravityGeneralizedForces(context)
-        found = bodies.gravity_efforts()[i] @ bodies.gravity
+        found = bodies.gravity_efforts(bodies.gravity[:, None])[i, :, 0]
         np.testing.assert_allclose(found, held, atol=1e-9 * np.abs(held).max())
 
 

@@ -8,7 +8,7 @@ import pytest
 from pendulum_logs import JOINTS, PENDULUM
 
 from geodrake.diagnosis import compare
-from geodrake.identification.logs import coherent_bandwidth, noise
+from geodrake.identification.logs import coherent_bandwidth, noise, reduce
 from geodrake.logs import smoothing, uniform_log
 from geodrake.logs.files import read_log, write_log
 from geodrake.logs.motion import JointLog
@@ -68,14 +68,18 @@ def test_trimming_does_not_depend_on_chunks(monkeypatch):
 
 def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
     """A sample of two joints is 40 bytes; smoothed copies and regressors would be hundreds more."""
+    for module in (smoothing, reduce):
+        monkeypatch.setattr(module, "CHUNK", 5_000)
     monkeypatch.setattr(uniform_log, "_PART", 5_000)
     monkeypatch.setattr(noise, "_SAMPLES", 10_000)
     monkeypatch.setattr(coherent_bandwidth, "_SAMPLES", 10_000)
     model, peaks = load_model(PENDULUM), []
-    lengths = (250_000, 500_000)  # beside which slices and factors of splines are small
+    lengths = (50_000, 250_000)
     for samples in lengths:
         path = tmp_path / f"{samples}.npz"
         write_log(long_log(samples), path)
+        if not peaks:
+            compare(model, [path], bandwidth=8.0)  # what is compiled and factored once
         tracemalloc.start()
         try:
             compare(model, [path], bandwidth=8.0)
