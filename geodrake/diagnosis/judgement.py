@@ -177,7 +177,8 @@ def acted_upon(dataset: Dataset, effects: Sequence[Effect]) -> Mask:
     """
     if all(effect.proposer is Proposer.PLAY for effect in effects):
         return np.isin(dataset.joints, [joint for effect in effects for joint in effect.where])
-    return np.any([dataset.felt(effect) for effect in effects], axis=0)
+    felt = [dataset.felt(effect) for effect in effects]
+    return felt[0] if len(felt) == 1 else np.logical_or.reduce(felt)
 
 
 def gain_of(before: Hypothesis, after: Hypothesis) -> float:
