@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
+from types import CodeType
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -28,8 +31,8 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_FILES: dict[str, frozenset[str]] = {}
-"""Of each file with compiled functions: all whose functions are in them."""
+_SOURCES: dict[Callable[..., Any], str] = {}
+"""Of each compiled function a digest of all that it is made from: files, constants, functions."""
 
 
 def compiled(function: F) -> F:
@@ -97,30 +100,65 @@ def while_compiling(begins: Callable[[], None], ends: Callable[[], None]) -> Ite
 def _compiled(function: F, **options: Any) -> F:
     # (Divisions by zero are infinite, as in NumPy.)
     dispatcher: Any = njit(error_model="numpy", **options)(function)
-    own = function.__code__.co_filename
-    called = [x for x in function.__globals__.values() if isinstance(x, type(dispatcher))]
-    files = {own}.union(*(_FILES[each.py_func.__code__.co_filename] for each in called))
-    _FILES[own] = _FILES.get(own, frozenset()) | files
+    names = [function.__globals__.get(name) for name in sorted(_names(function.__code__))]
+    called = [_SOURCES[x.py_func] for x in names if isinstance(x, type(dispatcher))]
+    constants = [x for x in names if isinstance(x, int | float | str | tuple | np.dtype)]
+    source = sha256(f"{_source(function.__code__.co_filename)}{constants}{called}".encode())
+    _SOURCES[function] = source.hexdigest()
     with suppress(RuntimeError):  # there is no place for a cache
-        dispatcher._cache = _Kept(function, _FILES[own])
+        dispatcher._cache = _Kept(function, _SOURCES[function])
     return cast(F, dispatcher)
+
+
+@cache
+def _source(path: str) -> str:
+    """What is in a file of compiled functions."""
+    return Path(path).read_text("utf-8")
+
+
+def _names(code: CodeType) -> frozenset[str]:
+    """Names that a function uses, in what is defined within it, too."""
+    within = (_names(part) for part in code.co_consts if isinstance(part, CodeType))
+    return frozenset(code.co_names).union(*within)
+
+
+_DataFiles: Any = caching.IndexDataCacheFile
+
+
+class _Files(_DataFiles):
+    """What was compiled of a function, a file for each signature, with what it came from.
+
+    Numba's own files have numbers that an index tells, which every process writes anew: of two
+    that compile at once one may be told the other's.
+    """
+
+    def load(self, key: object) -> Any:
+        """What was kept under a key, if it came from the same."""
+        source, data = self._load_data(self._name(key))
+        return data if source == self._source_stamp else None
+
+    def save(self, key: object, data: object) -> None:
+        """Keeps data in the place of what is there."""
+        self._save_data(self._name(key), (self._source_stamp, data))
+
+    def _name(self, key: object) -> str:
+        signature = sha256(repr(key).encode()).hexdigest()[:16]
+        return str(self._data_name_pattern.replace("{number:d}", signature))
 
 
 _FunctionCache: Any = caching.FunctionCache
 
 
 class _Kept(_FunctionCache):
-    """What was compiled of a function, as long as all files that it came from are what they were.
+    """What was compiled of a function, as long as all that it came from is what it was.
 
-    Numba looks at the function's own file alone, and a full disk or a file that was cut off would
-    be an error of the call.
+    Numba looks at the time of the function's own file alone, and a full disk or a file that was
+    cut off would be an error of the call.
     """
 
-    def __init__(self, function: Callable[..., Any], files: frozenset[str]) -> None:
+    def __init__(self, function: Callable[..., Any], source: str) -> None:
         super().__init__(function)
-        times = [(Path(file).name, Path(file).stat()) for file in sorted(files)]
-        stamp = tuple((name, status.st_mtime_ns, status.st_size) for name, status in times)
-        self._cache_file._source_stamp = stamp
+        self._cache_file = _Files(self.cache_path, self._impl.filename_base, source)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """What was kept; None if there is nothing that can be read."""

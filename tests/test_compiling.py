@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from geodrake import compiling
-from geodrake.robot import recursion
 
 ROOT = Path(__file__).parents[1]
 EFFORT = (
@@ -57,7 +56,7 @@ def test_two_processes_that_compile_at_once_do_no_harm(two_at_once):
 def test_what_was_cut_off_is_compiled_anew(two_at_once, tmp_path):
     folder, outputs = two_at_once
     spoiled = shutil.copytree(folder, tmp_path / "spoiled")
-    for path in spoiled.rglob("*.nb[ic]"):
+    for path in spoiled.rglob("*.nbc"):
         path.write_bytes(path.read_bytes()[:40])
     out, error = started(spoiled).communicate(timeout=120)
     assert (out, error) == (outputs[0][0], "")
@@ -79,9 +78,50 @@ def test_without_a_place_for_a_cache_it_is_compiled_all_the_same(monkeypatch):
     assert compiling.compiled(lambda x: x + 1.0)(1.0) == 2.0
 
 
-def test_a_change_of_any_file_that_a_function_came_from_is_seen():
-    stamp = recursion.calc_regressor._cache._cache_file._source_stamp
-    assert [name for name, _, _ in stamp] == ["recursion.py", "vectors.py"]
+SOURCE = """
+import sys
+from geodrake.compiling import compiled, inlined
+FACTOR = {factor}
+@inlined
+def scaled(x):
+    return FACTOR * x
+@compiled
+def scaled_sum(x, y):
+    return scaled(x) {operation} y
+from geodrake.compiling import while_compiling
+told = []
+with while_compiling(lambda: told.append(1), lambda: None):
+    print(scaled_sum(*map(eval, sys.argv[1:])), len(told))
+"""
+
+
+def said(folder, *, factor=2.0, operation="+", arguments=("1.0", "1.0")):
+    """A result of the source with these changes, and how many functions were compiled for it."""
+    path = folder / "scaled.py"
+    path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
+    os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
+    done = subprocess.run(
+        [sys.executable, "-m", "scaled", *arguments],
+        env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.split()
+
+
+def test_what_is_kept_is_used_as_long_as_all_that_it_came_from_stays(tmp_path):
+    assert said(tmp_path) == ["3.0", "1"]
+    assert said(tmp_path) == ["3.0", "0"]
+    assert said(tmp_path, operation="-") == ["1.0", "1"]
+    assert said(tmp_path, factor=4.0) == ["5.0", "1"]  # a constant
+
+
+def test_every_signature_has_a_file_of_its_own(tmp_path):
+    whole = ("1", "1")
+    assert (said(tmp_path)[1], said(tmp_path, arguments=whole)[1]) == ("1", "1")
+    assert len([*tmp_path.rglob("*scaled_sum*.nbc")]) == 2
+    assert (said(tmp_path)[1], said(tmp_path, arguments=whole)[1]) == ("0", "0")
 
 
 def test_divisions_by_zero_are_infinite():

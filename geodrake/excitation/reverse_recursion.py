@@ -27,6 +27,7 @@ from geodrake.robot.recursion import (
     find_subspaces,
     inboard_motion,
     move,
+    subspace_room,
 )
 from geodrake.robot.vectors import (
     Vector,
@@ -95,18 +96,13 @@ def calc_motion_gradient(
     """
     mobilizers, dofs = tree
     motions, by = np.empty(len(mobilizers), MOTION), np.empty(len(mobilizers), MOTION)
-    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
-    by_turn, by_slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    turn, slide = subspace_room(dofs)
+    by_turn, by_slide = subspace_room(dofs)
     features, (q, v, _, _), (by_q, by_v, by_vd) = np.empty(9), samples, out
     for n in range(len(q)):
         move(mobilizers, samples, n, features, motions)
         find_subspaces(mobilizers, motions, turn, slide)
-        by_turn[:], by_slide[:] = 0.0, 0.0
-        for i in range(len(mobilizers)):
-            nothing = (0.0, 0.0, 0.0)
-            put(by[i].w, nothing)
-            put(by[i].wd, nothing)
-            put(by[i].a, nothing)
+        clear(by, by_turn, by_slide)
         for i in range(len(mobilizers) - 1, -1, -1):
             mobilizer, motion = mobilizers[i], motions[i]
             if mobilizer.body >= 0:
@@ -150,6 +146,19 @@ def calc_motion_gradient(
                 by_q[n, place] += dot(column(mobilizer.translation, j), by_p)
                 if mobilizer.features > 0:
                     by_q[n, place] += dot(turning_rate(mobilizer, motion, q, n, j), spin)
+
+
+@inlined
+def clear(by: Record, by_turn: Array, by_slide: Array) -> None:
+    """Sets the gradients with motions and subspaces to zero."""
+    for i in range(len(by)):
+        nothing = (0.0, 0.0, 0.0)
+        put(by[i].w, nothing)
+        put(by[i].wd, nothing)
+        put(by[i].a, nothing)
+        for k in range(by_turn.shape[1]):
+            put_row(by_turn, i, k, nothing)
+            put_row(by_slide, i, k, nothing)
 
 
 @inlined

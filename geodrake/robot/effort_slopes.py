@@ -35,6 +35,7 @@ from geodrake.robot.recursion import (
     TreeRecords,
     find_subspaces,
     move,
+    subspace_room,
     wrench_of,
 )
 from geodrake.robot.regressor import checked_samples
@@ -115,7 +116,7 @@ def calc_effort_slopes(tree: TreeRecords, samples: Samples, phi: Array, out: Arr
     """
     mobilizers, dofs = tree
     motions, features, most = np.empty(len(mobilizers), MOTION), np.empty(9), dofs.shape[1]
-    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    turn, slide = subspace_room(dofs)
     inboard = np.empty((5, most, 3))
     forces, moments = np.empty((4, most, 3)), np.empty((4, most, 3))
     for n in range(len(samples[0])):
@@ -166,7 +167,7 @@ def look_inboard(
     last, step = mobilizers[i].count, i
     while step >= 0:
         # From the outboard to the inboard side of one joint.
-        first, number = mobilizers[step].velocities
+        first, number = mobilizers[step].velocities[0], mobilizers[step].velocities[1]
         u = w_r = shift = du = dw_r = (0.0, 0.0, 0.0)
         for k in range(number):
             s, t = row(turn, i, last - number + k), row(slide, i, last - number + k)

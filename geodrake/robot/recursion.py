@@ -133,7 +133,7 @@ def features_of(kind: int, q: Numbers, n: int, first: int, out: Numbers) -> int:
 @inlined
 def angle_place(mobilizer: Record) -> int:
     """Where the positions begin that the features of a joint are functions of."""
-    first, number = mobilizer.positions
+    first, number = mobilizer.positions[0], mobilizer.positions[1]
     return int(first + number - 1 if mobilizer.features == _ANGLE else first)
 
 
@@ -202,6 +202,13 @@ def carried(mobilizer: Record, motion: Record, s: Vector, t: Vector) -> tuple[Ve
 
 
 @inlined
+def subspace_room(dofs: Indices) -> tuple[Array, Array]:
+    """Room for the angular and linear parts (m, k, 3) of the motion subspaces."""
+    shape = len(dofs), dofs.shape[1], 3
+    return np.empty(shape), np.empty(shape)
+
+
+@inlined
 def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Array) -> None:
     """Writes the angular and linear parts (m, k, 3) of the motion subspaces, once poses are known.
 
@@ -257,7 +264,7 @@ def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) 
     """
     mobilizers, dofs = tree
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
-    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    turn, slide = subspace_room(dofs)
     for n in range(len(samples[0])):
         move(mobilizers, samples, n, features, motions)
         find_subspaces(mobilizers, motions, turn, slide)
@@ -282,7 +289,7 @@ def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Arr
     """
     mobilizers, dofs = tree
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
-    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    turn, slide = subspace_room(dofs)
     for n in range(len(samples[0])):
         move(mobilizers, samples, n, features, motions)
         find_subspaces(mobilizers, motions, turn, slide)
@@ -333,7 +340,7 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
             moment = moments[i, 0], moments[i, 1], moments[i, 2]
             moment = add(moment, cross(vector(mobilizer.p_MoBo_B), force))  # about Mo
             force, moment = times(R, force), times(R, moment)
-            first, number = mobilizer.velocities
+            first, number = mobilizer.velocities[0], mobilizer.velocities[1]
             for k in range(number):
                 s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
                 out[n, first + k] = dot(s, moment) + dot(t, force)
@@ -350,7 +357,8 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
     """Writes R_WB and the position of Bo in W, from those of the body inboard."""
     place = add(vector(motion.p_PMo), times(motion.R_PB, vector(mobilizer.p_MoBo_B)))
     if mobilizer.parent < 0:
-        own.R_WB[:] = motion.R_PB
+        for k in range(3):
+            own.R_WB[0, k], own.R_WB[1, k], own.R_WB[2, k] = column(motion.R_PB, k)
         put(own.p_WoBo_W, place)
     else:
         inboard = world[mobilizer.parent]
@@ -378,7 +386,7 @@ def calc_kinematics(
     mobilizers, dofs = tree
     bodies = len(mobilizers)
     motions, features = np.empty(bodies, MOTION), np.empty(9)
-    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    turn, slide = subspace_room(dofs)
     world = np.empty(bodies, POSE)
     for n in range(len(q)):
         for i in range(bodies):

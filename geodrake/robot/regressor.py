@@ -26,7 +26,7 @@ from geodrake.robot.recursion import (
     calc_regressor,
 )
 
-_PIECE = 1024
+_PIECE = 1 << 16  # numbers of a piece: half a megabyte stays in a core's cache
 
 
 def inverse_dynamics_regressor(
@@ -103,7 +103,7 @@ def inverse_dynamics(
 def regressor_pieces(
     plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
-    """The regressor in pieces of about a thousand samples, for reductions over long logs.
+    """The regressor in pieces that a core's cache holds, for reductions over long logs.
 
     Args:
         plant: A finalized plant, or its tree where the same plant is used many times.
@@ -116,9 +116,10 @@ def regressor_pieces(
     """
     tree, samples = checked_samples(plant, q, v, vd)
     columns = PARAMETERS_PER_BODY * len(tree.bodies)
-    room = np.zeros((min(_PIECE, len(samples[0])), tree.num_velocities, columns))
-    for start in range(0, len(samples[0]), _PIECE):
-        part = slice(start, min(start + _PIECE, len(samples[0])))
+    most = max(1, _PIECE // max(1, tree.num_velocities * columns))
+    room = np.zeros((min(most, len(samples[0])), tree.num_velocities, columns))
+    for start in range(0, len(samples[0]), most):
+        part = slice(start, min(start + most, len(samples[0])))
         piece = room[: part.stop - start]  # what is zero in one piece is so in all
         q, qd, v, vd = (x[part] for x in samples)
         calc_regressor(tree.records, (q, qd, v, vd), 0, piece)

@@ -23,6 +23,7 @@ from geodrake.robot.recursion import (
     carried,
     find_subspaces,
     move,
+    subspace_room,
 )
 from geodrake.robot.vectors import (
     Vector,
@@ -123,8 +124,8 @@ def calc_momentum_regressors(
     mobilizers, dofs = tree
     q, qd, _, _ = samples
     motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
-    subspace = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
-    rates = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    subspace = subspace_room(dofs)
+    rates = subspace_room(dofs)
     velocities, gravities = np.empty((len(mobilizers), 1, 3)), np.empty((len(mobilizers), 1, 3))
     still = (0.0, 0.0, 0.0)
     for n in range(len(q)):
