@@ -2,10 +2,10 @@
 
 A seven-joint arm with 70 inertial parameters and 14 of friction is controlled at 1 kHz by the
 passivity-based controller with the natural law, its plant at 10 kHz. Three questions: how much
-faster than real time that is; how much longer a step of the controller is with adaptation than
-without; how many samples a second the estimator takes. All times are CPU times of one core, of
-pieces of 50 ms of runs that take turns: the median, and the fastest tenth, which is what they are
-where nothing else runs.
+faster than real time that is, beside the plant alone, and the plant with a system that does
+nothing; how much longer a step of the controller is with adaptation than without; how many samples
+a second the estimator takes. All times are CPU times of one core, of pieces of 50 ms of runs that
+take turns: the median, and the fastest tenth, which is what they are where nothing else runs.
 
     OMP_NUM_THREADS=1 python diagrams/adaptive_speed.py --json speed.json --figures figures
 """
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 from rich.progress import track
@@ -156,6 +156,37 @@ def closed_loop(arm: Arm, law: UpdateLaw | None, *, dry: bool) -> tuple[Diagram,
     return diagram, loop.context(diagram)
 
 
+class Idle(LeafSystem):
+    """A system in Python that sees the state at the controller's rate, and asks for no effort."""
+
+    def __init__(self, states: int, efforts: int) -> None:
+        super().__init__()
+        self._state = self.DeclareVectorInputPort("state", states)
+        self._effort = self.DeclareDiscreteState(efforts)
+        self.DeclarePeriodicDiscreteUpdateEvent(CONTROL_STEP, 0.0, self._update)
+        self.DeclareStateOutputPort("effort", self._effort)
+
+    def _update(self, context: Context, discrete_state: Any) -> EventStatus:
+        self._state.Eval(context)
+        return EventStatus.Succeeded()
+
+
+def plant_alone(arm: Arm, *, idle: bool = False) -> tuple[Diagram, Context]:
+    """The plant that falls by itself, perhaps with a system that does nothing about it."""
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(arm.plant())
+    if idle:
+        system = builder.AddSystem(Idle(plant.num_multibody_states(), plant.num_actuators()))
+        builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
+        builder.Connect(system.GetOutputPort("effort"), plant.get_actuation_input_port())
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    own = plant.GetMyMutableContextFromRoot(context)
+    plant.SetPositions(own, arm.motion.value(0.0).ravel())
+    plant.SetVelocities(own, arm.motion.EvalDerivative(0.0, 1).ravel())
+    return diagram, context
+
+
 def controller_alone(arm: Arm, system: AdaptiveController) -> tuple[Diagram, Context]:
     """A controller that sees a motion 0.1 ms late, so that there always is a little to adapt to."""
     builder = DiagramBuilder()
@@ -221,6 +252,8 @@ def cpu_times(made: tuple[Diagram, Context], duration: float) -> list[float]:
 def measure(arm: Arm, *, duration: float, repeats: int) -> dict[str, list[float]]:
     """CPU seconds a simulated second of all pieces of everything, `repeats` times in turn."""
     work: dict[str, Callable[[], tuple[Diagram, Context]]] = {
+        "plant": lambda: plant_alone(arm),
+        "plant with an idle system": lambda: plant_alone(arm, idle=True),
         "loop": lambda: closed_loop(arm, arm.law, dry=False),
         "loop without adaptation": lambda: closed_loop(arm, None, dry=False),
         "loop with dry friction": lambda: closed_loop(arm, arm.law, dry=True),
@@ -247,6 +280,10 @@ def summary(times: dict[str, list[float]]) -> dict[str, Any]:
         table[name] = {
             "CPU seconds a simulated second": cost,
             "times real time": 1.0 / cost["loop"],
+            "times real time, the plant alone": 1.0 / cost["plant"],
+            "speed of the loop / of the plant": cost["plant"] / cost["loop"],
+            "speed with an idle system / of the plant": cost["plant"]
+            / cost["plant with an idle system"],
             "times real time, without adaptation": 1.0 / cost["loop without adaptation"],
             "times real time, with dry friction": 1.0 / cost["loop with dry friction"],
             "adaptive step / step": step / fixed,
