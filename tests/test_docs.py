@@ -1,0 +1,87 @@
+"""Pages of docs/: links lead somewhere, lines run, commands take the options they are given."""
+
+import re
+import shlex
+import warnings
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import typer.main
+import yaml
+
+from geodrake.cli.app import app
+from geodrake.effects import catalogue
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+WITH_PYTHON = [page for page in PAGES if "```python" in page.read_text(encoding="utf-8")]
+
+
+def text_of(page):
+    return page.read_text(encoding="utf-8")
+
+
+def blocks(page, language):
+    found = re.findall(r"^```(\w*)\n(.*?)^```", text_of(page), re.M | re.S)
+    return [block for own, block in found if own == language]
+
+
+def anchors(page):
+    """What links to headings of a page are called."""
+    titles = re.findall(r"^#+ (.+)$", text_of(page), re.M)
+    words = (re.sub(r"[^\w\s-]", "", title.lower()) for title in titles)
+    return {re.sub(r"[-\s]+", "-", word.strip()) for word in words}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", text_of(page)):
+        path, _, anchor = target.partition("#")
+        to = page.parent / path if path else page
+        assert to.is_file(), target
+        assert not anchor or anchor in anchors(to), target
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
+def test_lines_run_one_after_the_other(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": page.stem}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for code in blocks(page, "python"):
+            exec(compile(code, page.name, "exec"), names)
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.stem)
+def test_commands_take_the_options_that_they_are_given(page):
+    commands = typer.main.get_command(app).commands
+    lines = [line for block in blocks(page, "") for line in block.splitlines()]
+    for line in lines:
+        words = shlex.split(line.split("&&")[-1])
+        if words[:1] == ["geodrake"]:
+            options = {o for p in commands[words[1]].params for o in p.opts}
+            assert {word for word in words[2:] if word.startswith("--")} <= options, line
+        elif words[:1] == ["python"]:
+            assert (ROOT / words[1]).is_file(), line
+
+
+def test_every_page_is_in_the_navigation():
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    named = {page for entry in yaml.safe_load(site)["nav"] for page in entry.values()}
+    assert named == {page.name for page in PAGES}
+
+
+def test_names_from_python_are_those_of_the_readme():
+    table = text_of(ROOT / "README.md").split("## Names to look up")[1].split("\n## ")[0]
+    named = re.findall(r"^::: (\S+)\.(\w+)$", text_of(ROOT / "docs" / "api.md"), re.M)
+    assert all(hasattr(import_module(module), name) for module, name in named)
+    wanted = set(re.findall(r"`(\w{3,})`", "".join(re.findall(r"\|.*\|(.*)\|", table))))
+    assert wanted - {name for _, name in named} <= {"plant", "geodrake"}
+
+
+def test_every_effect_has_its_picture():
+    page = text_of(ROOT / "docs" / "effects.md")
+    for effect in catalogue():
+        assert f"## `{effect.name}`" in page
+        assert f"figures/effects/{effect.name}.png" in page
