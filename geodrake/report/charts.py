@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 MOST_POINTS = 2000
 """Largest number of points of a curve that a page holds."""
+_MOST_NUMBERS = 16_000
+"""Largest number of points of all curves of a panel together."""
 _LARGEST = 32767
 _MISSING = -32768
 
@@ -157,8 +159,11 @@ class Chart:
 
 def _panel(panel: Panel) -> dict[str, Any]:
     curves = [values for plot in panel.plots for values in plot.curves.values()]
-    time, thinned = decimated(panel.time, np.array(curves), MOST_POINTS)
+    most = min(MOST_POINTS, _MOST_NUMBERS // len(curves))
+    time, thinned = decimated(panel.time, np.array(curves), most)
     rows = iter(thinned)
+    packs = [{key: packed(next(rows)) for key in plot.curves} for plot in panel.plots]
+    derived = _derived(panel) if len(time) == len(panel.time) else ()
     return {
         "title": printable(panel.title),
         "time": _floats(time),
@@ -171,11 +176,25 @@ def _panel(panel: Panel) -> dict[str, Any]:
                 "centred": plot.centred,
                 "span": plot.span,
                 "tall": plot.tall,
-                "curves": {key: packed(next(rows)) for key in plot.curves},
+                "curves": {
+                    key: None if plot is panel.plots[0] and key in derived else values
+                    for key, values in pack.items()
+                },
             }
-            for plot in panel.plots
+            for plot, pack in zip(panel.plots, packs, strict=True)
         ],
     }
+
+
+def _derived(panel: Panel) -> tuple[str, ...]:
+    """Stages whose curve is the first one less what the panel's residuals are."""
+    residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
+    first, *others = panel.plots[0].curves.items()
+    return tuple(
+        key
+        for key, values in others
+        if key in residuals and np.allclose(first[1] - residuals[key], values, equal_nan=True)
+    )
 
 
 def _floats(values: Array) -> str:

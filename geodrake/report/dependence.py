@@ -23,7 +23,7 @@ from geodrake.report.static_plot import (
 
 Array = NDArray[np.float64]
 
-_MOST_DOTS = 300
+_MOST_DOTS = 240
 _BINS = 20
 _SIGNALS = (
     ("velocity", "velocity", "rad/s"),

@@ -12,7 +12,7 @@ from geodrake.identification.logs.model_errors import Comparison, Series
 from geodrake.identification.logs.worst_windows import worst_windows
 from geodrake.report import style
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage, gap_filled
-from geodrake.report.numbers import Units, number, percent
+from geodrake.report.numbers import Units, number
 from geodrake.report.timeline import Timeline, log_of
 from geodrake.report.words import effect_label
 
@@ -146,8 +146,8 @@ def _shades(
             log = logs[window.block]
             shift = timeline.shifts[log]
             words = (
-                f"{log + ' ' if several else ''}{window.start:.1f}–{window.end:.1f} s, RMS "
-                f"{number(window.rms)} {unit}, {percent(window.share)} of the squared error"
+                f"{log + ' ' if several else ''}{window.start:.1f}–{window.end:.1f} s: RMS "
+                f"{number(window.rms)} {unit}"
             )
             found.append(Shade(stage.key, window.start + shift, window.end + shift, words))
     return tuple(found)

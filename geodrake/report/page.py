@@ -239,5 +239,5 @@ def render(page: Page) -> str:
         page=page,
         style=Markup(style),
         scripts=[Markup(script) for script in scripts],
-        policy=_policy(scripts),
+        policy=Markup(_policy(scripts)),
     )

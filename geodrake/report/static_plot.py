@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 WIDTH, HEIGHT = 1000, 240
 """Size of the SVG's own coordinates, which are whole numbers."""
-_POINTS = 360
+_POINTS = 300
 _CUT = 3.0
 """Residuals are cut off at so many times the largest of the best model."""
 

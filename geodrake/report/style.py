@@ -239,7 +239,7 @@ def svg(figure: Figure) -> str:
     text = re.sub(r' xmlns(:xlink)?="[^"]*"| version="[^"]*"', "", text)
     text = text.replace("xlink:href", "href")
     text = re.sub(r'<g id="[^"]*">', "<g>", text)  # named alike in all figures
-    text = re.sub(r"(?<=\d\.\d\d)\d+", "", text)
+    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(?<=\d\.\d\d)\d+", "", tag[0]), text)
     for color, name in _COLORS.items():
         text = text.replace(color, f"var(--{name})")
     return re.sub(r"\s*\n\s*", " ", text)

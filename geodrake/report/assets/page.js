@@ -109,7 +109,7 @@
         if (event.key === "Enter") sort(head, column);
       });
     });
-    if (rows.length > 4) addFilter(table, rows);
+    if (rows.length > 4 && !table.closest(".abreast")) addFilter(table, rows);
   }
 
   function addFilter(table, rows) {
@@ -142,6 +142,7 @@
       this.data = JSON.parse(root.querySelector("script").textContent);
       this.colors = Object.fromEntries(this.data.stages.map((stage) => [stage.key, stage.color]));
       this.view = [...this.data.ends];
+      this.root.dataset.view = this.view.join(" ");
       this.plots = [];
       this.addControls();
       const observer = new IntersectionObserver((entries) => {
@@ -193,6 +194,7 @@
       const width = Math.min(Math.max(high - low, LEAST * (last - first)), last - first);
       const start = Math.min(Math.max(low, first), last - width);
       this.view = [start, start + width];
+      this.root.dataset.view = this.view.join(" ");
       this.looking = true;
       for (const plot of this.plots) plot.setScale("x", { min: start, max: start + width });
       this.looking = false;
@@ -212,12 +214,13 @@
     drawPanel(panel) {
       const data = this.data.panels[Number(panel.dataset.panel)];
       const time = floats(data.time);
+      const curves = curvesOf(data.plots);
       all(".place", panel).forEach((place, k, places) => {
         const plot = data.plots[k];
         const readout = place.querySelector(".readout");
         const made = new uPlot(
           this.options(plot, data.shades, place, readout, k === 0, k === places.length - 1),
-          [time, ...Object.values(plot.curves).map(decoded)],
+          [time, ...Object.values(curves[k])],
           place,
         );
         place.classList.add("live");
@@ -238,7 +241,7 @@
         grid: { stroke: () => color("rule"), width: 0.7 } };
       return {
         width: place.clientWidth || 600,
-        height: (plot.tall ? 172 : 108) + (isLast ? 40 : 0),
+        height: (plot.tall ? 172 : 108) + (isLast ? 36 : 0),
         padding: [4, 4, 0, 0],
         legend: { show: false },
         cursor: {
@@ -256,10 +259,10 @@
           y: { range: (u, low, high) => spanOf(plot, u, low, high) },
         },
         axes: [
-          { ...axis, size: isLast ? 38 : 4, gap: 4, label: isLast ? this.data.axis : undefined, labelSize: 16,
+          { ...axis, size: isLast ? 22 : 4, gap: 4, label: isLast ? this.data.axis : undefined, labelSize: 18, labelGap: 0,
             labelFont: "12px system-ui, sans-serif", splits: (u) => this.splits(u).map(([at]) => at),
             values: (u) => this.splits(u).map(([, words]) => (isLast ? words : "")) },
-          { ...axis, size: 48, gap: 6, space: 32,
+          { ...axis, size: 48, gap: 6, space: plot.tall ? 32 : 20,
             values: (u, splits) => splits.map((value) => String(Number(value.toPrecision(6))).replace("-", "−")) },
         ],
         series: [{}, ...keys.map((key) => ({
@@ -390,6 +393,17 @@
         else this.zoom(Math.exp(0.004 * event.deltaY), event.offsetX / u.over.clientWidth);
       }, { passive: false });
     }
+  }
+
+  // Curves of a joint's plots. One that the page does not hold is the first one less its residual.
+  function curvesOf(plots) {
+    const curves = plots.map((plot) =>
+      Object.fromEntries(Object.entries(plot.curves).map(([key, pack]) => [key, pack && decoded(pack)])));
+    const residuals = curves.find((_, k) => plots[k].centred);
+    const [first] = Object.values(curves[0]);
+    for (const [key, values] of Object.entries(curves[0]))
+      if (!values) curves[0][key] = first.map((value, k) => (value === null ? null : value - residuals[key][k]));
+    return curves;
   }
 
   // Lowest and highest value that a plot shows, of the curves shown in the time shown.
