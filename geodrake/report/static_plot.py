@@ -206,7 +206,7 @@ def span_of(plot: Plot, curves: Array) -> tuple[float, float]:
         peaks = [peak for peak in largest if peak > 0] or [1.0]
         most = 1.08 * min(max(peaks), _CUT * min(peaks))
         return -most, most
-    known = curves[np.isfinite(curves)]
+    known = np.append(curves[np.isfinite(curves)], plot.limits)
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     margin = 0.06 * (high - low) or 0.5 * abs(high) or 1.0
     return low - margin, high + margin
@@ -281,11 +281,11 @@ def _time_ticks(chart: Chart) -> tuple[Tick, ...]:
     for _, start, end, shift in chart.spans:
         share = (end - start) / (high - low)
         values = MaxNLocator(max(1, round(8 * share)), steps=[1, 2, 5, 10]).tick_values(start, end)
-        inside = [v for v in values if start - 1e-9 <= v <= end + 1e-9]
+        inside = [v for v in values if start - 1e-9 <= v <= end + 1e-9] or [start]
         ticks += [Tick(round(100 * (v + shift - low) / (high - low), 1), _plain(v)) for v in inside]
     return tuple(ticks)
 
 
 def _plain(value: float) -> str:
     """A round number without needless digits."""
-    return f"{0.0 if abs(value) < 1e-12 else value:.6g}".replace("-", "−")
+    return f"{0.0 if abs(value) < 1e-12 else value:.4g}".replace("-", "−")

@@ -195,9 +195,13 @@
       const start = Math.min(Math.max(low, first), last - width);
       this.view = [start, start + width];
       this.root.dataset.view = this.view.join(" ");
-      this.looking = true;
       for (const plot of this.plots) plot.setScale("x", { min: start, max: start + width });
-      this.looking = false;
+    }
+
+    // Where one plot was zoomed by hand, the others look, too.
+    follow(low, high) {
+      const [start, end] = this.view;
+      if (Math.abs(low - start) + Math.abs(high - end) > 1e-6 * (end - start)) this.look(low, high);
     }
 
     zoom(factor, at = 0.5) {
@@ -242,7 +246,7 @@
       return {
         width: place.clientWidth || 600,
         height: (plot.tall ? 172 : 108) + (isLast ? 36 : 0),
-        padding: [4, 4, 0, 0],
+        padding: [4, 12, 0, 0],
         legend: { show: false },
         cursor: {
           y: false,
@@ -255,7 +259,7 @@
           },
         },
         scales: {
-          x: { time: false, range: () => this.view },
+          x: { time: false, range: (u, low, high) => [low, high] },
           y: { range: (u, low, high) => spanOf(plot, u, low, high) },
         },
         axes: [
@@ -277,9 +281,7 @@
           drawClear: [(u) => this.drawGround(u, plot, shades)],
           draw: [(u) => isFirst && this.nameLogs(u)],
           setCursor: [(u) => this.read(u, keys, stages, readout)],
-          setScale: [(u, key) => {
-            if (key === "x" && !this.looking && u.status) this.look(u.scales.x.min, u.scales.x.max);
-          }],
+          setScale: [(u, key) => key === "x" && u.status && this.follow(u.scales.x.min, u.scales.x.max)],
         },
       };
     }
@@ -293,8 +295,12 @@
       const found = [];
       for (const [, first, last, shift] of this.data.spans) {
         const end = Math.min(last, high - shift);
+        const count = found.length;
         for (let k = Math.ceil(Math.max(first, low - shift) / step - 1e-9); k * step <= end + 1e-9 * step; k++)
           found.push([k * step + shift, String(Number((k * step).toPrecision(8))).replace("-", "−")]);
+        const at = first + shift; // a short log begins somewhere, too
+        if (found.length === count && at >= low && at <= high && !(found.at(-1)?.[0] > at - 0.5 * step))
+          found.push([at, first.toFixed(1)]);
       }
       return found;
     }
@@ -411,6 +417,7 @@
     if (plot.span) return plot.span;
     if (low == null || high == null) return [-1, 1];
     if (!plot.centred) {
+      [low, high] = [Math.min(low, ...plot.limits), Math.max(high, ...plot.limits)];
       const margin = 0.06 * (high - low) || 0.5 * Math.abs(high) || 1;
       return [low - margin, high + margin];
     }
