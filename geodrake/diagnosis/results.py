@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Series
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel
 
@@ -109,6 +109,8 @@ class Step:
             known of the effects.
         systematic: As `deviations`, those that more data do not narrow: from the gains of the
             efforts, known to the logs' `effort_uncertainty` only, and from what stays unexplained.
+        series: What is measured and predicted after it, on held-out data; none for the last step,
+            after which it is the explanation's `after`.
     """
 
     effect: str
@@ -124,6 +126,7 @@ class Step:
     rms_after: Mapping[str, float]
     rivals: tuple[FittedRival, ...] = ()
     systematic: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    series: tuple[Series, ...] = field(default=(), repr=False)
 
     @property
     def probability(self) -> float:

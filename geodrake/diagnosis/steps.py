@@ -22,10 +22,11 @@ from geodrake.diagnosis.step_values import (
 from geodrake.diagnosis.stepwise_search import Trail
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
-from geodrake.identification.logs.case import Case, error_table
+from geodrake.identification.logs.case import Case, error_table, series
 from geodrake.identification.logs.criteria import MOST, Criteria
 from geodrake.identification.logs.cross_validation import HeldOut
 from geodrake.identification.logs.hypothesis import Hypothesis
+from geodrake.identification.logs.model_errors import Series
 from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric
 
@@ -154,9 +155,17 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 tables[i + 1].by_joint(),
                 _weighed(trail, group, rivals),
                 systematic,
+                () if group is ordered[-1] else _series(after),
             )
         )
     return tuple(steps)
+
+
+def _series(hypothesis: Hypothesis) -> tuple[Series, ...]:
+    """What a hypothesis predicts on held-out data."""
+    return series(
+        hypothesis.dataset, hypothesis.unknowns, hypothesis.held_out, delay=hypothesis.delay
+    )
 
 
 def _agreement(case: Case, effects: tuple[Effect, ...], before: HeldOut, after: HeldOut) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -28,7 +28,12 @@ _GAP = 1.5  # samples farther apart than so many times the usual are not joined 
 
 
 def render_drafted(
-    found: tuple[Explanation, Draft], *, title: str, model_name: str, log_names: Sequence[str]
+    found: tuple[Explanation, Draft],
+    *,
+    title: str,
+    model_name: str,
+    log_names: Sequence[str],
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of an explanation and of the formulas for its rest.
 
@@ -37,11 +42,17 @@ def render_drafted(
         title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     explanation, draft = found
     section = draft_section(draft, Units.of(explanation.model))
     return render_explanation(
-        explanation, title=title, model_name=model_name, log_names=log_names, more=(section,)
+        explanation,
+        title=title,
+        model_name=model_name,
+        log_names=log_names,
+        more=(section,),
+        links=links,
     )
 
 
@@ -51,6 +62,7 @@ def render_explained(
     title: str,
     model_name: str,
     log_names: Sequence[str],
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of an explanation and of what its rest goes with; see `render_drafted`.
 
@@ -59,6 +71,7 @@ def render_explained(
         title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     explanation, correlates = found
     advice = draft_advice(explanation)
@@ -69,6 +82,7 @@ def render_explained(
         log_names=log_names,
         more=(rest_section(correlates),),
         advice=(advice,) if advice else (),
+        links=links,
     )
 
 

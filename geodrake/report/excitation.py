@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from geodrake.excitation import ExcitationResult, Separation
+from geodrake.excitation.limits import MotionLimits
 from geodrake.excitation.verdict import THRESHOLD, identifiable_directions, improvement
 from geodrake.inertia import Array
 from geodrake.report import style
+from geodrake.report.charts import Chart, Panel, Plot, Stage
 from geodrake.report.excitation_tables import limits_table, starts_table
 from geodrake.report.excitation_words import excitation_verdict, nearest_bodies
 from geodrake.report.numbers import Units, number, percent
@@ -31,6 +35,7 @@ _COLUMNS = (
     ("acceleration", "rad/s²", "acceleration"),
     ("effort", "N·m", "effort"),
 )
+DESIGNED = Stage("designed", "designed", "after")
 _MOTION_CAPTION = (
     "Position, velocity, acceleration and effort of every joint. Dotted lines are limits; an axis "
     "without them shows a motion that stays far inside."
@@ -41,13 +46,20 @@ _EIGENVALUE_CAPTION = (
 )
 
 
-def render_excitation(result: ExcitationResult, *, title: str, model_name: str) -> str:
+def render_excitation(
+    result: ExcitationResult,
+    *,
+    title: str,
+    model_name: str,
+    links: Mapping[str, str] | None = None,
+) -> str:
     """The report of a designed motion.
 
     Args:
         result: The design.
         title: Title of the page.
         model_name: What the model is called.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     apart = isinstance(result.objective, Separation)
     factor = np.sqrt(improvement(result)) if apart else improvement(result)
@@ -69,6 +81,7 @@ def render_excitation(result: ExcitationResult, *, title: str, model_name: str) 
         ),
         "Made by geodrake: limits hold between samples too; information is that of the samples "
         "with the noise that was asked for.",
+        links or {},
     )
     return render(page)
 
@@ -95,8 +108,7 @@ def _motion(result: ExcitationResult) -> Section:
     text = ["Where the joints move, and the largest shares of their limits that the motion uses."]
     if nearest:
         text.append(f"Nearest to each other: {nearest}")
-    figures = pictures({"motion": motion_figure(result)}, {"motion": _MOTION_CAPTION})
-    return Section("The motion", tuple(text), (table,), (), figures)
+    return Section("The motion", tuple(text), (table,), charts=(motion_chart(result, units),))
 
 
 def _information(result: ExcitationResult) -> Section:
@@ -122,6 +134,56 @@ def _notes(result: ExcitationResult) -> Section:
     return Section("Notes", items=result.notes)
 
 
+def motion_chart(result: ExcitationResult, units: Units) -> Chart:
+    """Position, velocity, acceleration and effort of every joint over time, with their limits.
+
+    Args:
+        result: The design.
+        units: Units of the joints.
+    """
+    limits, timed = result.limits, result.trajectory.family.timed
+    at, signals = _sampled(result)
+    panels = []
+    for j, joint in enumerate(limits.joints):
+        plots = tuple(
+            Plot(
+                f"{name}, {units.at(joint, unit)}",
+                {DESIGNED.key: values[:, j]},
+                tuple(b for b in _bounds(limits, j, limit) if abs(b) <= _reach(values[:, j])),
+                tall=name == "position",
+            )
+            for values, (name, unit, limit) in zip(signals, _COLUMNS, strict=True)
+        )
+        panels.append(Panel(joint, "", at, plots, shown=j < style.MOST_JOINTS))
+    spans = (("", float(at[0]), float(at[-1]), 0.0),)
+    axis = "time, s" if timed else "sample"
+    return Chart("motion", _MOTION_CAPTION, (DESIGNED,), tuple(panels), spans, axis, not timed)
+
+
+def _sampled(result: ExcitationResult) -> tuple[Array, tuple[Array, ...]]:
+    """Instants, or numbers of samples, and q, v, v̇ and effort (N, nv) there."""
+    model, trajectory = result.objective.target.model, result.trajectory
+    times = trajectory.family.times(_FINE)
+    states = trajectory.states(times)
+    width = result.objective.target.sign_width
+    effort = model.effort(trajectory.motion_of(states), sign_width=width)
+    at = times if trajectory.family.timed else np.arange(float(len(times)))
+    return at, (*states, effort)
+
+
+def _bounds(limits: MotionLimits, j: int, name: str) -> tuple[float, float]:
+    """Lower and upper limit of a joint's position, or of another signal by name."""
+    if not name:
+        return float(limits.lower[j]), float(limits.upper[j])
+    most = float(getattr(limits, name)[j])
+    return -most, most
+
+
+def _reach(values: Array) -> float:
+    """How far away a limit may be to be drawn."""
+    return 2.5 * max(float(np.abs(values).max()), 1e-9)
+
+
 @style.own_look()
 def motion_figure(result: ExcitationResult, *, most: int = style.MOST_JOINTS) -> Figure:
     """Position, velocity, acceleration and effort of every joint, with their limits.
@@ -130,28 +192,19 @@ def motion_figure(result: ExcitationResult, *, most: int = style.MOST_JOINTS) ->
         result: The design.
         most: Largest number of joints to show.
     """
-    model, trajectory, limits = result.objective.target.model, result.trajectory, result.limits
-    units, joints = Units.of(model), limits.joints[:most]
-    times = trajectory.family.times(_FINE)
-    states = trajectory.states(times)
-    width = result.objective.target.sign_width
-    effort = model.effort(trajectory.motion_of(states), sign_width=width)
-    at = times if trajectory.family.timed else np.arange(float(len(times)))
+    limits, timed = result.limits, result.trajectory.family.timed
+    units, joints = Units.of(result.objective.target.model), limits.joints[:most]
+    at, signals = _sampled(result)
     figure = style.new_figure(0.8 + 1.35 * len(joints))
     grid = figure.subplots(len(joints), 4, sharex=True, squeeze=False)
     for j, joint in enumerate(joints):
         style.joint_title(grid[j, 0], joint)
-        for ax, values, (name, unit, limit) in zip(
-            grid[j], (*states, effort), _COLUMNS, strict=True
-        ):
-            bounds = (limits.lower[j], limits.upper[j])
-            if limit:
-                bounds = (-getattr(limits, limit)[j], getattr(limits, limit)[j])
-            _draw(style.polish(ax), at, values[:, j], bounds, timed=trajectory.family.timed)
+        for ax, values, (name, unit, limit) in zip(grid[j], signals, _COLUMNS, strict=True):
+            _draw(style.polish(ax), at, values[:, j], _bounds(limits, j, limit), timed=timed)
             words = f"{name}, {units.at(joint, unit)}"
             ax.set_ylabel(words, **style.plain(style.SMALL - 1, style.QUIET))
     for ax in grid[-1]:
-        label = "time, s" if trajectory.family.timed else "sample"
+        label = "time, s" if timed else "sample"
         ax.set_xlabel(label, **style.plain(style.SMALL, style.QUIET))
     if len(joints) < len(limits.joints):
         style.note_below(figure, f"The first {len(joints)} of {len(limits.joints)} joints.")
@@ -161,9 +214,8 @@ def motion_figure(result: ExcitationResult, *, most: int = style.MOST_JOINTS) ->
 def _draw(ax: Axes, at: Array, values: Array, bounds: tuple[float, float], *, timed: bool) -> None:
     look = {"linewidth": 1.4} if timed else {"linewidth": 0, "marker": ".", "markersize": 3}
     ax.plot(at, values, color=style.AFTER, **look)
-    reach = 2.5 * max(float(np.abs(values).max()), 1e-9)
     for bound in bounds:
-        if np.abs(bound) <= reach:
+        if abs(bound) <= _reach(values):
             ax.axhline(bound, color=style.INK, linestyle=":", linewidth=1.0)
 
 

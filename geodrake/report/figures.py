@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -187,8 +186,7 @@ def _candidate_legend(ties: bool) -> list[Patch | Line2D]:
     return handles
 
 
-def _colors(count: int) -> list[str]:
-    """The colour of the start, then from light to dark for what follows."""
-    blues = LinearSegmentedColormap.from_list("steps", ["#c5dcee", style.AFTER, "#0d3453"])
-    shades = np.linspace(0, 1, count - 1) if count > 2 else [0.5]
-    return [style.BEFORE, *(to_hex(blues(x)) for x in shades[: count - 1])]
+def _colors(count: int) -> list[tuple[str, float]]:
+    """Colour and opacity of the start, then from faint to full for what follows."""
+    shades = np.linspace(0.25, 1.0, count - 1) if count > 2 else np.ones(count - 1)
+    return [(style.BEFORE, 1.0), *((style.AFTER, float(shade)) for shade in shades)]

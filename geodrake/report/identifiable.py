@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -43,6 +43,7 @@ def render_identifiable(
     model_name: str,
     log_names: Sequence[str],
     units: Units | None = None,
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of what is identifiable from logs.
 
@@ -52,6 +53,7 @@ def render_identifiable(
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     units = units or Units()
     most = percent(float(np.sqrt(found.identifiable.threshold)))
@@ -77,6 +79,7 @@ def render_identifiable(
         (*sections, *without_empty((Section("Notes", items=found.notes),))),
         "Made by geodrake: relative deviations are lengths in the geometric metric of inertial "
         "parameters, and depend neither on frames nor on units.",
+        links or {},
     )
     return render(page)
 

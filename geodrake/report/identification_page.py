@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from matplotlib.figure import Figure
 
 from geodrake.identification.models import ModelIdentification
 from geodrake.report import sections, style, words
+from geodrake.report.charts import Stage
+from geodrake.report.effort_chart import effort_chart
 from geodrake.report.figures import joint_error_figure
 from geodrake.report.identification_tables import (
     bodies_table,
@@ -18,8 +20,10 @@ from geodrake.report.identification_tables import (
 )
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import Page, Section, Tile, render, without_empty
-from geodrake.report.report import figures_section, footer, subject, with_pictures
+from geodrake.report.report import footer, subject, with_picture
 from geodrake.report.series_figures import effort_figure, residual_figure
+
+IDENTIFIED = Stage("after", "identified", "after")
 
 
 def render_identification(
@@ -29,6 +33,7 @@ def render_identification(
     model_name: str,
     log_names: Sequence[str],
     units: Units | None = None,
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of an identification; arguments as for `render_comparison`.
 
@@ -38,6 +43,7 @@ def render_identification(
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     units = units or Units.of(found.model)
     verdict = identification_verdict(found)
@@ -45,17 +51,18 @@ def render_identification(
     tiles = (
         Tile("as it stands", number(before.nrms), "nrms: error over std of the effort"),
         Tile("identified", number(after.nrms), "nrms on held-out data"),
+        sections.worst_tile(before, after),
         sections.noise_tile(after),
         Tile("removable", percent(words.removable_share(after)), "of the squared error left"),
     )
-    figures = identification_figures(found, units)
     joints = sections.joints_section({"before": before, "after": after}, units)
+    chart = effort_chart(found.comparison, units=units, alone=IDENTIFIED)
     parts = (
-        with_pictures(joints, figures, "joint_errors"),
-        sections.failing_section(found.comparison),
+        with_picture(joints, "joint_errors", _joint_errors(found)),
+        sections.failing_section(found.comparison, charts=[chart], alone=IDENTIFIED),
         bodies_section(found),
         *effects_sections(found, units),
-        figures_section(figures, without=("joint_errors",)),
+        sections.dependence_section({IDENTIFIED: found.comparison}, units),
         sections.method_section(found.comparison, refitted=True),
         sections.notes_section(found.notes),
     )
@@ -69,6 +76,7 @@ def render_identification(
         tiles,
         without_empty(parts),
         footer(found.comparison),
+        links or {},
     )
     return render(page)
 
@@ -80,12 +88,16 @@ def identification_figures(found: ModelIdentification, units: Units) -> dict[str
         found: The identification.
         units: Units of the joints.
     """
-    identified = [("identified", [joint.rms for joint in found.after.joints])]
     return {
-        "joint_errors": joint_error_figure(found.before, identified),
+        "joint_errors": _joint_errors(found),
         "efforts": effort_figure(found.comparison, units=units),
         "residuals_after": residual_figure(found.comparison, color=style.AFTER, units=units),
     }
+
+
+def _joint_errors(found: ModelIdentification) -> Figure:
+    identified = [("identified", [joint.rms for joint in found.after.joints])]
+    return joint_error_figure(found.before, identified)
 
 
 def bodies_section(found: ModelIdentification) -> Section:

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from geodrake.boundary.escaping import printable
-from geodrake.report.style import png
+from geodrake.errors import ArgumentError
+from geodrake.report.charts import Chart
+from geodrake.report.dependence import Dependence
+from geodrake.report.static_plot import HEIGHT, WIDTH, static_plots
+from geodrake.report.style import png, svg
 from geodrake.report.tables import Table
 
 _TEMPLATE = "report.html.jinja"
+_LARGEST_SVG = 120_000
+"""Figures of more letters are shown as pixels."""
 
 
 @dataclass(frozen=True)
@@ -22,12 +31,29 @@ class Picture:
     """A figure on a page.
 
     Attributes:
-        source: The image, as a data URI.
+        source: The image as a data URI; "" where it is SVG.
         caption: What it shows; also read out by screen readers.
+        svg: The image as an SVG element in the page's colours; "" where it has pixels.
     """
 
     source: str
     caption: str
+    svg: str = ""
+
+
+@dataclass(frozen=True)
+class ColoredList:
+    """A list about one of the page's models.
+
+    Attributes:
+        title: Its heading.
+        color: Name of the model's colour in the style sheet.
+        items: Its entries.
+    """
+
+    title: str
+    color: str
+    items: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -41,6 +67,9 @@ class Section:
         items: Entries of a list.
         pictures: Figures.
         abreast: Whether the tables are narrow and may stand side by side.
+        lists: Lists side by side.
+        charts: Plots over time.
+        dependences: Residuals of models against what they may depend on.
     """
 
     title: str
@@ -49,6 +78,15 @@ class Section:
     items: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()
     abreast: bool = False
+    lists: tuple[ColoredList, ...] = ()
+    charts: tuple[Chart, ...] = ()
+    dependences: tuple[Dependence, ...] = ()
+
+    @property
+    def says_something(self) -> bool:
+        """Whether there is anything under the heading."""
+        parts = (self.text, self.tables, self.items, self.pictures)
+        return any((*parts, self.lists, self.charts, self.dependences))
 
 
 @dataclass(frozen=True)
@@ -59,11 +97,13 @@ class Tile:
         label: What it is.
         value: The number, in words.
         note: What it means.
+        words: Whether the value is a name, which may be long.
     """
 
     label: str
     value: str
     note: str = ""
+    words: bool = False
 
 
 @dataclass(frozen=True)
@@ -81,6 +121,7 @@ class Page:
         tiles: The numbers worth seeing first.
         sections: What follows.
         footer: Versions.
+        links: Words -> address of what belongs to the page.
     """
 
     title: str
@@ -92,6 +133,7 @@ class Page:
     tiles: tuple[Tile, ...]
     sections: tuple[Section, ...]
     footer: str
+    links: Mapping[str, str] = field(default_factory=dict)
 
 
 def picture(figure: Figure, caption: str) -> Picture:
@@ -101,6 +143,9 @@ def picture(figure: Figure, caption: str) -> Picture:
         figure: The figure.
         caption: The sentence under it.
     """
+    drawn = svg(figure)
+    if len(drawn) <= _LARGEST_SVG:
+        return Picture("", caption, Markup(drawn))  # matplotlib escapes what it writes
     return Picture(f"data:image/png;base64,{base64.b64encode(png(figure)).decode()}", caption)
 
 
@@ -116,7 +161,7 @@ def pictures(figures: Mapping[str, Figure], captions: Mapping[str, str]) -> tupl
 
 def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
     """The sections that say something."""
-    return tuple(s for s in sections if s.text or s.tables or s.items or s.pictures)
+    return tuple(section for section in sections if section.says_something)
 
 
 def _shown(value: Any) -> Any:
@@ -130,8 +175,51 @@ def _shown(value: Any) -> Any:
     )
 
 
+def _asset(name: str) -> str:
+    return (files("geodrake") / "report" / "assets" / name).read_text(encoding="utf-8")
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """What a browser may load for a page: nothing; and run: these scripts and no other."""
+    hashes = (base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts)
+    allowed = " ".join(f"'sha256-{each}'" for each in hashes) or "'none'"
+    return (
+        f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _checked(links: Mapping[str, str]) -> Mapping[str, str]:
+    """Links that lead to a page, beside this one or in the web.
+
+    Raises:
+        ArgumentError: An address has another scheme, such as javascript.
+    """
+    for words, address in links.items():
+        scheme = address.split("/")[0].partition(":")
+        if scheme[1] and scheme[0].lower() not in ("http", "https"):
+            raise ArgumentError(
+                f"The link {words!r} of a report leads to {address!r}.",
+                advice="Give the path of a file, relative to the report, or a http(s) address.",
+            )
+    return links
+
+
+def _scripts(page: Page) -> list[str]:
+    """What the page runs: uPlot where there are plots, with its licence, and the page's own."""
+    own = [_asset("page.js")]
+    if not any(section.charts for section in page.sections):
+        return own
+    licence = _asset("uplot/LICENSE").strip()
+    return [f"/* uPlot\n{licence}\n*/\n{_asset('uplot/uPlot.iife.min.js').strip()}", *own]
+
+
 def render(page: Page) -> str:
-    """The page as one HTML file that loads nothing from elsewhere; all text is escaped."""
+    """The page as one HTML file that loads nothing from elsewhere; all text is escaped.
+
+    Raises:
+        ArgumentError: A link leads to no page.
+    """
     environment = Environment(
         loader=PackageLoader("geodrake", "report"),
         autoescape=True,
@@ -140,4 +228,16 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template(_TEMPLATE).render(page=page)
+    environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
+    environment.globals.update(static_plots=static_plots, size=(WIDTH, HEIGHT))
+    scripts = _scripts(page)
+    style = _asset("page.css")
+    if len(scripts) > 1:
+        style = _asset("uplot/uPlot.min.css") + style
+    _checked(page.links)
+    return environment.get_template(_TEMPLATE).render(
+        page=page,
+        style=Markup(style),
+        scripts=[Markup(script) for script in scripts],
+        policy=Markup(_policy(scripts)),
+    )

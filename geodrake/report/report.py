@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -15,6 +16,7 @@ from geodrake.diagnosis.results import Diagnosis, Explanation
 from geodrake.errors import OutputError
 from geodrake.identification.logs.model_errors import Comparison
 from geodrake.report import sections, style, words
+from geodrake.report.effort_chart import AFTER, BEFORE, effort_chart, explanation_chart
 from geodrake.report.figures import (
     candidate_figure,
     joint_error_figure,
@@ -22,7 +24,7 @@ from geodrake.report.figures import (
     step_stages,
 )
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import Page, Section, Tile, pictures, render, without_empty
+from geodrake.report.page import Page, Section, Tile, picture, render, without_empty
 from geodrake.report.series_figures import effort_figure, residual_figure
 from geodrake.report.tables import error_stages
 
@@ -31,11 +33,6 @@ _CAPTIONS = {
     "candidates": "The error on held-out data that each candidate would leave.",
     "joint_errors": "RMS error of each joint over the standard deviation of its effort, on a "
     "logarithmic axis.",
-    "efforts": "Measured and predicted efforts, and under them measured − predicted. Lines break "
-    "where samples were left out.",
-    "residuals_before": "What the model as it stands gets wrong: measured − predicted effort "
-    "against velocity, position and load.",
-    "residuals_after": "What the final model still gets wrong, each joint on its own scale.",
 }
 
 
@@ -46,6 +43,7 @@ def render_comparison(
     model_name: str,
     log_names: Sequence[str],
     units: Units | None = None,
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of a comparison.
 
@@ -55,22 +53,24 @@ def render_comparison(
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+        links: Words -> address of further pages, such as a recording; none by default.
 
     Returns:
         One HTML page that loads nothing from elsewhere.
     """
     units = units or Units()
     errors = comparison.errors
-    figures = comparison_figures(comparison, units=units)
     tiles = (
         Tile("error", number(errors.nrms), "nrms: error over std of the effort"),
+        sections.worst_tile(errors),
         sections.noise_tile(errors),
         Tile("removable", percent(words.removable_share(errors)), "of the squared error"),
     )
+    joints = sections.joints_section({"RMS": errors}, units)
     parts = (
-        with_pictures(sections.joints_section({"RMS": errors}, units), figures, "joint_errors"),
-        sections.failing_section(comparison),
-        figures_section(figures, without=("joint_errors",)),
+        with_picture(joints, "joint_errors", joint_error_figure(errors)),
+        sections.failing_section(comparison, charts=[effort_chart(comparison, units=units)]),
+        sections.dependence_section({BEFORE: comparison}, units),
         sections.method_section(comparison, refitted=False),
         sections.notes_section(comparison.notes),
     )
@@ -84,6 +84,7 @@ def render_comparison(
         tiles,
         without_empty(parts),
         footer(comparison),
+        links or {},
     )
     return render(page)
 
@@ -95,6 +96,7 @@ def render_diagnosis(
     model_name: str,
     log_names: Sequence[str],
     units: Units | None = None,
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of a diagnosis; arguments as for `render_comparison`.
 
@@ -104,6 +106,7 @@ def render_diagnosis(
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints, `Units.of(model)`; those of revolute joints by default.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     units = units or Units()
     start, comparison = diagnosis.start, diagnosis.comparison
@@ -112,15 +115,18 @@ def render_diagnosis(
         Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
         Tile("refitted", number(diagnosis.refitted.nrms), "its own parameters, held-out data"),
         *([Tile("with the effect", number(best), "held-out data")] if diagnosis.candidates else []),
+        sections.worst_tile(start),
         sections.noise_tile(start),
     )
-    figures = diagnosis_figures(diagnosis, units=units)
     ranking = sections.candidates_section(diagnosis, units)
+    if diagnosis.candidates:
+        ranking = with_picture(ranking, "candidates", candidate_figure(diagnosis))
+    joints = sections.joints_section({"RMS": start}, units)
     parts = (
-        with_pictures(ranking, figures, "candidates"),
-        with_pictures(sections.joints_section({"RMS": start}, units), figures, "joint_errors"),
-        sections.failing_section(comparison),
-        figures_section(figures, without=("candidates", "joint_errors")),
+        ranking,
+        with_picture(joints, "joint_errors", joint_error_figure(start)),
+        sections.failing_section(comparison, charts=[effort_chart(comparison, units=units)]),
+        sections.dependence_section({BEFORE: comparison}, units),
         sections.method_section(comparison, refitted=True),
         sections.notes_section(diagnosis.notes),
     )
@@ -134,6 +140,7 @@ def render_diagnosis(
         tiles,
         without_empty(parts),
         footer(comparison),
+        links or {},
     )
     return render(page)
 
@@ -146,6 +153,7 @@ def render_explanation(
     log_names: Sequence[str],
     more: Sequence[Section] = (),
     advice: Sequence[str] = (),
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of an explanation; arguments as for `render_comparison`.
 
@@ -159,18 +167,25 @@ def render_explanation(
         log_names: What the logs are called.
         more: Further sections, after those of the explanation.
         advice: Paragraphs that end the verdict.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     units = Units.of(explanation.model)
     joints = sections.joints_section(error_stages(explanation), units)
-    figures = report_figures(explanation)
+    before, after = explanation.before, explanation.after if explanation.steps else None
+    steps = sections.steps_section(explanation, units)
+    if explanation.steps:
+        steps = with_picture(steps, "steps", step_figure(explanation))
+    bars = joint_error_figure(explanation.start, step_stages(explanation))
+    charts = [explanation_chart(explanation, units)]
+    models = {BEFORE: before} if after is None else {BEFORE: before, AFTER: after}
     parts = (
-        with_pictures(sections.steps_section(explanation, units), figures, "steps"),
+        steps,
+        sections.failing_section(before, after, charts=charts),
         sections.parameters_section(explanation, units),
         sections.bodies_section(explanation),
-        with_pictures(joints, figures, "joint_errors"),
-        sections.failing_section(explanation.after),
+        with_picture(joints, "joint_errors", bars),
         *more,
-        figures_section(figures, without=("steps", "joint_errors")),
+        sections.dependence_section(models, units),
         sections.method_section(explanation.after, refitted=True),
         sections.notes_section(explanation.notes),
     )
@@ -184,6 +199,7 @@ def render_explanation(
         _explanation_tiles(explanation),
         without_empty(parts),
         footer(explanation.before),
+        links or {},
     )
     return render(page)
 
@@ -262,35 +278,22 @@ def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
     return (
         Tile("as it stands", number(start.nrms), "nrms: error over std of the effort"),
         *([now] if explanation.steps else []),
+        sections.worst_tile(start, end if explanation.steps else None),
         sections.noise_tile(end),
         *([explained] if explanation.steps else []),
         Tile("removable", percent(words.removable_share(end)), "of the squared error left"),
     )
 
 
-def figures_section(figures: Mapping[str, Figure], without: Sequence[str] = ()) -> Section:
-    """Figures of series with their captions, but for those that another section shows.
+def with_picture(section: Section, name: str, figure: Figure) -> Section:
+    """A section with one figure more, and its caption.
 
     Args:
-        figures: The figures by name.
-        without: Names of those that another section shows.
+        section: The section without it.
+        name: Name of the figure, which decides its caption.
+        figure: The figure.
     """
-    captions = {name: text for name, text in _CAPTIONS.items() if name not in without}
-    return Section("Measured and predicted", pictures=pictures(figures, captions))
-
-
-def with_pictures(section: Section, figures: Mapping[str, Figure], *names: str) -> Section:
-    """A section with figures, by name, and their captions.
-
-    Args:
-        section: The section without them.
-        figures: All figures by name.
-        *names: Names of those to add.
-    """
-    captions = {name: _CAPTIONS[name] for name in names}
-    return Section(
-        section.title, section.text, section.tables, section.items, pictures(figures, captions)
-    )
+    return replace(section, pictures=(*section.pictures, picture(figure, _CAPTIONS[name])))
 
 
 def subject(model_name: str, log_names: Sequence[str]) -> str:

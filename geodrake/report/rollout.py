@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from geodrake.control.rollout import Rollout
 from geodrake.report import style
+from geodrake.report.charts import Chart, Panel, Plot, Stage, gap_filled
+from geodrake.report.effort_chart import MEASURED
 from geodrake.report.numbers import Units, number
 from geodrake.report.page import (
     Page,
     Section,
     Tile,
-    pictures,
     render,
     without_empty,
 )
 from geodrake.report.tables import departures_table
 from geodrake.report.words import departure
 
+Array = NDArray[np.float64]
+
 _NO_FORCES = "as they are no forces on the links"
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
     "simulated robot is alone with the logged efforts. Lines are cut off where they leave the axes."
 )
+SIMULATED = Stage("after", "simulated", "after")
+BEFORE = Stage("before", "before", "before")
 
 
 def render_rollout(
@@ -37,6 +44,7 @@ def render_rollout(
     model_name: str,
     log_names: Sequence[str],
     units: Units | None = None,
+    links: Mapping[str, str] | None = None,
 ) -> str:
     """The report of a rollout.
 
@@ -46,15 +54,14 @@ def render_rollout(
         model_name: What the model is called.
         log_names: What the logs are called.
         units: Units of the joints; those of revolute joints by default.
+        links: Words -> address of further pages, such as a recording; none by default.
     """
     units, (after, before) = units or Units(), found
     text = (
         f"RMS of simulated − measured position over {len(after.windows)} windows of "
         f"{after.horizon:g} s, beside the RMS of what the joint moved since the window's start."
     )
-    figures = pictures(
-        {"rollout": rollout_figure(after, before, units=units)}, {"rollout": _CAPTION}
-    )
+    charts = (rollout_chart(after, before, units),)
     table = departures_table(after, before, units)
     tiles = (
         *([Tile("before", departure(before.relative), "of the motion")] if before else []),
@@ -71,7 +78,7 @@ def render_rollout(
         tiles,
         without_empty(
             (
-                Section("Joint by joint", (text,), (table,), (), figures),
+                Section("Joint by joint", (text,), (table,), charts=charts),
                 Section(f"Not simulated, {_NO_FORCES}", items=after.left_out_words),
                 Section(
                     f"Not simulated of the model before, {_NO_FORCES}",
@@ -80,8 +87,55 @@ def render_rollout(
             )
         ),
         "Made by geodrake: a plant with the model's inertias and effects under the logged efforts.",
+        links or {},
     )
     return render(page)
+
+
+def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart:
+    """Measured and simulated positions of every joint over time, window after window.
+
+    Args:
+        after: The rollout.
+        before: That of the model before; None for none.
+        units: Units of the joints.
+    """
+    starts = np.arange(len(after.windows)) * 1.1 * after.horizon
+    times = [s + w.time - w.time[0] for s, w in zip(starts, after.windows, strict=True)]
+    time = gap_filled(_joined([[t] for t in times])[0])
+    rollouts = {SIMULATED: after} if before is None else {BEFORE: before, SIMULATED: after}
+    measured = _joined([w.measured.T for w in after.windows])
+    simulated = {s.key: _joined([w.simulated.T for w in r.windows]) for s, r in rollouts.items()}
+    panels = []
+    for j, joint in enumerate(after.joints):
+        unit = units.at(joint.joint, "rad")
+        known = measured[j][np.isfinite(measured[j])]
+        margin = 0.25 * float(np.ptp(known)) + 1e-6
+        curves = {MEASURED.key: measured[j], **{key: q[j] for key, q in simulated.items()}}
+        span = float(known.min()) - margin, float(known.max()) + margin
+        plot = Plot(f"position, {unit}", curves, span=span)
+        panels.append(Panel(joint.joint, f"RMS {number(joint.rms)} {unit}", time, (plot,)))
+    spans = tuple(
+        (f"{w.log} {w.time[0]:.1f} s", float(w.time[0]), float(w.time[-1]), float(s - w.time[0]))
+        for s, w in zip(starts, after.windows, strict=True)
+    )
+    return Chart("rollout", _CAPTION, (MEASURED, *rollouts), _shown(panels, after), spans)
+
+
+def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
+    """Rows of all windows, one after the other, with a NaN behind each."""
+    gap = np.full((len(parts[0]), 1), np.nan)
+    return np.concatenate([each for part in parts for each in (np.asarray(part), gap)], axis=1)
+
+
+def _shown(panels: Sequence[Panel], rollout: Rollout) -> tuple[Panel, ...]:
+    """The panels, those that depart most shown at first, and the worst one marked."""
+    order = np.argsort([-joint.relative for joint in rollout.joints], kind="stable").tolist()
+    seen, badge = order[: style.MOST_JOINTS], "departs most" if len(panels) > 1 else ""
+    return tuple(
+        replace(panel, shown=j in seen, badge=badge if j == order[0] else "")
+        for j, panel in enumerate(panels)
+    )
 
 
 @style.own_look()

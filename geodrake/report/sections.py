@@ -7,9 +7,13 @@ from collections.abc import Mapping, Sequence
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.report.charts import Chart, Stage
+from geodrake.report.dependence import residual_dependence
+from geodrake.report.effort_chart import AFTER, BEFORE
 from geodrake.report.identification_tables import bodies_table
 from geodrake.report.numbers import Units, is_noticed, number
-from geodrake.report.page import Section, Tile
+from geodrake.report.page import ColoredList, Section, Tile
+from geodrake.report.style import worst_joints
 from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
 from geodrake.report.words import failing_words
 
@@ -131,12 +135,56 @@ def distinguishing_motions(found: Diagnosis | Explanation) -> tuple[str, ...]:
     return (f"Motions that would distinguish what the logs cannot: {'; '.join(commands)}.",)
 
 
-def failing_section(comparison: Comparison) -> Section:
-    """Where the error is concentrated, in words."""
-    title = "Where it fails"
-    if not comparison.failing:
-        return Section(title, ("No joint errs much more under some circumstance than elsewhere.",))
-    return Section(title, items=tuple(map(failing_words, comparison.failing)))
+_EVEN = "No joint errs much more under some circumstance than elsewhere."
+
+
+def failing_section(
+    before: Comparison,
+    after: Comparison | None = None,
+    *,
+    charts: Sequence[Chart] = (),
+    alone: Stage = BEFORE,
+) -> Section:
+    """Where the error is concentrated, at first and in the end, in words and over time.
+
+    Args:
+        before: The model as it stands.
+        after: The final model, if there is one.
+        charts: Efforts over time, with the worst stretches.
+        alone: What `before` is, where there is no other.
+    """
+    models = {alone: before} if after is None else {BEFORE: before, AFTER: after}
+    lists = tuple(
+        ColoredList(stage.label[:1].upper() + stage.label[1:], stage.color, words)
+        for stage, comparison in models.items()
+        for words in [tuple(map(failing_words, comparison.failing)) or (_EVEN,)]
+    )
+    return Section("Where it fails", lists=lists, charts=tuple(charts))
+
+
+def dependence_section(models: Mapping[Stage, Comparison], units: Units) -> Section:
+    """Residuals of models against velocity, position and load.
+
+    Args:
+        models: The models, the last of which is shown at first.
+        units: Units of the joints.
+    """
+    shown = tuple(residual_dependence(found, stage, units) for stage, found in models.items())
+    return Section("What the error goes with", dependences=shown)
+
+
+def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
+    """The joint that errs most, of the final model if there is one.
+
+    Args:
+        before: Errors of the model as it stands.
+        after: Errors of the final model.
+    """
+    last = after or before
+    (worst,) = worst_joints(last, 1)
+    tables = [before] if after is None else [before, after]
+    nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in tables]
+    return Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True)
 
 
 def method_section(comparison: Comparison, *, refitted: bool) -> Section:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,83 +15,14 @@ from numpy.typing import NDArray
 from geodrake.identification.logs.model_errors import Comparison, JointError, Series
 from geodrake.report import style
 from geodrake.report.numbers import Units, number
+from geodrake.report.timeline import Timeline
 
 Array = NDArray[np.float64]
 
-_BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
 _MOST_DOTS = 2500
 _BINS = 20
-_GAP = 1.5
-"""Samples farther apart than so many times the usual are not joined by a line."""
 _CUT = 3.0
 """The earlier residual is cut off at this many times the largest of the later one."""
-
-
-@dataclass(frozen=True)
-class _Timeline:
-    """Logs laid out one after the other on a common axis.
-
-    Attributes:
-        spans: Log -> first and last instant in its own time, s.
-        shifts: Log -> what to add to its own time, s.
-        length: Length of the whole, s.
-    """
-
-    spans: Mapping[str, tuple[float, float]]
-    shifts: Mapping[str, float]
-    length: float
-
-    @classmethod
-    def of(cls, series: Sequence[Series]) -> _Timeline:
-        spans: dict[str, tuple[float, float]] = {}
-        for s in (s for s in series if len(s.time)):  # not where a joint stands still throughout
-            low, high = spans.get(_log_of(s), (np.inf, -np.inf))
-            spans[_log_of(s)] = min(low, float(s.time[0])), max(high, float(s.time[-1]))
-        gap = 0.02 * sum(high - low for low, high in spans.values())
-        shifts, at = {}, 0.0
-        for log, (low, high) in spans.items():
-            shifts[log] = at - low
-            at += high - low + gap
-        return cls(spans, shifts, at - gap)
-
-    def place(self, s: Series) -> Array:
-        """(K,) instants on the common axis, s."""
-        return s.time + self.shifts[_log_of(s)]
-
-    def label(self, ax: Axes) -> None:
-        """Ticks with each log's own time, and lines where a log begins."""
-        places: list[float] = []
-        words: list[str] = []
-        for log, (low, high) in self.spans.items():
-            share = (high - low) / self.length if self.length else 1.0
-            count = int(np.clip(10 * share, 1, 10))
-            locator = MaxNLocator(count, steps=[1, 2, 5, 10])
-            ticks = np.array(locator.tick_values(low, high))
-            inside = ticks[(ticks >= low - 1e-9) & (ticks <= high)]
-            places += (inside + self.shifts[log]).tolist()
-            words += [f"{tick:g}" for tick in inside]
-        names = dict(zip(places, words, strict=True))
-        ax.xaxis.set_major_locator(FixedLocator(places))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: names.get(x, "")))
-        ax.set_xlim(-0.01 * self.length, 1.01 * self.length or 1.0)
-        for log in list(self.spans)[1:]:
-            start = self.spans[log][0] + self.shifts[log] - 0.01 * self.length
-            ax.axvline(start, color=style.QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
-
-    def name_logs(self, ax: Axes) -> None:
-        """Puts the logs' names inside the top of axes, where there are several."""
-        if len(self.spans) < 2:
-            return
-        low_effort, high_effort = ax.get_ylim()
-        ax.set_ylim(top=high_effort + 0.15 * (high_effort - low_effort))
-        for log, (low, high) in self.spans.items():
-            fits = int(100 * (high - low) / self.length) if self.length else 0
-            if fits >= 4:
-                at = low + self.shifts[log]
-                ax.annotate(
-                    style.label(log, fits), (at, 1.0), (2, -1), xycoords=("data", "axes fraction"),
-                    textcoords="offset points", va="top", **style.plain(7, style.QUIET),
-                )  # fmt: skip
 
 
 @style.own_look()
@@ -118,7 +47,7 @@ def effort_figure(
     """
     units = units or Units()
     joints = style.worst_joints(comparison.errors, most)
-    timeline = _Timeline.of(comparison.series)
+    timeline = Timeline.of(comparison.series)
     figure = style.new_figure(0.7 + 2.25 * len(joints))
     grid = figure.subplots(
         2 * len(joints), 1, sharex=True, squeeze=False, height_ratios=[2, 1] * len(joints)
@@ -132,9 +61,9 @@ def effort_figure(
         style.joint_title(efforts, joint, _change(comparison, after, joint, unit))
         efforts.set_ylabel(f"effort, {unit}", **style.plain(style.SMALL, style.QUIET))
         residuals.set_ylabel("residual", **style.plain(style.SMALL, style.QUIET))
-        timeline.label(efforts)
-        timeline.label(residuals)
-    timeline.name_logs(grid[0, 0])
+        _label(timeline, efforts)
+        _label(timeline, residuals)
+    _name_logs(timeline, grid[0, 0])
     figure.align_ylabels()
     grid[-1, 0].set_xlabel("time in the log, s", **style.plain(style.SMALL, style.QUIET))
     style.note_below(figure, style.of_worst(len(joints), len(comparison.errors.joints)))
@@ -197,54 +126,73 @@ def residual_figure(
     return figure
 
 
-def _log_of(series: Series) -> str:
-    """The log that a block was cut from: its name without the stretch of time."""
-    match = _BLOCK.match(series.block)
-    return match["log"] if match else series.block
+def _label(timeline: Timeline, ax: Axes) -> None:
+    """Ticks with each log's own time, and lines where a log begins."""
+    places: list[float] = []
+    words: list[str] = []
+    for log, (low, high) in timeline.spans.items():
+        share = (high - low) / timeline.length if timeline.length else 1.0
+        count = int(np.clip(10 * share, 1, 10))
+        locator = MaxNLocator(count, steps=[1, 2, 5, 10])
+        ticks = np.array(locator.tick_values(low, high))
+        inside = ticks[(ticks >= low - 1e-9) & (ticks <= high)]
+        places += (inside + timeline.shifts[log]).tolist()
+        words += [f"{tick:g}" for tick in inside]
+    names = dict(zip(places, words, strict=True))
+    ax.xaxis.set_major_locator(FixedLocator(places))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: names.get(x, "")))
+    ax.set_xlim(-0.01 * timeline.length, 1.01 * timeline.length or 1.0)
+    for log in list(timeline.spans)[1:]:
+        start = timeline.spans[log][0] + timeline.shifts[log] - 0.01 * timeline.length
+        ax.axvline(start, color=style.QUIET, linewidth=0.7, linestyle=(0, (4, 3)))
+
+
+def _name_logs(timeline: Timeline, ax: Axes) -> None:
+    """Puts the logs' names inside the top of axes, where there are several."""
+    if len(timeline.spans) < 2:
+        return
+    low_effort, high_effort = ax.get_ylim()
+    ax.set_ylim(top=high_effort + 0.15 * (high_effort - low_effort))
+    for log, (low, high) in timeline.spans.items():
+        fits = int(100 * (high - low) / timeline.length) if timeline.length else 0
+        if fits >= 4:
+            at = low + timeline.shifts[log]
+            ax.annotate(
+                style.label(log, fits), (at, 1.0), (2, -1), xycoords=("data", "axes fraction"),
+                textcoords="offset points", va="top", **style.plain(7, style.QUIET),
+            )  # fmt: skip
 
 
 def _of(comparison: Comparison, joint: str) -> list[Series]:
     return [s for s in comparison.series if s.joint == joint and len(s.time)]
 
 
-def _broken(timeline: _Timeline, series: Sequence[Series], name: str) -> tuple[Array, Array]:
-    """Instants and values of a signal, with NaN where samples are missing so that lines break."""
-    time, values = [np.array([])], [np.array([])]
-    for s in series:
-        steps = np.diff(s.time)
-        late = 1 + np.flatnonzero(steps > _GAP * np.median(steps)) if len(steps) else steps
-        breaks = np.append(late.astype(int), len(s.time))
-        time.append(np.insert(timeline.place(s), breaks, np.nan))
-        values.append(np.insert(getattr(s, name), breaks, np.nan))
-    return np.concatenate(time), np.concatenate(values)
-
-
 def _draw_efforts(
     ax: Axes,
-    timeline: _Timeline,
+    timeline: Timeline,
     before: Sequence[Series],
     final: Sequence[Series],
     after: Comparison | None,
 ) -> None:
-    ax.plot(*_broken(timeline, final, "measured"), color=style.MEASURED, linewidth=3.2)
-    ax.plot(*_broken(timeline, before, "predicted"), color=style.BEFORE, linewidth=1.1)
+    ax.plot(*timeline.broken(final, "measured"), color=style.MEASURED, linewidth=3.2)
+    ax.plot(*timeline.broken(before, "predicted"), color=style.BEFORE, linewidth=1.1)
     if after is not None:
-        ax.plot(*_broken(timeline, final, "predicted"), color=style.AFTER, linewidth=1.1)
+        ax.plot(*timeline.broken(final, "predicted"), color=style.AFTER, linewidth=1.1)
 
 
 def _draw_residuals(
     ax: Axes,
-    timeline: _Timeline,
+    timeline: Timeline,
     before: Sequence[Series],
     final: Sequence[Series],
     after: Comparison | None,
 ) -> None:
     ax.axhline(0.0, color=style.QUIET, linewidth=0.6)
-    early = _broken(timeline, before, "residual")
+    early = timeline.broken(before, "residual")
     ax.plot(*early, color=style.BEFORE, linewidth=0.9, alpha=1.0 if after is None else 0.75)
     peak = _peak(early[1])
     if after is not None:
-        late = _broken(timeline, final, "residual")
+        late = timeline.broken(final, "residual")
         ax.plot(*late, color=style.AFTER, linewidth=1.1)
         peak = max(_peak(late[1]), min(peak, _CUT * _peak(late[1])))
     ax.set_ylim(-1.1 * peak or -1.0, 1.1 * peak or 1.0)

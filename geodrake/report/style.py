@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -166,12 +167,20 @@ def note_below(figure: Figure, text: str) -> None:
 def worst_joints(errors: ErrorTable, most: int = MOST_JOINTS) -> tuple[str, ...]:
     """The joints of largest error over standard deviation, in the table's order.
 
+    The joint of largest RMS is always among them, and one whose error is no number counts as worst.
+
     Args:
         errors: Errors of all joints.
         most: Most joints.
     """
-    order = np.argsort([-joint.nrms for joint in errors.joints], kind="stable")
-    return tuple(errors.joints[i].joint for i in sorted(order[:most]))
+    nrms = np.array([joint.nrms for joint in errors.joints])
+    rms = np.array([joint.rms for joint in errors.joints])
+    order = np.argsort(-np.nan_to_num(nrms, nan=np.inf), kind="stable")
+    worst = int(np.argmax(np.nan_to_num(rms, nan=np.inf)))
+    chosen = [*order[:most]]
+    if most > 1 and worst not in chosen:
+        chosen[-1] = worst
+    return tuple(errors.joints[i].joint for i in sorted(chosen))
 
 
 def of_worst(shown: int, joints: int) -> str:
@@ -196,3 +205,41 @@ def png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     image.quantize(256, dither=Image.Dither.NONE).save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
     return buffer.getvalue()
+
+
+_COLORS = {
+    INK: "ink",
+    QUIET: "quiet",
+    RULE: "rule",
+    MEASURED: "measured",
+    BEFORE: "before",
+    AFTER: "after",
+    FLOOR: "noise",
+    TIED: "tied",
+    "#ffffff": "paper",
+}
+"""Colours of the palette by their names in the style sheet of pages."""
+
+
+@own_look()
+def svg(figure: Figure) -> str:
+    """A figure as an SVG element for a page, in the page's colours, light or dark.
+
+    The same figure gives the same text. Words stay words, in the page's font.
+    """
+    buffer = io.StringIO()
+    nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": "geodrake"}):
+        figure.savefig(buffer, format="svg", metadata=nothing, facecolor="none")
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<title>.*?</title>", "", text, flags=re.S)
+    text = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
+    text = re.sub(r' xmlns(:xlink)?="[^"]*"| version="[^"]*"', "", text)
+    text = text.replace("xlink:href", "href")
+    text = re.sub(r'<g id="[^"]*">', "<g>", text)  # named alike in all figures
+    text = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(?<=\d\.\d\d)\d+", "", tag[0]), text)
+    for color, name in _COLORS.items():
+        text = text.replace(color, f"var(--{name})")
+    return re.sub(r"\s*\n\s*", " ", text)

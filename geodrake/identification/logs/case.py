@@ -16,7 +16,7 @@ from geodrake.errors import LogError
 from geodrake.identification.logs.candidate_effects import candidate_delays, candidate_effects
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.identification.logs.cross_validation import HeldOut
-from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.dataset import Dataset, Delay
 from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
@@ -286,16 +286,20 @@ def error_table(dataset: Dataset, held_out: HeldOut) -> ErrorTable:
     )
 
 
-def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Series, ...]:
+def series(
+    dataset: Dataset, unknowns: Unknowns, held_out: HeldOut, *, delay: Delay = 0
+) -> tuple[Series, ...]:
     """Measured and predicted efforts of every joint and block.
 
     Args:
         dataset: The reduced logs.
         unknowns: The p parameters that the predictions are made with.
         held_out: Their values, fitted without each fold.
+        delay: Index of the effort column that counts as measured.
     """
     found = []
-    for joint, data in zip(dataset.joints, dataset.data, strict=True):
+    lates = dataset.delay_of_each(delay)
+    for joint, data, late in zip(dataset.joints, dataset.data, lates, strict=True):
         local = data.local(unknowns.columns)
         used = local >= 0
         for fold, blocks in enumerate(data.rows):
@@ -308,7 +312,7 @@ def series(dataset: Dataset, unknowns: Unknowns, held_out: HeldOut) -> tuple[Ser
                     rows.motion[:, 0],
                     rows.motion[:, 1],
                     rows.motion[:, 2],
-                    rows.b[:, 0] + rows.carried,
+                    rows.b[:, late] + rows.carried,
                     rows.A[:, local[used]] @ x + rows.carried,
                 )
                 for rows in blocks

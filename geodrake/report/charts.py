@@ -1,0 +1,278 @@
+"""Plots over time as plain data: what the page's script draws, and its picture without one."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.escaping import printable
+
+Array = NDArray[np.float64]
+
+MOST_POINTS = 2000
+"""Largest number of points of a curve that a page holds."""
+_MOST_NUMBERS = 16_000
+"""Largest number of points of all curves of a panel together."""
+_LARGEST = 32767
+_MISSING = -32768
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What curves of one colour show: the measurement, or a model.
+
+    Attributes:
+        key: Short name, the same in all charts of a page.
+        label: What it is, in words.
+        color: Name of the colour in the page's style sheet.
+        shown: Whether it is shown at first.
+        wide: Whether its lines are wide, behind the others.
+    """
+
+    key: str
+    label: str
+    color: str
+    shown: bool = True
+    wide: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Plot:
+    """One axis with curves over the time of its panel.
+
+    Attributes:
+        label: What is shown, with its unit.
+        curves: Stage -> (K,) values; NaN where a line breaks.
+        limits: Dotted lines.
+        floor: Half the width of a band about zero, the noise; 0 for none.
+        centred: Whether zero is in the middle, and what is far larger than the best is cut off.
+        span: Lowest and highest value shown; None for those of the curves.
+        tall: Whether the plot is the taller one of its panel.
+    """
+
+    label: str
+    curves: Mapping[str, Array]
+    limits: tuple[float, ...] = ()
+    floor: float = 0.0
+    centred: bool = False
+    span: tuple[float, float] | None = None
+    tall: bool = True
+
+
+@dataclass(frozen=True)
+class Shade:
+    """A stretch of time that is shaded.
+
+    Attributes:
+        stage: The stage of which it is a worst one.
+        start: Beginning on the chart's axis, s.
+        end: End, s.
+        words: What it is, in words.
+    """
+
+    stage: str
+    start: float
+    end: float
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """The plots of one joint, above each other.
+
+    Attributes:
+        title: Name of the joint.
+        detail: Its errors, in words.
+        time: (K,) increasing instants on the chart's axis, s.
+        plots: The plots.
+        shades: Stretches that are shaded.
+        badge: What is special about the joint, in words; "" for nothing.
+        shown: Whether the panel is shown at first.
+    """
+
+    title: str
+    detail: str
+    time: Array
+    plots: tuple[Plot, ...]
+    shades: tuple[Shade, ...] = ()
+    badge: str = ""
+    shown: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Panels with one common axis of time.
+
+    Attributes:
+        name: Short name, different from those of other charts of a page.
+        caption: What it shows.
+        stages: Of which stages the curves are, measured first.
+        panels: The panels.
+        spans: Name, first and last instant, and shift to the common axis, of every log, s.
+        axis: What the axis is, with its unit.
+        dots: Whether samples are dots, not joined by lines.
+        ends: First and last instant on the common axis, s.
+    """
+
+    name: str
+    caption: str
+    stages: tuple[Stage, ...]
+    panels: tuple[Panel, ...]
+    spans: tuple[tuple[str, float, float, float], ...]
+    axis: str = "time in the log, s"
+    dots: bool = False
+    ends: tuple[float, float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        spans = self.spans or (("", 0.0, 1.0, 0.0),)
+        low, high = spans[0][1] + spans[0][3], spans[-1][2] + spans[-1][3]
+        object.__setattr__(self, "ends", (low, high if high > low else low + 1.0))
+
+    def color_of(self, key: str) -> str:
+        """The colour of a stage, by its key."""
+        return next(stage.color for stage in self.stages if stage.key == key)
+
+    @property
+    def data(self) -> str:
+        """The chart as JSON that may stand in a page."""
+        numbers = {
+            "ends": self.ends,
+            "axis": self.axis,
+            "dots": self.dots,
+            "spans": [(printable(name), *numbers) for name, *numbers in self.spans],
+            "stages": [
+                {"key": s.key, "label": printable(s.label), "color": s.color, "wide": s.wide}
+                for s in self.stages
+            ],
+            "panels": [_panel(panel) for panel in self.panels],
+        }
+        text = json.dumps(numbers, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+        return text.replace("&", r"\u0026").replace("<", r"\u003c").replace(">", r"\u003e")
+
+
+def _panel(panel: Panel) -> dict[str, Any]:
+    curves = [values for plot in panel.plots for values in plot.curves.values()]
+    most = min(MOST_POINTS, _MOST_NUMBERS // len(curves))
+    time, thinned = decimated(panel.time, np.array(curves), most)
+    rows = iter(thinned)
+    packs = [{key: packed(next(rows)) for key in plot.curves} for plot in panel.plots]
+    derived = _derived(panel) if len(time) == len(panel.time) else ()
+    return {
+        "title": printable(panel.title),
+        "time": _floats(time),
+        "shades": [[shade.stage, shade.start, shade.end] for shade in panel.shades],
+        "plots": [
+            {
+                "label": printable(plot.label),
+                "limits": plot.limits,
+                "floor": plot.floor,
+                "centred": plot.centred,
+                "span": plot.span,
+                "tall": plot.tall,
+                "curves": {
+                    key: None if plot is panel.plots[0] and key in derived else values
+                    for key, values in pack.items()
+                },
+            }
+            for plot, pack in zip(panel.plots, packs, strict=True)
+        ],
+    }
+
+
+def _derived(panel: Panel) -> tuple[str, ...]:
+    """Stages whose curve is the first one less what the panel's residuals are."""
+    residuals = next((plot.curves for plot in panel.plots if plot.centred), {})
+    first, *others = panel.plots[0].curves.items()
+    return tuple(
+        key
+        for key, values in others
+        if key in residuals and np.allclose(first[1] - residuals[key], values, equal_nan=True)
+    )
+
+
+def _floats(values: Array) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode()
+
+
+def packed(values: Array) -> tuple[float, float, str]:
+    """Values as 16 bit integers: offset and scale to float, and the integers in base64.
+
+    A value is offset + scale · integer; −32768 stands for a missing one.
+    """
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    offset, scale = 0.5 * (low + high), 0.5 * (high - low) / _LARGEST
+    whole = np.full(len(values), _MISSING, "<i2")
+    known = np.isfinite(values)
+    whole[known] = np.round((values[known] - offset) / scale) if scale > 0 else 0
+    return offset, scale, base64.b64encode(whole.tobytes()).decode()
+
+
+def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
+    """At most so many points of every curve, with each bucket's least and largest value.
+
+    Args:
+        time: (K,) increasing instants.
+        curves: (C, K) values on them; NaN where lines break.
+        most: Most points, at least four.
+
+    Returns:
+        (M,) instants and (C, M) values; two points stand for a bucket, in the order in which a
+        curve has its extremes there.
+    """
+    count = len(time)
+    if count <= most:
+        return time, curves
+    breaks = np.flatnonzero(np.isnan(curves).all(0))
+    if 4 * len(breaks) > most:  # too many gaps to show
+        return decimated(*_without(time, curves, breaks), most)
+    edges = [0, *(breaks + 1).tolist()]
+    ends = [*breaks.tolist(), count]
+    share = (most - 3 * len(edges)) / count
+    times, values = [], []
+    for first, last in zip(edges, ends, strict=True):
+        if last > first:
+            t, v = _extremes(time[first:last], curves[:, first:last], int(share * (last - first)))
+            times.append(t)
+            values.append(v)
+        if last < count:
+            times.append(time[last : last + 1])
+            values.append(curves[:, last : last + 1])
+    return np.concatenate(times), np.concatenate(values, axis=1)
+
+
+def _without(time: Array, curves: Array, breaks: NDArray[np.intp]) -> tuple[Array, Array]:
+    return np.delete(time, breaks), np.delete(curves, breaks, axis=1)
+
+
+def _extremes(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
+    buckets = max(1, most // 2)
+    if len(time) <= 2 * buckets:
+        return time, curves
+    at = np.linspace(0, len(time), buckets + 1).astype(int)
+    times, values = np.empty(2 * buckets), np.empty((len(curves), 2 * buckets))
+    for k, (first, last) in enumerate(pairwise(at.tolist())):
+        part = curves[:, first:last]
+        filled = np.where(np.isnan(part), part[:, :1], part)
+        pair = np.sort([filled.argmin(1), filled.argmax(1)], axis=0)
+        values[:, 2 * k : 2 * k + 2] = np.take_along_axis(part, pair.T, axis=1)
+        times[2 * k : 2 * k + 2] = time[first], time[first + (last - first) // 2]
+    return times, values
+
+
+def gap_filled(time: Array) -> Array:
+    """Instants with those that are missing, where a line breaks, put between their neighbours.
+
+    Args:
+        time: (K,) increasing instants; NaN where a line breaks, never two in a row.
+    """
+    missing = np.isnan(time)
+    index = np.arange(len(time))
+    return np.interp(index, index[~missing], time[~missing]) if (~missing).any() else time[:0]

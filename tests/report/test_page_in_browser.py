@@ -1,0 +1,266 @@
+"""The page of a report in a real browser: plots, tables, widths, schemes, paper, no scripts."""
+
+import os
+import re
+import shutil
+
+import pytest
+from report_results import NAMES, comparison, explanation, friction, joint_names, step
+
+from geodrake.report import render_comparison, render_explanation
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, _NAMES)), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+
+FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+JOINTS = joint_names(10)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """The report of an explanation with three effects at ten joints."""
+    folder = tmp_path_factory.mktemp("pages")
+    first = comparison(JOINTS, 0.5).series
+    steps = (
+        step("payload", ("hand",), {"hand": {"mass": 3.0}}, {}, joints=JOINTS, series=first),
+        friction(JOINTS),
+    )
+    page = folder / "page.html"
+    html = render_explanation(explanation(JOINTS, steps), **NAMES, links={"Replay": "replay.html"})
+    page.write_text(html, encoding="utf-8")
+    return page
+
+
+@pytest.fixture
+def opened(browser, file):
+    """Opens the page; what it says on its console and asks of the network must be nothing."""
+    contexts, said = [], []
+
+    def open_page(path=file, **context):
+        contexts.append(
+            browser.new_context(**{"viewport": {"width": 1200, "height": 900}, **context})
+        )
+        page = contexts[-1].new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: request.url == path.as_uri() or said.append(request.url))
+        page.goto(path.as_uri())
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert not said
+
+
+def drawn(page):
+    """The first joint's plots, once they are drawn."""
+    page.locator(".panel .place").first.scroll_into_view_if_needed()
+    page.wait_for_selector(".panel .uplot")
+    return page.locator(".panel").first
+
+
+def ends(page):
+    """First and last instant that the plots show."""
+    return [float(end) for end in page.locator(".chart").get_attribute("data-view").split()]
+
+
+def shown_width(page):
+    low, high = ends(page)
+    return high - low
+
+
+def drag(page, area, start, end, keys=()):
+    box = area.bounding_box()
+    y = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + start * box["width"], y)
+    for key in keys:
+        page.keyboard.down(key)
+    page.mouse.down()
+    page.mouse.move(box["x"] + end * box["width"], y, steps=4)
+    page.mouse.up()
+    for key in keys:
+        page.keyboard.up(key)
+
+
+def test_plots_zoom_pan_and_reset(opened):
+    page = opened()
+    area = drawn(page).locator(".u-over").first
+    low, high = ends(page)
+    drag(page, area, 0.25, 0.5)
+    left, right = ends(page)
+    assert right - left == pytest.approx(0.25 * (high - low), rel=0.05)
+    assert left == pytest.approx(low + 0.25 * (high - low), rel=0.05)
+    drag(page, area, 0.2, 0.6, keys=["Shift"])
+    panned = ends(page)
+    assert panned[1] - panned[0] == pytest.approx(right - left)
+    assert panned[0] == pytest.approx(left - 0.4 * (right - left), rel=0.05)
+    area.dblclick()
+    assert ends(page) == pytest.approx([low, high])
+    page.get_by_role("button", name="Zoom in").first.click()
+    assert shown_width(page) == pytest.approx(0.5 * (high - low))
+
+
+def test_joints_share_their_time_and_show_values_under_the_cursor(opened):
+    page = opened()
+    area = drawn(page).locator(".u-over").first
+    area.hover(position={"x": 200, "y": 40})
+    said = [text for text in page.locator(".readout").all_inner_texts() if text]
+    assert len(said) >= 3  # the residual and another joint, too
+    assert re.match(r"\d+\.\d{3} s", said[0])
+    assert "measured" in said[0] and "as it stands" in said[0] and "final model" in said[0]
+    assert len({text.split(" s")[0] for text in said}) == 1
+
+
+def test_models_are_shown_and_hidden(opened):
+    page = opened()
+    area = drawn(page).locator(".u-over").first
+    page.locator(".chip[data-stage=before]").click()
+    page.locator(".chip[data-stage=step1]").click()
+    area.hover(position={"x": 200, "y": 40})
+    said = page.locator(".readout").first.inner_text()
+    assert "as it stands" not in said
+    assert "after 1: + payload" in said
+
+
+def test_the_worst_stretch_is_a_click_away(opened):
+    page = opened()
+    drawn(page)
+    whole = shown_width(page)
+    item = page.locator(".windows li").first
+    length = float(item.get_attribute("data-end")) - float(item.get_attribute("data-start"))
+    item.get_by_role("button").click()
+    assert shown_width(page) == pytest.approx(3 * length) and 3 * length < whole
+
+
+def test_all_joints_can_be_chosen_and_the_worst_is_always_there(opened):
+    page = opened()
+    panels = page.locator(".chart .panel")
+    assert panels.count() == len(JOINTS)
+    seen = page.locator(".chart .panel:visible")
+    assert seen.count() == 8
+    assert page.locator(".badge:visible").count() >= 1
+    page.locator(".chip[data-joint][aria-pressed=false]").first.click()
+    assert seen.count() == 9
+    page.locator(".chip[data-joint=joint_0]").click()
+    assert not page.locator(".chart .panel[data-title=joint_0]").is_visible()
+
+
+def test_tables_sort_and_filter(opened):
+    page = opened()
+    section = page.locator("section", has=page.get_by_role("heading", name="Joint by joint"))
+    table = section.locator("table")
+    head = table.get_by_role("columnheader", name="std")
+    column = "rows => rows.map((row) => row.cells[1].textContent)"
+
+    def values():
+        texts = table.locator("tbody tr").evaluate_all(column)
+        assert texts[-1] == ""  # the sum stays below
+        return [float(text) for text in texts[:-1]]
+
+    head.click()
+    assert values() == sorted(values())
+    head.click()
+    assert values() == sorted(values(), reverse=True)
+    assert head.get_attribute("aria-sort") == "descending"
+    section.get_by_role("searchbox").fill("joint_7")
+    assert table.locator("tbody tr:visible").count() == 2
+
+
+def test_residuals_are_those_of_one_model_at_a_time(opened):
+    page = opened()
+    parts = page.locator(".dependence:visible")
+    assert parts.count() == 1 and parts.get_attribute("data-label") == "final model"
+    page.locator(".chip[data-model='as it stands']").click()
+    assert parts.count() == 1 and parts.get_attribute("data-label") == "as it stands"
+
+
+@pytest.mark.parametrize("width", [400, 1200])
+@pytest.mark.parametrize("scripts", [True, False])
+def test_nothing_is_wider_than_the_window(opened, width, scripts):
+    page = opened(viewport={"width": width, "height": 800}, java_script_enabled=scripts)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    sides = page.evaluate(
+        "[...document.querySelectorAll('section, header, .chart, .plot, .uplot, h1')]"
+        ".map((part) => part.getBoundingClientRect()).map((box) => [box.left, box.right])"
+    )
+    assert len(sides) > 50
+    assert all(0 <= left <= right <= width + 0.5 for left, right in sides)
+
+
+def test_plots_follow_the_width(opened):
+    page = opened()
+    drawn(page)
+    page.set_viewport_size({"width": 500, "height": 900})
+    page.screenshot()  # a frame later
+    assert page.locator(".uplot canvas").first.bounding_box()["width"] < 500
+
+
+def luminance(page, selector, name):
+    color = page.locator(selector).first.evaluate(f"part => getComputedStyle(part).{name}")
+    return sum(map(float, re.findall(r"[\d.]+", color)[:3])) / 3
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_schemes(opened, scheme):
+    page = opened(color_scheme=scheme)
+    is_dark = lambda: luminance(page, "section", "backgroundColor") < 100  # noqa: E731
+    assert is_dark() == (scheme == "dark")
+    assert (luminance(page, "h1", "color") > 100) == is_dark()
+    page.locator(".scheme").click()
+    assert is_dark() != (scheme == "dark")
+    page.emulate_media(media="print")
+    assert not is_dark()
+
+
+def test_paper_has_the_pictures(opened):
+    page = opened()
+    drawn(page)
+    page.emulate_media(media="print")
+    panel = page.locator(".panel").first
+    assert panel.locator(".plot svg").first.is_visible()
+    assert not panel.locator(".uplot").first.is_visible()
+    assert not page.locator(".tools").first.is_visible()
+    assert page.locator(".dependence:visible").count() == 2
+    assert page.pdf(format="A4").startswith(b"%PDF")
+
+
+def test_without_scripts_all_is_there(opened):
+    page = opened(java_script_enabled=False)
+    assert page.locator(".chart .panel:visible").count() == len(JOINTS)
+    assert page.locator(".plot svg path").count() > 50
+    assert page.locator(".dependence:visible").count() == 2
+    assert not page.locator("button").count()
+    assert page.locator("nav.links a").get_attribute("href") == "replay.html"
+
+
+def test_names_run_nothing(opened, tmp_path):
+    evil = "</script><script>alert('1')</script>"
+    path = tmp_path / "evil.html"
+    path.write_text(render_comparison(comparison((evil, "b"), 1.0), **NAMES), encoding="utf-8")
+    page = opened(path)
+    drawn(page)
+    assert page.locator(".chart h3").first.inner_text() == evil
+    page.locator(".chip[data-joint]").first.click()
+    assert not page.locator(".chart .panel").first.is_visible()
+
+
+def test_it_is_there_at_once(opened):
+    page, paints = opened(), []
+    for _ in range(3):  # the machine may be busy with something else
+        page.reload()
+        page.screenshot()
+        entries = page.evaluate("performance.getEntriesByName('first-contentful-paint')")
+        paints += [entry["startTime"] for entry in entries]
+    assert min(paints) < 1000
