@@ -119,7 +119,7 @@ def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
     return tuple(s for s in sections if s.text or s.tables or s.items or s.pictures)
 
 
-def _shown(value: Any) -> Any:
+def shown_text(value: Any) -> Any:
     """Printable text whose numbers stay on one line with their per cent signs and deviations."""
     if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
         return value
@@ -136,7 +136,7 @@ def render(page: Page) -> str:
         loader=PackageLoader("geodrake", "report"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_shown,
+        finalize=shown_text,
         trim_blocks=True,
         lstrip_blocks=True,
     )
