@@ -43,7 +43,7 @@ _TEMPLATE = "play.html.jinja"
 
 
 @dataclass(frozen=True, eq=False)
-class _Copy:
+class _RobotCopy:
     """One copy of the robot in the scene, and what the page needs to know of it."""
 
     played: PlayedModel
@@ -84,7 +84,7 @@ def play_page(
     return f"{named}{panel}</body>{foot}"
 
 
-def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_Copy]:
+def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_RobotCopy]:
     model = playback.models[-1].model
     extent, shapes = Extent.of(model, model.positions(playback.q)), robot_shapes(model)
     gap = 1.05 * extent.width
@@ -96,12 +96,12 @@ def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_Copy]:
         places = scene.joint_places()
         arrows = EffortArrows(meshcat, places, played.measured, played.predicted, extent.size)
         effects = EffectMarks(meshcat, scene, played.model, units, extent.size)
-        copies.append(_Copy(played, scene, places, arrows, effects))
+        copies.append(_RobotCopy(played, scene, places, arrows, effects))
     place_camera(meshcat, extent, copies=len(copies), gap=gap)
     return copies
 
 
-def _record(meshcat: Meshcat, playback: Playback, copies: Sequence[_Copy]) -> None:
+def _record(meshcat: Meshcat, playback: Playback, copies: Sequence[_RobotCopy]) -> None:
     q = playback.models[-1].model.positions(playback.q)
     meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)
     for copy in copies:
@@ -120,7 +120,7 @@ def _record(meshcat: Meshcat, playback: Playback, copies: Sequence[_Copy]) -> No
 
 def _panel(
     playback: Playback,
-    copies: Sequence[_Copy],
+    copies: Sequence[_RobotCopy],
     *,
     title: str,
     log_names: Sequence[str],
@@ -159,7 +159,7 @@ def _panel(
     )
 
 
-def _model_words(copy: _Copy, number_: int) -> dict[str, Any]:
+def _model_words(copy: _RobotCopy, number_: int) -> dict[str, Any]:
     played = copy.played
     return {
         "title": played.title,
@@ -173,7 +173,7 @@ def _model_words(copy: _Copy, number_: int) -> dict[str, Any]:
 
 def _moment(moment: Moment, playback: Playback, units: Units) -> dict[str, Any]:
     joint = playback.joints[moment.joint]
-    log, time = _own_time(playback, moment.frame)
+    log, time = playback.own_time(moment.frame)
     return {
         "frame": moment.frame,
         "joint": joint,
@@ -182,15 +182,6 @@ def _moment(moment: Moment, playback: Playback, units: Units) -> dict[str, Any]:
         "relative": percent(moment.relative),
         "time": f"{time:.2f} s" + (f" of {log}" if len(playback.excerpts) > 1 else ""),
     }
-
-
-def _own_time(playback: Playback, frame: int) -> tuple[str, float]:
-    """The log of a frame, and its time there, s."""
-    for excerpt in playback.excerpts:
-        if frame < len(excerpt.time):
-            return excerpt.log, float(excerpt.time[frame])
-        frame -= len(excerpt.time)
-    return "", 0.0
 
 
 def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -205,7 +196,7 @@ def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[
 
 
 def _data(
-    playback: Playback, copies: Sequence[_Copy], units: Units, speed: float
+    playback: Playback, copies: Sequence[_RobotCopy], units: Units, speed: float
 ) -> dict[str, Any]:
     """What the page's script reads."""
     return {

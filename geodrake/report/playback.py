@@ -116,6 +116,14 @@ class Playback:
         """(F, nv) positions by joint in all frames, rad or m."""
         return np.concatenate([excerpt.q for excerpt in self.excerpts])
 
+    def own_time(self, frame: int) -> tuple[str, float]:
+        """The log of a frame, and the time there, s."""
+        for excerpt in self.excerpts:
+            if frame < len(excerpt.time):
+                return excerpt.log, float(excerpt.time[frame])
+            frame -= len(excerpt.time)
+        raise IndexError(frame)
+
     @property
     def top(self) -> float:
         """Relative error that has the last colour: hardly any of all models is larger."""
