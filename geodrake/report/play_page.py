@@ -180,8 +180,12 @@ def _moment(moment: Moment, playback: Playback, units: Units) -> dict[str, Any]:
         "played": moment.played,
         "error": f"{number(moment.error)} {units.effort([joint])}",
         "relative": percent(moment.relative),
-        "time": f"{time:.2f} s" + (f" of {log}" if len(playback.excerpts) > 1 else ""),
+        "time": f"{time:.2f} s" + (f" of {log}" if _several(playback) else ""),
     }
+
+
+def _several(playback: Playback) -> bool:
+    return len({excerpt.log for excerpt in playback.excerpts}) > 1
 
 
 def levels(playback: Playback, played: PlayedModel) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -203,6 +207,7 @@ def _data(
         "rate": FRAMES,
         "frames": len(playback.q),
         "speed": speed,
+        "several": _several(playback),
         "joints": [printable(joint) for joint in playback.joints],
         "units": [units.effort([joint]) for joint in playback.joints],
         "colors": COLORS,

@@ -29,7 +29,7 @@ _PART = 5.0  # s, length of the parts among which the worst are chosen
 _MEAN_OVER = 0.3  # s, over which an error is the RMS: residuals change their sign
 _APART = 1.0  # s, between two moments at one joint
 _APART_ANYWHERE = 0.25  # s, between two moments
-_MOST_MOMENTS = 5
+_MOST_MOMENTS, _MOST_AT_ONE = 5, 2  # of a model, and at one joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,6 +282,7 @@ def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Ar
 def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
     """The instants of largest relative error, apart from each other."""
     left = np.nan_to_num(played.relative, nan=-1.0)
+    counts = np.zeros(left.shape[1], int)
     for _ in range(_MOST_MOMENTS):
         frame, joint = np.unravel_index(int(left.argmax()), left.shape)
         if left[frame, joint] <= 0.0:
@@ -291,6 +292,8 @@ def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
         near, close = round(_APART * FRAMES), round(_APART_ANYWHERE * FRAMES)
         left[max(0, frame - near) : frame + near + 1, joint] = -1.0
         left[max(0, frame - close) : frame + close + 1] = -1.0
+        counts[joint] += 1
+        left[:, counts >= _MOST_AT_ONE] = -1.0
 
 
 def _log_of(block: str, logs: Sequence[str]) -> str:

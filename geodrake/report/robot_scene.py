@@ -250,7 +250,7 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
         path: Folder of the robot, or "" for that of the whole scene.
         extent: Where the robot goes.
     """
-    disc = Cylinder(0.36 * extent.size, _FLOOR_THICKNESS)
+    disc = Cylinder(0.25 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
     meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
 

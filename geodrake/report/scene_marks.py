@@ -84,9 +84,9 @@ class EffortArrows:
             meshcat.SetTransform(folder, place.X_BJ)
             pair = []
             for name, color, side in (("measured", MEASURED, -1), ("predicted", PREDICTED, 1)):
-                aside = RigidTransform([0.022 * size * side, 0.0, 0.0])
+                aside = RigidTransform([0.02 * size * side, 0.0, 0.0])
                 meshcat.SetTransform(f"{folder}/{name}", aside)
-                draw_arrow(meshcat, f"{folder}/{name}/arrow", 0.28 * size, color)
+                draw_arrow(meshcat, f"{folder}/{name}/arrow", 0.22 * size, color)
                 pair.append(f"{folder}/{name}/arrow")
             self._paths.append(pair)
 
