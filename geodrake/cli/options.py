@@ -176,6 +176,13 @@ class RolloutOptions(LogOptions):
     windows: Annotated[
         int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
     ] = 12
+    meshcat: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.html",
+            help="Write a page that replays the windows: the measured and the simulated robot.",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)

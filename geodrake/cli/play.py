@@ -72,6 +72,7 @@ def run_play(options: PlayOptions) -> None:
                 paged=lambda playback: playback.models[-1].comparison,
                 more={"out": out},
                 makers=lambda playback: {"out": lambda: page(playback)},
+                saved={"out": "page that plays the logs"},
             ),
             options,
         )

@@ -44,7 +44,6 @@ _SAVED = {
     "export": "model file with the identified inertias",
     "ellipsoids": "ellipsoids",
     "meshcat": "page of ellipsoids",
-    "out": "page that plays the logs",
     "draft-effect": "drafted effects",
 }
 

@@ -25,11 +25,12 @@ from geodrake.report.robot_scene import (
     JointPlace,
     RobotScene,
     calm_meshcat,
+    clock,
     draw_floor,
     place_camera,
 )
 from geodrake.report.robot_shapes import robot_shapes
-from geodrake.report.scene_marks import MEASURED, EffectMarks, EffortArrows, Mark, clock
+from geodrake.report.scene_marks import MEASURED, EffectMarks, EffortArrows, Mark
 from geodrake.robot.files.description import drake_messages
 
 COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
@@ -87,17 +88,18 @@ def play_page(
 def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_RobotCopy]:
     model = playback.models[-1].model
     extent, shapes = Extent.of(model, model.positions(playback.q)), robot_shapes(model)
-    gap = 1.05 * extent.width
     copies = []
     for k, played in enumerate(playback.models):
         path = f"robot/{k} {path_part(played.title)}"
-        scene = RobotScene(meshcat, played.model, shapes=shapes, path=path, p_WR=k * gap * RIGHT)
+        scene = RobotScene(
+            meshcat, played.model, shapes=shapes, path=path, p_WR=k * extent.gap * RIGHT
+        )
         draw_floor(meshcat, path, extent)
         places = scene.joint_places()
         arrows = EffortArrows(meshcat, places, played.measured, played.predicted, extent.size)
         effects = EffectMarks(meshcat, scene, played.model, units, extent.size)
         copies.append(_RobotCopy(played, scene, places, arrows, effects))
-    place_camera(meshcat, extent, copies=len(copies), gap=gap)
+    place_camera(meshcat, extent, copies=len(copies))
     return copies
 
 
@@ -166,9 +168,17 @@ def _model_words(copy: _RobotCopy, number_: int) -> dict[str, Any]:
         "file": played.model.path.name,
         "nrms": number(played.comparison.errors.nrms),
         "data": "training data" if played.trained else "held-out data",
-        "effects": list(dict.fromkeys(mark.words for mark in copy.effects.marks)),
+        "effects": _by_place(copy.effects.marks),
         "number": number_,
     }
+
+
+def _by_place(marks: Sequence[Mark]) -> list[tuple[str, str]]:
+    """Places, and the effects that are there."""
+    found: dict[str, list[str]] = {}
+    for mark in marks:
+        found.setdefault(mark.place, []).append(mark.words)
+    return [(place, ", ".join(words)) for place, words in found.items()]
 
 
 def _moment(moment: Moment, playback: Playback, units: Units) -> dict[str, Any]:
@@ -232,11 +242,14 @@ def _data(
 
 
 def _labels(marks: Sequence[Mark]) -> list[dict[str, str]]:
-    """One label a place: what is at one joint stands together."""
+    """One label a place: where several effects are, the first and how many more."""
     found: dict[str, list[str]] = {}
     for mark in marks:
         found.setdefault(mark.path, []).append(printable(mark.words))
-    return [{"path": path, "words": "\n".join(words)} for path, words in found.items()]
+    return [
+        {"path": path, "words": f"{first} + {len(more)} more" if more else first}
+        for path, (first, *more) in found.items()
+    ]
 
 
 def _packed(values: Array | np.ndarray[Any, np.dtype[np.uint8]]) -> str:

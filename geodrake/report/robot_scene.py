@@ -29,7 +29,12 @@ RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 
 _FLOOR_THICKNESS = 0.004  # m
 _VIEW = np.tan(np.radians(37.5))  # half of MeshCat's view, over the distance
-_ASPECT = 1.3  # of the view, width over height, at which everything fits
+_ASPECT = 1.4  # of the view, width over height, at which everything fits
+
+
+def clock(frame: int) -> float:
+    """Time of a frame in MeshCat's recording, s: in its middle, so that none is counted twice."""
+    return (frame + 0.5) / FRAMES
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +215,16 @@ class Extent:
     Attributes:
         low: (3,) least coordinates of the origins of its links in the world, m.
         high: (3,) largest ones.
+        left: The farthest that it goes to the left of the camera, m.
+        right: The farthest that it goes to the right, m.
+        widest: Its largest width to the camera in any one posture, m.
     """
 
     low: Array
     high: Array
+    left: float
+    right: float
+    widest: float
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:
@@ -223,13 +234,16 @@ class Extent:
             model: The robot.
             q: (N, nq) positions in the order of the model's plant.
         """
-        plant, context, points = model.plant, model.plant.CreateDefaultContext(), [np.zeros(3)]
+        plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
         bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
-        for posture in q[:: max(1, len(q) // 20)]:
+        for posture in q[:: max(1, len(q) // 60)]:
             plant.SetPositions(context, posture)
-            points += [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
+            origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
+            points.append([np.zeros(3), *origins])
         cloud = np.array(points)
-        return cls(cloud.min(0), cloud.max(0))
+        across = cloud @ RIGHT
+        low, high = cloud.min((0, 1)), cloud.max((0, 1))
+        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=1).max())
 
     @property
     def size(self) -> float:
@@ -237,9 +251,9 @@ class Extent:
         return 1.15 * float((self.high - self.low).max()) + 0.1
 
     @property
-    def width(self) -> float:
-        """Width to the camera with a margin for links, m."""
-        return float(np.abs(RIGHT[:2]) @ (self.high - self.low)[:2]) + 0.3 * self.size
+    def gap(self) -> float:
+        """Distance at which two copies in one posture are clear of each other, m."""
+        return self.widest + 0.3 * self.size
 
 
 def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
@@ -255,18 +269,20 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
     meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
 
 
-def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1, gap: float = 0.0) -> None:
+def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
     """Looks at where a robot goes.
 
     Args:
         meshcat: The scene.
         extent: Where the robot goes.
-        copies: Number of copies beside each other.
-        gap: Distance between them, m.
+        copies: Number of copies beside each other, `extent.gap` apart.
     """
+    margin = 0.12 * extent.size
+    left, right = -extent.left, extent.right + (copies - 1) * extent.gap
+    height = 0.5 * (extent.high - extent.low)[2] + margin
+    width = 0.5 * (right - left) + margin
     middle = 0.5 * (extent.low + extent.high)
-    middle = middle + 0.5 * (copies - 1) * gap * RIGHT
-    height = 0.5 * (extent.high - extent.low)[2] + 0.15 * extent.size
-    width = 0.5 * (extent.width + (copies - 1) * gap)
-    far = max(height, width / _ASPECT) / _VIEW + 0.2 * extent.size
+    middle += (0.5 * (left + right) - middle @ RIGHT) * RIGHT
+    depth = 0.5 * float(np.abs(_AWAY) @ (extent.high - extent.low))
+    far = max(height, width / _ASPECT) / _VIEW + 0.6 * depth
     meshcat.SetCameraPose(middle + far * _AWAY, middle)

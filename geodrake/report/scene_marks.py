@@ -21,7 +21,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.report import style
 from geodrake.report.numbers import Units, number
 from geodrake.report.playback import Excerpt
-from geodrake.report.robot_scene import FRAMES, JointPlace, RobotScene, draw_ellipsoid
+from geodrake.report.robot_scene import JointPlace, RobotScene, clock, draw_ellipsoid
 from geodrake.report.words import effect_label
 
 MEASURED, PREDICTED, CONTACT = "#374151", style.AFTER, "#c026a3"
@@ -39,17 +39,12 @@ class Mark:
     Attributes:
         path: Folder of the scene that is there.
         words: What to say.
-        effect: Name of the effect.
+        place: The joint or body, or what else the effect is of.
     """
 
     path: str
     words: str
-    effect: str
-
-
-def clock(frame: int) -> float:
-    """Time of a frame in MeshCat's recording, s: in its middle, so that none is counted twice."""
-    return (frame + 0.5) / FRAMES
+    place: str
 
 
 class EffortArrows:
@@ -157,22 +152,22 @@ class EffectMarks:
         if effect.role is Role.BODY and is_physical(fitted.parameters):
             path = f"{self._scene.body_path(effect.where[0])}/{own}"
             draw_ellipsoid(self._meshcat, path, fitted.parameters, _rgba(style.AFTER, 0.6))
-            return [Mark(path, words, effect.name)]
+            return [Mark(path, words, effect.place)]
         if isinstance(effect, Episode):
-            return [Mark(self._draw_contact(effect, fitted, own), words, effect.name)]
+            return [Mark(self._draw_contact(effect, fitted, own), words, effect.place)]
         if effect.places == "body":
             path = f"{self._scene.body_path(effect.where[0])}/{own}"
             self._meshcat.SetObject(path, Sphere(0.02 * self._size), _rgba(style.AFTER, 0.8))
-            return [Mark(path, words, effect.name)]
+            return [Mark(path, words, effect.place)]
         marks = []
         for joint in effect.where:
             place = self._places[joint]
             path = f"{place.link}/ring {path_part(joint)}"
-            vertices, faces = ring(0.075 * self._size, 0.006 * self._size)
+            vertices, faces = ring(0.06 * self._size, 0.005 * self._size)
             self._meshcat.SetTriangleMesh(path, vertices.T, faces.T, _rgba(style.AFTER, 0.9))
             self._meshcat.SetTransform(path, place.X_BJ)
-            marks.append(Mark(path, words, effect.name))
-        return marks or [Mark(f"{self._scene.path}/floor", words, effect.name)]
+            marks.append(Mark(path, words, joint))
+        return marks or [Mark(f"{self._scene.path}/floor", words, effect.place)]
 
     def _draw_contact(self, effect: Episode, fitted: FittedEffect, own: str) -> str:
         """An arrow of the force that the robot applies, at the point where it does."""
