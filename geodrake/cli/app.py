@@ -18,6 +18,7 @@ from geodrake.cli.options import (
     ExplainOptions,
     IdentifyOptions,
     Options,
+    PlayOptions,
     RolloutOptions,
     taking,
 )
@@ -159,6 +160,15 @@ def rollout(options: RolloutOptions) -> None:
     from geodrake.cli.rollout import run_rollout
 
     run_rollout(options)
+
+
+@app.command()
+@taking(PlayOptions)
+def play(options: PlayOptions) -> None:
+    """Play the logs over the robot, coloured where the model fails, as one HTML page."""
+    from geodrake.cli.play import run_play
+
+    run_play(options)
 
 
 @app.command()

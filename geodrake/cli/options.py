@@ -176,6 +176,47 @@ class RolloutOptions(LogOptions):
     windows: Annotated[
         int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
     ] = 12
+    meshcat: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.html",
+            help="Write a page that replays the windows: the measured and the simulated robot.",
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayOptions(LogOptions):
+    """Options of play."""
+
+    before: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL",
+            help="A model to play beside it; if absent and MODEL was saved with --save, the file "
+            "that it is based on.",
+        ),
+    ] = None
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Where the page goes; play.html if absent."),
+    ] = None
+    live: Annotated[
+        int | None,
+        typer.Option(
+            metavar="PORT",
+            help="Show the page on a port of this machine instead, until Ctrl-C; 0 is any free.",
+        ),
+    ] = None
+    speed: Annotated[
+        float, typer.Option(metavar="FACTOR", help="Seconds of the log played in a second.")
+    ] = 1.0
+    seconds: Annotated[
+        float,
+        typer.Option(
+            metavar="SECONDS", help="Most to play: of longer logs, the passages of largest error."
+        ),
+    ] = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,7 +46,28 @@ def run_rollout(options: RolloutOptions) -> None:
             progress=lambda words, share: given.progress(f"{prefix}{words}: {percent(share)}"),
         )
 
-    run(Command("rollout", "Simulating", simulated, _numbers, "render_rollout", _show), options)
+    model: list[RobotModel] = []
+
+    def replay(found: Pair) -> str:
+        from geodrake.report.replay import rollout_replay_page
+
+        return rollout_replay_page(model[0], *found)
+
+    run(
+        Command(
+            "rollout",
+            "Simulating",
+            simulated,
+            _numbers,
+            "render_rollout",
+            _show,
+            more={"meshcat": options.meshcat},
+            makers=lambda found: {"meshcat": lambda: replay(found)},
+            saved={"meshcat": "replay of measured and simulated motion"},
+            check=model.append,
+        ),
+        options,
+    )
 
 
 def _numbers(found: Pair) -> dict[str, Any]:

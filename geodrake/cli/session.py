@@ -67,6 +67,7 @@ class Command(Generic[R]):
         paged: The part of the result that the page shows.
         more: Options of files that only this command writes, with their paths.
         makers: What makes the contents of those.
+        saved: Option -> what its file is, in words.
         check: Refuses a model before the long work.
     """
 
@@ -79,6 +80,7 @@ class Command(Generic[R]):
     paged: Callable[[R], Any] = lambda result: result
     more: Mapping[str, Path | None] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
+    saved: Mapping[str, str] = field(default_factory=dict)
     check: Callable[[RobotModel], None] = lambda model: None
 
 
@@ -132,7 +134,7 @@ def run(command: Command[R], options: LogOptions) -> None:
         console = make_console(stderr=options.json == STDOUT)
         console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
         command.show(console, result, Units.of(fitted, extra))
-        show_saved(console, written)
+        show_saved(console, written, command.saved)
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

@@ -23,6 +23,7 @@ _SUFFIXES = {
     "export": (".urdf", ".sdf", ".xml", ".mjcf", ".world"),
     "ellipsoids": (".png", ".pdf", ".svg"),
     "meshcat": (".html", ".htm"),
+    "out": (".html", ".htm"),
     "draft-effect": (".py",),
 }
 

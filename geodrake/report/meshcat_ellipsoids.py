@@ -108,7 +108,7 @@ def ellipsoid_page(
         meshcat.SetProperty("/Axes", "visible", False)
         meshcat.SetCameraPose(middle + far * np.array([0.9, -0.2, 0.4]), middle)
         page = meshcat.StaticHtml()
-    return page.replace("</body>", f"{_legend(sets)}</body>", 1)
+    return legend(page, _entries(sets))
 
 
 def _spacing(plant: MultibodyPlant, context: Context, sets: Sequence[EllipsoidSet]) -> float:
@@ -129,17 +129,29 @@ def _draw_lines(meshcat: Meshcat, path: str, lines: Array, shift: float) -> None
         meshcat.SetTransform(f"{path}/{k}/end", RigidTransform(start))
 
 
-def _legend(sets: Sequence[EllipsoidSet]) -> str:
-    """What the colours mean, from left to right, over the scene."""
+def _entries(sets: Sequence[EllipsoidSet]) -> list[tuple[str, str]]:
+    """Colours and what they mean, from left to right."""
     entries = [(one.color, one.name) for one in sets]
     if any(one.at_boundary.any() for one in sets):
         entries.append((BOUNDARY, "at the boundary of what a body can be"))
+    return entries
+
+
+def legend(page: str, entries: Sequence[tuple[str, str]]) -> str:
+    """A page of MeshCat's with what its colours mean over the scene.
+
+    Args:
+        page: The page.
+        entries: Colours and their meaning.
+    """
     spans = "".join(
         f'<div><span style="display:inline-block;width:12px;height:12px;margin-right:8px;'
         f'border-radius:6px;background:{color}"></span>{html_text(name)}</div>'
         for color, name in entries
     )
-    return (
+    box = (
         '<div style="position:absolute;left:16px;top:16px;padding:10px 14px;background:#ffffffd0;'
         f'font:14px/1.6 sans-serif;color:#1f2a37;pointer-events:none">{spans}</div>'
     )
+    head, _, foot = page.rpartition("</body>")
+    return f"{head}{box}</body>{foot}"

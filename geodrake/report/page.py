@@ -164,7 +164,7 @@ def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:
     return tuple(section for section in sections if section.says_something)
 
 
-def _shown(value: Any) -> Any:
+def shown_text(value: Any) -> Any:
     """Printable text whose numbers stay on one line with their per cent signs and deviations."""
     if not isinstance(value, str) or hasattr(value, "__html__"):  # a macro's: done
         return value
@@ -224,7 +224,7 @@ def render(page: Page) -> str:
         loader=PackageLoader("geodrake", "report"),
         autoescape=True,
         undefined=StrictUndefined,
-        finalize=_shown,
+        finalize=shown_text,
         trim_blocks=True,
         lstrip_blocks=True,
     )

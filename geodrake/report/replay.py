@@ -1,123 +1,104 @@
-"""A motion replayed over the robot: one HTML page with MeshCat's recording in it."""
+"""Motions replayed over the robot: HTML pages with MeshCat's recording in them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
-from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer, Role
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, JointIndex
-from pydrake.systems.framework import DiagramBuilder
+from matplotlib.colors import to_rgb
+from pydrake.geometry import Rgba
 
-from geodrake.errors import ModelError
-from geodrake.identification.logs.unknowns import payload_reference
-from geodrake.inertia import Array, is_physical
+from geodrake.boundary.escaping import path_part
+from geodrake.control.rollout import Rollout
+from geodrake.inertia import Array
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.ellipsoids import EllipsoidSet
-from geodrake.report.meshcat_ellipsoids import MeshcatEllipsoids
-from geodrake.robot.files import read_description
-from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.packages import add_packages
-from geodrake.robot.plant import free_roots
+from geodrake.report import style
+from geodrake.report.meshcat_ellipsoids import legend
+from geodrake.report.robot_scene import (
+    FRAMES,
+    Extent,
+    RobotScene,
+    calm_meshcat,
+    clock,
+    draw_floor,
+    place_camera,
+)
+from geodrake.report.robot_shapes import robot_shapes
+from geodrake.robot.files.description import drake_messages
 
-FRAMES = 30.0
-"""Frames a second."""
+__all__ = ["FRAMES", "replay_page", "rollout_replay_page"]
 
-_AWAY = np.array([0.9, -0.65, 0.4])  # of the camera, in sizes of the robot
+_MEASURED = ("measured", "#8a94a0", 0.35)
+_BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.AFTER, 0.85)
 
 
 def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     """One HTML page that loads nothing from elsewhere and replays a motion.
 
-    The robot looks as its file says; where Drake cannot show that, bodies are ellipsoids of their
-    inertia.
+    The robot looks as its file says, meshes included; where that cannot be shown, bodies are
+    ellipsoids of their inertia.
 
     Args:
         model: The robot.
         times: (N,) instants, s.
         q: (N, nq) positions in the order of the model's plant.
     """
-    with drake_messages():  # where MeshCat listens does not matter for a page
-        meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-        meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
-        meshcat.SetProperty("/Background", "bottom_color", [0.93, 0.95, 0.97])
-        meshcat.SetProperty("/Axes", "visible", False)
-        _place_camera(meshcat, model, q)
+    return _replayed(model, times, {"robot": q}, {})
+
+
+def rollout_replay_page(model: RobotModel, after: Rollout, before: Rollout | None = None) -> str:
+    """One HTML page with the windows of a rollout: the measured robot, and the simulated one.
+
+    A simulated robot that breaks off stays where it was.
+
+    Args:
+        model: The robot.
+        after: The rollout.
+        before: That of the model before, if there is one.
+    """
+    looks, motions = [_MEASURED, _AFTER], [_frames(after, "measured"), _frames(after, "simulated")]
+    if before is not None:
+        looks.insert(1, _BEFORE)
+        motions.insert(1, _frames(before, "simulated"))
+    named = {look[0]: model.positions(q) for look, q in zip(looks, motions, strict=True)}
+    times = np.array([clock(frame) for frame in range(len(motions[0]))])
+    colors = {name: Rgba(*to_rgb(color), opaque) for name, color, opaque in looks}
+    page = _replayed(model, times, named, colors)
+    return legend(page, [(color, name) for name, color, _ in looks])
+
+
+def _replayed(
+    model: RobotModel, times: Array, motions: Mapping[str, Array], colors: Mapping[str, Rgba]
+) -> str:
+    """A page with one robot for each motion, all at one place."""
+    with drake_messages():
+        meshcat, shapes = calm_meshcat(), robot_shapes(model)
+        scenes = [
+            RobotScene(meshcat, model, shapes=shapes, path=path_part(name), color=colors.get(name))
+            for name in motions
+        ]
+        extent = Extent.of(model, np.concatenate(list(motions.values())))
+        draw_floor(meshcat, "ground", extent)
+        place_camera(meshcat, extent)
         meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)
-        if not _record_visuals(meshcat, model, times, q):
-            _record_ellipsoids(meshcat, model, times, q)
+        for frame, time in enumerate(times.tolist()):
+            for scene, q in zip(scenes, motions.values(), strict=True):
+                scene.move(q[frame], time)
         meshcat.StopRecording()
         meshcat.PublishRecording()
-        return str(meshcat.StaticHtml())
+        page = str(meshcat.StaticHtml())
+    notes: Sequence[str] = shapes.notes
+    return legend(page, [("#c78a1e", note) for note in notes]) if notes else page
 
 
-def _record_visuals(meshcat: Meshcat, model: RobotModel, times: Array, q: Array) -> bool:
-    """Records the file's own shapes; whether there are any that Drake can show."""
-    builder = DiagramBuilder()
-    plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
-    try:
-        with drake_errors(model.path):
-            parser = Parser(plant)
-            names = read_description(model.path).named_packages()
-            add_packages(parser.package_map(), model.path, names)
-            parser.AddModels(str(model.path))
-            if not model.floating:
-                for body in free_roots(plant):
-                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
-            plant.Finalize()
-            starts = _positions(model.plant, plant)
-    except ModelError:
-        return False
-    if not scene.model_inspector().NumGeometriesWithRole(Role.kIllustration):
-        return False
-    MeshcatVisualizer.AddToBuilder(builder, scene, meshcat)
-    diagram = builder.Build()
-    root = diagram.CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
-    shown = np.array(plant.GetPositions(context))
-    for time, posture in zip(times.tolist(), q, strict=True):
-        shown[starts] = posture
-        root.SetTime(time)
-        plant.SetPositions(context, shown)
-        diagram.ForcedPublish(root)
-    return True
-
-
-def _positions(model: MultibodyPlant, shown: MultibodyPlant) -> list[int]:
-    """Where each position of the model's plant is in the plant that is shown.
-
-    Raises:
-        RuntimeError: A joint of the model is not there.
-    """
-    where = np.empty(model.num_positions(), int)
-    for index in model.GetJointIndices():
-        joint = model.get_joint(JointIndex(index))
-        if joint.num_positions():
-            other = shown.GetJointByName(joint.name())
-            count = joint.num_positions()
-            start, to = joint.position_start(), other.position_start()
-            where[start : start + count] = np.arange(to, to + count)
-    return where.tolist()
-
-
-def _record_ellipsoids(meshcat: Meshcat, model: RobotModel, times: Array, q: Array) -> None:
-    context, phi = model.plant.CreateDefaultContext(), model.total_phi
-    # Bodies that cannot be are shown as some body rather than as nothing.
-    phi = np.where(is_physical(phi)[:, None], phi, payload_reference(model.phi))
-    ellipsoids = MeshcatEllipsoids(meshcat, model.plant, [EllipsoidSet.of("robot", phi)])
-    for time, posture in zip(times.tolist(), q, strict=True):
-        model.plant.SetPositions(context, posture)
-        ellipsoids.update(context, time)
-
-
-def _place_camera(meshcat: Meshcat, model: RobotModel, q: Array) -> None:
-    """Looks at where bodies go."""
-    plant, context, points = model.plant, model.plant.CreateDefaultContext(), [np.zeros(3)]
-    bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
-    for posture in q[:: max(1, len(q) // 20)]:
-        plant.SetPositions(context, posture)
-        points += [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
-    cloud = np.array(points)
-    middle, size = 0.5 * (cloud.min(0) + cloud.max(0)), np.ptp(cloud, axis=0).max() + 0.2
-    meshcat.SetCameraPose(middle + size * _AWAY, middle)
+def _frames(found: Rollout, name: str) -> Array:
+    """(F, nv) positions of all windows, one after another, at the rate of recordings."""
+    parts = []
+    for window in found.windows:
+        values = getattr(window, name)
+        known = np.isfinite(values).all(1)
+        frames = np.arange(window.time[0], window.time[-1] + 1e-9, 1.0 / FRAMES)
+        last = values[known] if known.any() else window.measured[:1]
+        own = window.time[known] if known.any() else window.time[:1]
+        parts.append(np.stack([np.interp(frames, own, x) for x in last.T], -1))
+    return np.concatenate(parts)

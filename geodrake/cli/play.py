@@ -1,0 +1,149 @@
+"""The command `geodrake play`: logs played over the robot, coloured where the model fails."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from geodrake.boundary.arguments import positive
+from geodrake.cli.options import PlayOptions
+from geodrake.cli.serving import page_server, serve_page
+from geodrake.cli.session import Command, Input, run
+from geodrake.cli.tables import head, say, show_list
+from geodrake.model.robot_model import RobotModel, load_description
+from geodrake.model.saved_model import is_saved_model, load_model
+from geodrake.report.numbers import Units, number, percent
+
+if TYPE_CHECKING:
+    from geodrake.report.playback import Moment, Playback
+
+DEFAULT_OUT = Path("play.html")
+
+
+def run_play(options: PlayOptions) -> None:
+    """Run the command.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the targets, does not do.
+    """
+    positive(options.speed, "--speed")
+    positive(options.seconds, "--seconds")
+    out = DEFAULT_OUT if options.out is None and options.live is None else options.out
+    server = None if options.live is None else page_server(options.live)
+    found: list[Playback] = []
+
+    def played(given: Input) -> Playback:
+        from geodrake.report.playback import play_back
+
+        found.append(
+            play_back(
+                given.model,
+                given.logs,
+                before=_before(options, given),
+                extra=given.extra,
+                seconds=options.seconds,
+                **given.settings,
+            )
+        )
+        return found[0]
+
+    def page(playback: Playback) -> str:
+        from geodrake.report.play_page import play_page
+
+        return play_page(
+            playback,
+            title=f"{options.model.name}: play",
+            log_names=[log.name for log in options.logs],
+            units=Units.of(playback.models[-1].model),
+            speed=options.speed,
+        )
+
+    try:
+        run(
+            Command(
+                "play",
+                "Comparing",
+                played,
+                playback_dict,
+                "render_comparison",
+                _show,
+                paged=lambda playback: playback.models[-1].comparison,
+                more={"out": out},
+                makers=lambda playback: {"out": lambda: page(playback)},
+                saved={"out": "page that plays the logs"},
+            ),
+            options,
+        )
+        if server is not None:
+            serve_page(server, page(found[0]))
+    finally:
+        if server is not None:
+            server.server_close()
+
+
+def _before(options: PlayOptions, given: Input) -> RobotModel | None:
+    """The model to compare with: the one named, or the file that a saved model is based on."""
+    if options.before is not None:
+        return load_model(options.before, floating=options.floating, extra=given.extra)
+    if is_saved_model(options.model):
+        return load_description(given.model.path, floating=given.model.floating)
+    return None
+
+
+def playback_dict(playback: Playback) -> dict[str, Any]:
+    """What is played, and where the models err most, as JSON has it."""
+    return {
+        "models": [
+            {
+                "title": played.title,
+                "file": str(played.model.path),
+                "nrms": played.comparison.errors.nrms,
+                "trained": played.trained,
+                "worst_moments": [
+                    _moment_dict(m, playback) for m in playback.moments if m.played == k
+                ],
+            }
+            for k, played in enumerate(playback.models)
+        ],
+        "excerpts": [
+            {"log": e.log, "start": float(e.time[0]), "end": float(e.time[-1])}
+            for e in playback.excerpts
+        ],
+        "seconds_left_out": playback.seconds_left_out,
+        "notes": list(playback.models[-1].comparison.notes),
+    }
+
+
+def _moment_dict(moment: Moment, playback: Playback) -> dict[str, Any]:
+    log, time = playback.own_time(moment.frame)
+    return {
+        "joint": playback.joints[moment.joint],
+        "log": log,
+        "time": time,
+        "error": moment.error,
+        "relative": moment.relative,
+    }
+
+
+def _show(console: Console, playback: Playback, units: Units) -> None:
+    head(console, "Worst moments")
+    for k, played in enumerate(playback.models):
+        lines = [_moment_words(m, playback, units) for m in playback.moments if m.played == k]
+        data = "training data" if played.trained else "held-out data"
+        nrms = number(played.comparison.errors.nrms)
+        show_list(console, f"{played.title}, nrms {nrms} on {data}", lines)
+    if playback.seconds_left_out > 0.5:
+        say(console, "Left out", f"{playback.seconds_left_out:.0f} s of the logs; see --seconds.")
+    show_list(console, "Notes", playback.models[-1].comparison.notes)
+
+
+def _moment_words(moment: Moment, playback: Playback, units: Units) -> str:
+    joint = playback.joints[moment.joint]
+    log, time = playback.own_time(moment.frame)
+    error = f"{number(moment.error)} {units.effort([joint])}"
+    return (
+        f"{joint} at {time:.2f} s of {log}: {error} off, {percent(moment.relative)} of the "
+        "deviation of its effort"
+    )

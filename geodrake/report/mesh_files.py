@@ -1,0 +1,184 @@
+"""STL and COLLADA files, which Drake does not read, as Wavefront text, which it does."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import GeodrakeError, ModelError
+from geodrake.excitation.collision_meshes import stl_vertices
+from geodrake.robot.files.xml_text import parse_xml
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+Surface = tuple[Array, Faces]
+"""(n, 3) vertices, m, and (m, 3) numbers of the corners of triangles."""
+
+MOST_TRIANGLES = 4000
+"""Triangles of a mesh that are drawn at most: a page is to stay small."""
+
+_GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
+
+
+def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
+    """A mesh file as Wavefront's text, with no more triangles than asked for.
+
+    Args:
+        path: An STL or COLLADA file.
+        most: Most triangles; a finer mesh is drawn more coarsely.
+
+    Raises:
+        ModelError: The file cannot be read, or has no triangles.
+    """
+    try:
+        vertices, faces = simplified(READERS[path.suffix.lower()](path), most)
+    except GeodrakeError:
+        raise
+    except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
+        raise ModelError(
+            f"The mesh {path} cannot be read: {error}.", advice="Correct the file.", path=path
+        ) from error
+    text = io.StringIO()
+    np.savetxt(text, vertices, "v %.5g %.5g %.5g")
+    np.savetxt(text, 1 + faces, "f %d %d %d")
+    return text.getvalue()
+
+
+def simplified(surface: Surface, most: int) -> Surface:
+    """A surface of few triangles: vertices in one cell of a grid become one, their mean.
+
+    Args:
+        surface: Vertices and triangles.
+        most: Most triangles that should be left.
+    """
+    vertices, faces = surface
+    if not len(faces):
+        raise ModelError("A mesh has no triangles.")
+    low, side = vertices.min(0), float(np.ptp(vertices, axis=0).max()) or 1.0
+    _, same = np.unique(np.round((vertices - low) / side * 1e6), axis=0, return_inverse=True)
+    vertices, faces = _merged(vertices, faces, same.ravel())
+    for grid in _GRIDS:
+        if len(faces) <= most:
+            break
+        cells = np.floor((vertices - low) / side * grid)
+        _, number = np.unique(cells, axis=0, return_inverse=True)
+        vertices, faces = _merged(vertices, faces, number.ravel())
+    return vertices, faces
+
+
+def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
+    """Vertices of one number as one; triangles that collapse or repeat are left out."""
+    count = np.bincount(number)
+    means = np.stack([np.bincount(number, axis) / count for axis in vertices.T], -1)
+    faces = number[faces]
+    whole = (faces != np.roll(faces, 1, axis=1)).all(1)
+    _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
+    return means, faces[whole][np.sort(first)]
+
+
+def _stl(path: Path) -> Surface:
+    vertices = stl_vertices(path)
+    return vertices, np.arange(len(vertices)).reshape(-1, 3)
+
+
+def _collada(path: Path) -> Surface:
+    root = parse_xml(path)
+    unit = root.find("asset/unit")
+    scale = 1.0 if unit is None else float(unit.get("meter", "1"))
+    meshes = {g.get("id"): g.find("mesh") for g in root.iter("geometry")}
+    nodes = {n.get("id"): n for n in root.findall("library_nodes//node")}
+    parts: list[Surface] = []
+    for scene in root.iter("visual_scene"):
+        for node in scene.findall("node"):
+            for name, X in _instances(node, np.eye(4), nodes):
+                if (mesh := meshes[name]) is not None:
+                    vertices, faces = _mesh(mesh)
+                    parts.append((scale * (vertices @ X[:3, :3].T + X[:3, 3]), faces))
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    return (
+        np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in parts)]),
+        np.concatenate(
+            [
+                np.zeros((0, 3), int),
+                *(faces + k for (_, faces), k in zip(parts, starts, strict=False)),
+            ]
+        ),
+    )
+
+
+def _instances(
+    node: Element, X: Array, nodes: Mapping[str | None, Element]
+) -> Iterator[tuple[str, Array]]:
+    """Names of the meshes at a node and below it, with their 4×4 poses in the scene."""
+    for child in node:
+        if child.tag in _TRANSFORMS:
+            X = X @ _TRANSFORMS[child.tag](np.array((child.text or "").split(), float))
+        elif child.tag == "instance_geometry":
+            yield child.get("url", "")[1:], X
+        elif child.tag == "node":
+            yield from _instances(child, X, nodes)
+        elif child.tag == "instance_node":
+            yield from _instances(nodes[child.get("url", "")[1:]], X, {})
+
+
+def _scaled(by: Array) -> Array:
+    return np.diag([*by, 1.0])
+
+
+def _translated(by: Array) -> Array:
+    X = np.eye(4)
+    X[:3, 3] = by
+    return X
+
+
+def _rotated(by: Array) -> Array:
+    (x, y, z), angle = by[:3] / np.linalg.norm(by[:3]), np.radians(by[3])
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    X = np.eye(4)
+    X[:3, :3] += np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K
+    return X
+
+
+_TRANSFORMS: dict[str, Callable[[Array], Array]] = {
+    "matrix": lambda numbers: numbers.reshape(4, 4),
+    "translate": _translated,
+    "rotate": _rotated,
+    "scale": _scaled,
+}
+
+
+def _mesh(mesh: Element) -> Surface:
+    """Vertices and triangles of a mesh, polygons cut into triangles."""
+    sources = {source.get("id"): source for source in mesh.findall("source")}
+    place = mesh.find("vertices/input[@semantic='POSITION']")
+    if place is None:
+        raise ValueError("it has no positions")
+    numbers = sources[place.get("source", "")[1:]].findtext("float_array", "").split()
+    vertices, faces = np.array(numbers, float).reshape(-1, 3), [np.zeros((0, 3), int)]
+    for kind in ("triangles", "polylist", "polygons"):
+        for part in mesh.findall(kind):
+            inputs = {i.get("semantic"): int(i.get("offset", "0")) for i in part.findall("input")}
+            width = 1 + max(inputs.values())
+            for p in part.findall("p"):
+                corners = np.array((p.text or "").split(), int)
+                corners = corners.reshape(-1, width)[:, inputs["VERTEX"]]
+                counts = {"triangles": [3] * (len(corners) // 3), "polygons": [len(corners)]}
+                stated = np.array(part.findtext("vcount", "").split(), int)
+                faces.append(_fans(corners, np.array(counts.get(kind, stated), int)))
+    return vertices, np.concatenate(faces)
+
+
+def _fans(corners: Faces, counts: Faces) -> Faces:
+    """(m, 3) triangles of polygons with so many corners each, one polygon after another."""
+    first = np.repeat(np.cumsum(counts) - counts, np.maximum(counts - 2, 0))
+    step = np.concatenate([np.zeros(0, int), *(np.arange(1, count - 1) for count in counts)])
+    return np.stack([corners[first], corners[first + step], corners[first + step + 1]], -1)
+
+
+READERS: dict[str, Callable[[Path], Surface]] = {".stl": _stl, ".dae": _collada}
+"""Suffix -> reads a surface."""

@@ -1,0 +1,302 @@
+"""What is played over the robot: excerpts of logs, errors by joint and time, the worst moments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import positive
+from geodrake.effects import Effect
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.compare import comparison
+from geodrake.identification.logs.model_errors import Comparison
+from geodrake.logs.motion import JointLog
+from geodrake.logs.smoothing import Stretch
+from geodrake.model.robot_model import RobotModel
+from geodrake.report.robot_scene import FRAMES
+
+Array = NDArray[np.float64]
+
+MOST_SECONDS = 30.0
+"""Of longer logs, that many seconds are played: those in which the models err most."""
+
+_PART = 5.0  # s, length of the parts among which the worst are chosen
+_MEAN_OVER = 0.3  # s, over which an error is the RMS: residuals change their sign
+_APART = 1.0  # s, between two moments at one joint
+_APART_ANYWHERE = 0.25  # s, between two moments
+_MOST_MOMENTS, _MOST_AT_ONE = 5, 2  # of a model, and at one joint
+
+
+@dataclass(frozen=True, eq=False)
+class Excerpt:
+    """Part of a log that is played.
+
+    Attributes:
+        log: Name of the log.
+        began: The log's first time stamp, s.
+        time: (F,) instants of the frames in the log's own time, s.
+        q: (F, nv) positions by joint, rad or m.
+    """
+
+    log: str
+    began: float
+    time: Array
+    q: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PlayedModel:
+    """A model and its errors in every frame.
+
+    Attributes:
+        title: What the copy of the robot is called.
+        model: The model.
+        comparison: Its errors on the whole logs.
+        trained: Whether the model was fitted to these logs, so that errors are those of training.
+        measured: (F, nv) filtered efforts, N·m or N; NaN where nothing is compared.
+        predicted: (F, nv) what the model predicts.
+        error: (F, nv) RMS of measured − predicted around each frame.
+        relative: (F, nv) the same over the deviation of the joint's measured effort.
+    """
+
+    title: str
+    model: RobotModel
+    comparison: Comparison
+    trained: bool
+    measured: Array
+    predicted: Array
+    error: Array
+    relative: Array
+
+
+@dataclass(frozen=True)
+class Moment:
+    """An instant at which a model errs most.
+
+    Attributes:
+        played: Number of the model among those played.
+        joint: Number of the joint.
+        frame: Number of the frame.
+        error: RMS error around it, N·m or N.
+        relative: The same over the deviation of the joint's measured effort.
+    """
+
+    played: int
+    joint: int
+    frame: int
+    error: float
+    relative: float
+
+
+@dataclass(frozen=True, eq=False)
+class Playback:
+    """Motions and errors, frame by frame.
+
+    Attributes:
+        joints: Names of the joints.
+        excerpts: What is played, one after another.
+        models: One model, or that before and that after.
+        moments: The worst moments of each model, worst first.
+        seconds_left_out: Length of the logs that is not played, s.
+    """
+
+    joints: tuple[str, ...]
+    excerpts: tuple[Excerpt, ...]
+    models: tuple[PlayedModel, ...]
+    moments: tuple[Moment, ...]
+    seconds_left_out: float
+
+    @property
+    def q(self) -> Array:
+        """(F, nv) positions by joint in all frames, rad or m."""
+        return np.concatenate([excerpt.q for excerpt in self.excerpts])
+
+    def own_time(self, frame: int) -> tuple[str, float]:
+        """The log of a frame, and the time there, s."""
+        for excerpt in self.excerpts:
+            if frame < len(excerpt.time):
+                return excerpt.log, float(excerpt.time[frame])
+            frame -= len(excerpt.time)
+        raise IndexError(frame)
+
+    @property
+    def top(self) -> float:
+        """Relative error that has the last colour: hardly any of all models is larger."""
+        every = np.concatenate([played.relative.ravel() for played in self.models])
+        known = every[np.isfinite(every)]
+        return max(float(np.quantile(known, 0.99)), 1e-6) if len(known) else 1.0
+
+
+def play_back(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    before: RobotModel | None = None,
+    extra: Sequence[type[Effect]] = (),
+    bandwidth: float | None = None,
+    seconds: float = MOST_SECONDS,
+) -> Playback:
+    """What to play of logs: all of them, or the passages in which the models err most.
+
+    Args:
+        model: The model as it stands; nothing in it is refitted.
+        logs: Logs or their files.
+        before: Another model of the same robot, to be played beside it.
+        extra: Effect classes of the user's own.
+        bandwidth: Bandwidth of the filter, Hz; by default that of the model's fit to the same logs,
+            or chosen from the data.
+        seconds: Length of what is played at most, s.
+
+    Raises:
+        ArgumentError: The other model has other joints, or `seconds` is no positive number.
+        LogError: A log cannot be used.
+    """
+    positive(seconds, "seconds")
+    if before is not None and before.joints != model.joints:
+        raise ArgumentError(
+            f"The model before has the joints {', '.join(before.joints)}; the model has "
+            f"{', '.join(model.joints)}.",
+            advice="Give two models of one robot.",
+        )
+    case = open_case(model, logs, candidates=False, extra=extra, bandwidth=bandwidth)
+    pairs = [(model.path.name if before is None else "after", case)]
+    if before is not None:
+        own, of_motion = case.trajectories[0].bandwidths
+        other = open_case(
+            before,
+            case.asked.logs,
+            candidates=False,
+            extra=extra,
+            bandwidth=own,
+            motion_bandwidth=of_motion,
+        )
+        pairs.insert(0, ("before", other))
+    compared = [(title, each, comparison(each)) for title, each in pairs]
+    excerpts, left_out = _excerpts(case, [c for *_, c in compared], seconds)
+    models = tuple(_played(title, each, found, excerpts) for title, each, found in compared)
+    moments = tuple(m for k, played in enumerate(models) for m in _worst(k, played.error, played))
+    return Playback(model.joints, excerpts, models, moments, left_out)
+
+
+def _excerpts(
+    case: Case, found: Sequence[Comparison], seconds: float
+) -> tuple[tuple[Excerpt, ...], float]:
+    """What is played, and the seconds that are not."""
+    stretches = [(t, s) for t in case.trajectories for s in t.segments]
+    parts = []  # (stretch, first sample, first one after it, score)
+    whole = sum(len(s) * s.period for _, s in stretches) <= seconds
+    count = int(np.ceil(seconds / _PART))
+    for k, (trajectory, stretch) in enumerate(stretches):
+        size = len(stretch) if whole else max(2, int(seconds / count / stretch.period))
+        for first in range(0, len(stretch), size):
+            stop = min(first + size, len(stretch))
+            start = float(stretch[first : first + 1].time[0])
+            ends = start, start + (stop - first) * stretch.period
+            score = 0.0 if whole else _score(trajectory.name, ends, found)
+            parts.append((k, first, stop, score))
+    if not whole:
+        order = sorted(parts, key=lambda part: -part[3])
+        parts = sorted(order[:count])
+    joined: list[list[int]] = []
+    for k, first, stop, _ in parts:
+        if joined and joined[-1][0] == k and joined[-1][2] == first:
+            joined[-1][2] = stop
+        else:
+            joined.append([k, first, stop])
+    excerpts = tuple(
+        _excerpt(stretches[k][0].name, stretches[k][0].began, stretches[k][1], first, stop)
+        for k, first, stop in joined
+    )
+    total = sum(len(s) * s.period for _, s in stretches)
+    return excerpts, max(0.0, total - sum(len(e.time) for e in excerpts) / FRAMES)
+
+
+def _score(log: str, ends: tuple[float, float], found: Sequence[Comparison]) -> float:
+    """How far the models err between two instants, each measured by its own error."""
+    score = 0.0
+    for one in found:
+        stds = {joint.joint: joint.std for joint in one.errors.joints}
+        worst = 0.0
+        for s in one.series:
+            if _log_of(s.block, [log]) == log:
+                inside = (s.time >= ends[0]) & (s.time < ends[1])
+                squares = (s.residual[inside] / stds[s.joint]) ** 2
+                worst = max(worst, float(squares.mean()) if len(squares) else 0.0)
+        score += worst / max(one.errors.nrms, 1e-12) ** 2
+    return score
+
+
+def _excerpt(log: str, began: float, stretch: Stretch, first: int, stop: int) -> Excerpt:
+    segment = stretch[first:stop]
+    time = np.arange(segment.time[0], segment.time[-1] + 1e-9, 1.0 / FRAMES)
+    q = np.stack([np.interp(time, segment.time, x) for x in segment.position.T], -1)
+    return Excerpt(log, began, time, q)
+
+
+def _played(title: str, case: Case, found: Comparison, excerpts: Sequence[Excerpt]) -> PlayedModel:
+    logs = [trajectory.name for trajectory in case.trajectories]
+    shape = (sum(len(e.time) for e in excerpts), len(case.model.joints))
+    measured, predicted, error = (np.full(shape, np.nan) for _ in range(3))
+    for j, joint in enumerate(case.model.joints):
+        row = 0
+        for excerpt in excerpts:
+            own = [
+                s
+                for s in found.series
+                if s.joint == joint and _log_of(s.block, logs) == excerpt.log
+            ]
+            rows = slice(row, row + len(excerpt.time))
+            row = rows.stop
+            if sum(len(s.time) for s in own):
+                columns = [
+                    np.concatenate([getattr(s, n) for s in own])
+                    for n in ("time", "measured", "predicted")
+                ]
+                order = np.argsort(columns[0], kind="stable")
+                at = _around(excerpt.time, *(column[order] for column in columns))
+                measured[rows, j], predicted[rows, j], error[rows, j] = at
+    stds = np.array([joint.std for joint in found.errors.joints])
+    trained = any(print_ in case.model.fitted_to for print_ in case.fingerprints)
+    relative = error / stds
+    return PlayedModel(title, case.model, found, trained, measured, predicted, error, relative)
+
+
+def _around(frames: Array, time: Array, measured: Array, predicted: Array) -> Array:
+    """(3, F) efforts, and the RMS of their difference around each frame; NaN where no sample is."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else _MEAN_OVER
+    half = max(0.5 * _MEAN_OVER, 1.01 * period)
+    first, stop = (np.searchsorted(time, frames + sign * half) for sign in (-1.0, 1.0))
+    sums = np.concatenate([[0.0], np.cumsum((measured - predicted) ** 2)])
+    count = stop - first
+    there = count > 0
+    mean = np.maximum(sums[stop] - sums[first], 0.0) / np.maximum(count, 1)
+    values = [np.interp(frames, time, x) for x in (measured, predicted)]
+    return np.where(there, [*values, np.sqrt(mean)], np.nan)
+
+
+def _worst(number: int, error: Array, played: PlayedModel) -> Iterable[Moment]:
+    """The instants of largest relative error, apart from each other."""
+    left = np.nan_to_num(played.relative, nan=-1.0)
+    counts = np.zeros(left.shape[1], int)
+    for _ in range(_MOST_MOMENTS):
+        frame, joint = np.unravel_index(int(left.argmax()), left.shape)
+        if left[frame, joint] <= 0.0:
+            return
+        relative = float(left[frame, joint])
+        yield Moment(number, int(joint), int(frame), float(error[frame, joint]), relative)
+        near, close = round(_APART * FRAMES), round(_APART_ANYWHERE * FRAMES)
+        left[max(0, frame - near) : frame + near + 1, joint] = -1.0
+        left[max(0, frame - close) : frame + close + 1] = -1.0
+        counts[joint] += 1
+        left[:, counts >= _MOST_AT_ONE] = -1.0
+
+
+def _log_of(block: str, logs: Sequence[str]) -> str:
+    """The log that a block was cut from: its name is followed by a stretch of time."""
+    fitting = [log for log in logs if block == log or block.startswith(f"{log} ")]
+    return max(fitting, key=len, default="")

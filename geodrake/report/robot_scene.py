@@ -1,0 +1,288 @@
+"""A robot in MeshCat as its file shows it, and the calm surroundings of all our scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.geometry import Cylinder, Meshcat, MeshcatParams, Rgba
+from pydrake.geometry import Ellipsoid as EllipsoidShape
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import BodyIndex, Joint, JointIndex, RigidBody
+
+from geodrake.boundary.escaping import path_part
+from geodrake.identification.logs.unknowns import payload_reference
+from geodrake.inertia import Array, is_physical
+from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.inertia.ellipsoids import equivalent_ellipsoid
+from geodrake.model.robot_model import RobotModel
+from geodrake.report.ellipsoids import LEAST_THICKNESS
+from geodrake.report.robot_shapes import GRAY, LinkShape, RobotShapes, robot_shapes
+
+FRAMES = 30.0
+"""Frames a second of recordings."""
+
+_AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
+RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
+"""What is right to the camera, in the world."""
+
+_FLOOR_THICKNESS = 0.004  # m
+_VIEW = np.tan(np.radians(37.5))  # half of MeshCat's view, over the distance
+_ASPECT = 1.4  # of the view, width over height, at which everything fits
+
+
+def clock(frame: int) -> float:
+    """Time of a frame in MeshCat's recording, s: in its middle, so that none is counted twice."""
+    return (frame + 0.5) / FRAMES
+
+
+@dataclass(frozen=True, eq=False)
+class JointPlace:
+    """Where a joint is, and what it moves.
+
+    Attributes:
+        joint: Name of the joint.
+        link: Path of the link that the joint moves.
+        X_BJ: Pose of the joint in the link, z along its axis.
+        moved: Paths of the shapes of all links that it moves as one.
+    """
+
+    joint: str
+    link: str
+    X_BJ: RigidTransform
+    moved: tuple[str, ...]
+
+
+class RobotScene:
+    """A robot in a MeshCat.
+
+    Links have the visual shapes of the model's file, or its collision shapes. Where the file has
+    none, or they cannot be read, bodies are ellipsoids of their inertia.
+
+    Args:
+        meshcat: Where to draw.
+        model: The robot.
+        shapes: Its shapes; those of its file if None.
+        path: Folder of the scene to draw in.
+        p_WR: (3,) where the robot stands, m.
+        color: One colour for all links instead of the file's.
+
+    Attributes:
+        path: Folder of the scene.
+        notes: What is not shown as the file has it, in words.
+    """
+
+    def __init__(
+        self,
+        meshcat: Meshcat,
+        model: RobotModel,
+        *,
+        shapes: RobotShapes | None = None,
+        path: str = "robot",
+        p_WR: Array | None = None,
+        color: Rgba | None = None,
+    ) -> None:
+        shapes = robot_shapes(model) if shapes is None else shapes
+        self._meshcat, self._model, self.path = meshcat, model, path
+        self._context = model.plant.CreateDefaultContext()
+        self._lumps = lumped_bodies(model.plant)
+        bodies = [model.plant.get_body(BodyIndex(i)) for i in range(model.plant.num_bodies())]
+        moving = {int(m.index) for lump in self._lumps for m in lump.members}
+        self._moving = [body for body in bodies if int(body.index()) in moving]
+        self.notes = shapes.notes
+        meshcat.SetTransform(path, RigidTransform([0.0, 0.0, 0.0] if p_WR is None else p_WR))
+        by_name = {body.scoped_name().get_full(): body for body in bodies}
+        drawn = {n: links for n, links in shapes.links.items() if n in by_name}
+        for name, links in drawn.items():
+            self._draw(by_name[name], links, color)
+        if not drawn or shapes.notes:
+            self._draw_ellipsoids({int(by_name[name].index()) for name in drawn}, color)
+        if not drawn:
+            self.notes += ("bodies are shown as the ellipsoids of their inertia",)
+        for body in bodies:
+            if int(body.index()) not in moving:
+                X_WB = model.plant.EvalBodyPoseInWorld(self._context, body)
+                meshcat.SetTransform(self.link_path(body), X_WB)
+
+    def link_path(self, body: RigidBody) -> str:
+        """The folder of a link, whose frame is the link's."""
+        return f"{self.path}/{path_part(body.scoped_name().get_full())}"
+
+    def body_path(self, name: str) -> str:
+        """The folder of a body of the model, links welded together counting as one."""
+        return self.link_path(self.body(name))
+
+    def body(self, name: str) -> RigidBody:
+        """The link whose frame is that of a body of the model."""
+        lump = self._lumps[self._model.bodies.index(name)]
+        return self._model.plant.get_body(lump.body_index)
+
+    def move(self, q: Array, time: float | None = None) -> None:
+        """Put the robot into a posture.
+
+        Args:
+            q: (nq,) positions in the order of the model's plant.
+            time: Time in MeshCat's recording, s; None to move it now.
+        """
+        plant = self._model.plant
+        plant.SetPositions(self._context, q)
+        for body in self._moving:
+            X_WB = plant.EvalBodyPoseInWorld(self._context, body)
+            self._meshcat.SetTransform(self.link_path(body), X_WB, time)
+
+    def joint_places(self) -> tuple[JointPlace, ...]:
+        """The joints of one degree of freedom, in the model's order."""
+        plant, places = self._model.plant, {}
+        for index in plant.GetJointIndices():
+            joint = plant.get_joint(JointIndex(index))
+            if joint.num_velocities() == 1:
+                places[joint.velocity_start()] = self._place(joint)
+        return tuple(places[i] for i in sorted(places))
+
+    def _place(self, joint: Joint) -> JointPlace:
+        child = joint.child_body()
+        lump = next(
+            one for one in self._lumps if any(m.index == child.index() for m in one.members)
+        )
+        links = [self._model.plant.get_body(m.index) for m in lump.members]
+        X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
+        axis = X_BM.rotation().matrix() @ _axis(joint)
+        R_BJ = RotationMatrix.MakeFromOneVector(axis, 2)
+        return JointPlace(
+            self._model.joints[joint.velocity_start()],
+            self.link_path(child),
+            RigidTransform(R_BJ, X_BM.translation()),
+            tuple(f"{self.link_path(link)}/shapes" for link in links),
+        )
+
+    def _draw(self, body: RigidBody, links: Sequence[LinkShape], color: Rgba | None) -> None:
+        for k, one in enumerate(links):
+            place = f"{self.link_path(body)}/shapes/{k}"
+            self._meshcat.SetObject(place, one.shape, color or one.color)
+            self._meshcat.SetTransform(place, one.X_BG)
+
+    def _draw_ellipsoids(self, drawn: set[int], color: Rgba | None) -> None:
+        """Bodies none of whose links is drawn; those that cannot be as some body."""
+        phi = self._model.total_phi
+        phi = np.where(is_physical(phi)[:, None], phi, payload_reference(self._model.phi))
+        for lump, own in zip(self._lumps, phi, strict=True):
+            if not _is_drawn(lump, drawn):
+                place = f"{self.link_path(self._model.plant.get_body(lump.body_index))}/shapes/0"
+                draw_ellipsoid(self._meshcat, place, own, color or GRAY)
+
+
+def _is_drawn(lump: LumpedBody, drawn: set[int]) -> bool:
+    return any(int(member.index) in drawn for member in lump.members)
+
+
+def _axis(joint: Joint) -> Array:
+    """(3,) axis of a joint in its own frame."""
+    for name in ("revolute_axis", "translation_axis", "screw_axis"):
+        if hasattr(joint, name):
+            return np.asarray(getattr(joint, name)())
+    return np.array([0.0, 0.0, 1.0])
+
+
+def draw_ellipsoid(meshcat: Meshcat, path: str, phi: Array, color: Rgba) -> None:
+    """Draws the uniform ellipsoid that has the inertia of a body.
+
+    Args:
+        meshcat: Where to draw.
+        path: Where in the scene; the folder above has the body's frame.
+        phi: (10,) physical inertial parameters.
+        color: Its colour.
+    """
+    own = equivalent_ellipsoid(phi)
+    meshcat.SetObject(path, EllipsoidShape(*np.maximum(own.semi_axes, LEAST_THICKNESS)), color)
+    meshcat.SetTransform(path, RigidTransform(RotationMatrix(own.rotation), own.center))
+
+
+def calm_meshcat() -> Meshcat:
+    """A MeshCat for a page: light, without axes; where it listens does not matter."""
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    meshcat.SetProperty("/Background/<object>", "top_color", [1.0, 1.0, 1.0])
+    meshcat.SetProperty("/Background/<object>", "bottom_color", [0.93, 0.95, 0.97])
+    meshcat.SetProperty("/Axes", "visible", False)
+    meshcat.SetProperty("/Grid", "visible", False)
+    return meshcat
+
+
+@dataclass(frozen=True, eq=False)
+class Extent:
+    """Where a robot goes.
+
+    Attributes:
+        low: (3,) least coordinates of the origins of its links in the world, m.
+        high: (3,) largest ones.
+        left: The farthest that it goes to the left of the camera, m.
+        right: The farthest that it goes to the right, m.
+        widest: Its largest width to the camera in any one posture, m.
+    """
+
+    low: Array
+    high: Array
+    left: float
+    right: float
+    widest: float
+
+    @classmethod
+    def of(cls, model: RobotModel, q: Array) -> Extent:
+        """The extent of some postures.
+
+        Args:
+            model: The robot.
+            q: (N, nq) positions in the order of the model's plant.
+        """
+        plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
+        bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
+        for posture in q[:: max(1, len(q) // 60)]:
+            plant.SetPositions(context, posture)
+            origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
+            points.append([np.zeros(3), *origins])
+        cloud = np.array(points)
+        across = cloud @ RIGHT
+        low, high = cloud.min((0, 1)), cloud.max((0, 1))
+        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=1).max())
+
+    @property
+    def size(self) -> float:
+        """The largest side with a margin for links, m."""
+        return 1.15 * float((self.high - self.low).max()) + 0.1
+
+    @property
+    def gap(self) -> float:
+        """Distance at which two copies in one posture are clear of each other, m."""
+        return self.widest + 0.3 * self.size
+
+
+def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
+    """Draws a disc for a robot to stand on.
+
+    Args:
+        meshcat: The scene.
+        path: Folder of the robot, or "" for that of the whole scene.
+        extent: Where the robot goes.
+    """
+    disc = Cylinder(0.25 * extent.size, _FLOOR_THICKNESS)
+    meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
+    meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
+
+
+def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
+    """Looks at where a robot goes.
+
+    Args:
+        meshcat: The scene.
+        extent: Where the robot goes.
+        copies: Number of copies beside each other, `extent.gap` apart.
+    """
+    margin = 0.12 * extent.size
+    left, right = -extent.left, extent.right + (copies - 1) * extent.gap
+    height = 0.5 * (extent.high - extent.low)[2] + margin
+    width = 0.5 * (right - left) + margin
+    middle = 0.5 * (extent.low + extent.high)
+    middle += (0.5 * (left + right) - middle @ RIGHT) * RIGHT
+    depth = 0.5 * float(np.abs(_AWAY) @ (extent.high - extent.low))
+    far = max(height, width / _ASPECT) / _VIEW + 0.6 * depth
+    meshcat.SetCameraPose(middle + far * _AWAY, middle)

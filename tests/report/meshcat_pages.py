@@ -1,0 +1,30 @@
+"""What a page of MeshCat's holds, decoded by an independent reader of MessagePack."""
+
+import base64
+import re
+
+import msgpack
+
+
+def commands(page):
+    """The commands that a page gives MeshCat when it is opened, as dictionaries."""
+    found = re.findall(r'fetch\("data:application/octet-binary;base64,([^"]+)"\)', page)
+    return [msgpack.unpackb(base64.b64decode(text), strict_map_key=False) for text in found]
+
+
+def tracks(page):
+    """(path, property) -> (frames, values) of the page's animation."""
+    (animation,) = [c for c in commands(page) if c["type"] == "set_animation"]
+    return {
+        (one["path"], track["name"].removeprefix(".")): (
+            [key["time"] for key in track["keys"]],
+            [key["value"] for key in track["keys"]],
+        )
+        for one in animation["animations"]
+        for track in one["clip"]["tracks"]
+    }
+
+
+def drawn(page):
+    """Paths of the objects of a page."""
+    return {c["path"] for c in commands(page) if c["type"] == "set_object"}

@@ -1,0 +1,304 @@
+"""Logs played over a robot: postures, colours, marks and moments, in a page that works."""
+
+import json
+import re
+import shutil
+import threading
+import urllib.error
+import urllib.request
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from meshcat_pages import drawn, tracks
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from typer.testing import CliRunner
+
+from geodrake import load_model, save_model
+from geodrake.cli.app import app
+from geodrake.cli.serving import page_server, serve_page
+from geodrake.diagnosis import compare
+from geodrake.effects import CoulombFriction, FittedEffect, GravityTilt, Payload
+from geodrake.effects.contact import Contact
+from geodrake.errors import ArgumentError, OutputError
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs import read_log
+from geodrake.report.numbers import Units
+from geodrake.report.play_page import COLORS, UNKNOWN, levels, play_page
+from geodrake.report.playback import play_back
+from geodrake.report.robot_scene import FRAMES
+
+DEMO = files("geodrake") / "demo"
+URDF, LOG = Path(str(DEMO / "demo.urdf")), Path(str(DEMO / "demo.csv"))
+JOINT = "shoulder_pitch"
+PAYLOAD = from_mass_com_inertia(2.5, np.array([0.0, 0.0, 0.1]), 0.01 * np.eye(3))
+
+
+@pytest.fixture(scope="module")
+def before():
+    return load_model(URDF)
+
+
+@pytest.fixture(scope="module")
+def after(before):
+    contact = Contact("flange", 1.0, 2.0, x=0.1)
+    return replace(
+        before,
+        effects=(
+            FittedEffect(Payload("flange"), PAYLOAD),
+            FittedEffect(CoulombFriction(JOINT), np.array([8.0])),
+            FittedEffect(contact, np.array([0.0, 0.0, -5.0, 0.0, 0.0, 0.0])),
+            FittedEffect(GravityTilt(), np.array([0.01, 0.0])),
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def playback(before, after):
+    return play_back(after, [LOG], before=before)
+
+
+@pytest.fixture(scope="module")
+def short(before, after):
+    log = read_log(LOG)
+    few = slice(None, 900)
+    cut = replace(
+        log,
+        time=log.time[few],
+        position=log.position[few],
+        effort=log.effort[few],
+        velocity=log.velocity[few],
+        acceleration=None,
+    )
+    return play_back(after, [cut], before=before)
+
+
+@pytest.fixture(scope="module")
+def page(short, after):
+    return play_page(short, title="demo: <play>", log_names=["demo.csv"], units=Units.of(after))
+
+
+def test_links_go_where_the_log_says(short, page):
+    plant = MultibodyPlant(0.0)
+    Parser(plant).AddModels(str(URDF))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.Finalize()
+    context, log = plant.CreateDefaultContext(), read_log(LOG)
+    (excerpt,) = short.excerpts
+    found = tracks(page)
+    for k, title in enumerate(("before", "after")):
+        frames, positions = found[f"/drake/robot/{k} {title}/arm6::flange", "position"]
+        assert frames == list(range(len(excerpt.time)))
+        for frame in (0, 20, len(frames) - 1):
+            q = [np.interp(excerpt.time[frame], log.time, x) for x in log.position.T]
+            for joint, value in zip(log.joints, q, strict=True):
+                plant.GetJointByName(joint).set_angle(context, value)
+            X_WB = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("flange"))
+            np.testing.assert_allclose(positions[frame], X_WB.translation(), atol=2e-3)
+
+
+def test_arrows_have_the_lengths_and_directions_of_the_efforts(short, page):
+    found, j = tracks(page), short.joints.index(JOINT)
+    after = short.models[1]
+    folder = f"/drake/robot/1 after/arm6::upper_arm/efforts/{JOINT}"
+    for kind in ("measured", "predicted"):
+        length = np.array(found[f"{folder}/{kind}/arrow", "scale"][1])[:, 2]
+        effort = getattr(after, kind)[:, j] / np.nanmax(np.abs(after.measured[:, j]))
+        large = np.isfinite(effort) & (np.abs(effort) > 0.05)
+        assert large.sum() > 20
+        np.testing.assert_allclose(length[large], effort[large], rtol=1e-9)
+
+
+def test_colours_are_the_errors(playback, before, after):
+    assert [played.title for played in playback.models] == ["before", "after"]
+    for played, model in zip(playback.models, (before, after), strict=True):
+        compared = compare(model, [LOG])
+        np.testing.assert_allclose(
+            played.comparison.errors.nrms, compared.errors.nrms, rtol=0.3
+        )  # a bandwidth of its own
+    played, (excerpt,) = playback.models[0], playback.excerpts
+    colors, j = levels(playback, played), playback.joints.index(JOINT)
+    std = played.comparison.errors.joints[j].std
+    own = [s for s in played.comparison.series if s.joint == JOINT]
+    time = np.concatenate([s.time for s in own])
+    residual = np.concatenate([s.residual for s in own])
+    assert (colors[:, j] != UNKNOWN).mean() > 0.9
+    for frame in range(30, len(excerpt.time) - 30, 50):
+        near = np.abs(time - excerpt.time[frame]) <= 0.15
+        if near.any():
+            rms = np.sqrt((residual[near] ** 2).mean())
+            expected = 254 * min(rms / std / playback.top, 1.0)
+            assert abs(int(colors[frame, j]) - expected) <= 1
+    assert levels(playback, playback.models[1])[:, j].mean() < colors[:, j].mean()
+
+
+def test_the_worst_moments_are_the_worst_and_apart(playback):
+    for k, played in enumerate(playback.models):
+        moments = [m for m in playback.moments if m.played == k]
+        assert moments[0].relative == np.nanmax(played.relative)
+        sizes = [m.relative for m in moments]
+        assert sizes == sorted(sizes, reverse=True) and 3 <= len(moments) <= 5
+        for m in moments:
+            assert m.relative == played.relative[m.frame, m.joint]
+            same = [o for o in moments if o.joint == m.joint and o is not m]
+            assert all(abs(o.frame - m.frame) >= FRAMES for o in same)
+
+
+def test_of_long_logs_the_worst_passages_are_played(before, playback):
+    some = play_back(before, [LOG], seconds=6.0)
+    assert sum(len(e.time) for e in some.excerpts) / FRAMES <= 6.0
+    assert some.seconds_left_out == pytest.approx(23.76 - 6.0, abs=0.3)
+    worst = playback.moments[0]
+    _, time = playback.own_time(worst.frame)
+    assert any(e.time[0] <= time <= e.time[-1] for e in some.excerpts)
+    page = play_page(some, title="demo", log_names=["demo.csv"], units=Units())
+    assert "s of the logs are not (--seconds)" in page
+
+
+def test_effects_are_at_their_places(short, page):
+    paths, found = drawn(page), tracks(page)
+    root = "/drake/robot/1 after"
+    assert f"{root}/arm6::flange/effects/0 payload" in paths
+    assert f"{root}/arm6::upper_arm/ring {JOINT}" in paths
+    frames, there = found[f"{root}/effects/2 contact", "visible"]
+    (excerpt,) = short.excerpts
+    since = [excerpt.time[frame] - excerpt.began for frame in frames]
+    assert there == [False, True, False, False]
+    np.testing.assert_allclose(since[1:3], [1.0, 2.0], atol=1 / FRAMES)
+    assert not [path for path in paths if "0 before" in path and "effects" in path]
+    for words in ("payload 2.50 kg", "Coulomb friction 8.00 N·m", "contact 5.00 N", "tilt"):
+        assert words in page
+
+
+def test_the_page_says_what_is_held_out_and_loads_nothing(page, after, before):
+    assert "<title>demo: &lt;play&gt;</title>" in page
+    assert page.count("held-out data") == 2 and "training data" not in page
+    outside = re.findall(r"(?:src|href)=[\"']?(?!data:)[^\"'> ]+", page.rpartition("gd-side")[2])
+    assert not outside
+    log = read_log(LOG)
+    trained = replace(after, fitted_to=(log.fingerprint,))
+    found = play_back(trained, [LOG], before=before, seconds=1.0)
+    assert [played.trained for played in found.models] == [False, True]
+    assert "training data" in play_page(found, title="d", log_names=["d"], units=Units())
+
+
+def test_models_of_other_robots_and_no_time_are_refused(before):
+    other = load_model(Path(__file__).parents[2] / "models" / "double_pendulum.urdf")
+    with pytest.raises(ArgumentError, match="Give two models of one robot"):
+        play_back(before, [LOG], before=other)
+    with pytest.raises(ArgumentError, match="seconds"):
+        play_back(before, [LOG], seconds=0.0)
+
+
+def test_the_command_plays_a_saved_model_beside_its_file(tmp_path, after):
+    saved, out = tmp_path / "arm.yaml", tmp_path / "play.html"
+    save_model(after, saved)
+    numbers = tmp_path / "n.json"
+    words = ["play", saved, LOG, "--out", out, "--seconds", "2", "--json", numbers]
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    assert "Saved the page that plays the logs: " in result.output
+    assert "before, nrms 0.8" in result.output and "N·m off" in result.output
+    found = json.loads(numbers.read_text())
+    assert [m["title"] for m in found["models"]] == ["before", "after"]
+    first = found["models"][0]["worst_moments"][0]
+    assert first["joint"] in result.output and first["relative"] > 1
+    assert "/drake/robot/1 after/arm6::flange" in {path for path, _ in tracks(out.read_text())}
+    assert out.stat().st_size < 4e6
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--out", "p.png"), "does not end in .html"),
+        (("--speed", "0"), "--speed must be"),
+        (("--seconds", "-1"), "--seconds must be"),
+        (("--live", "99999"), "is no port"),
+        (("--before", "none.urdf"), "does not exist"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, monkeypatch, options, words):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["play", str(URDF), str(LOG), *options])
+    assert result.exit_code == 2
+    assert words in result.stderr and result.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_page_is_served_on_a_port():
+    server = page_server(0)
+    port = server.server_address[1]
+    with pytest.raises(OutputError, match=f"Port {port} cannot be used"):
+        page_server(port)
+    thread = threading.Thread(target=serve_page, args=(server, "<p>played ✓</p>"))
+    thread.start()
+    try:
+        with urllib.request.urlopen(f"http://localhost:{port}/", timeout=10) as answer:
+            assert answer.read().decode() == "<p>played ✓</p>"
+        with pytest.raises(urllib.error.HTTPError, match="404") as caught:
+            urllib.request.urlopen(f"http://localhost:{port}/other", timeout=10)
+        caught.value.close()
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def chromium():
+    """A browser of playwright's, or a reason to skip."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome")))
+    path = next(found, None)
+    if path is None:
+        pytest.skip("there is no Chromium")
+    return playwright.sync_playwright, path
+
+
+SHOWN = """() => {
+    const paint = object => {
+        let color = null;
+        object.traverse(o => { if (o.material) color = o.material.color; });
+        return color;
+    };
+    const find = path => viewer.scene_tree.find(path.split("/").filter(p => p)).object;
+    return [viewer.animator.time, find(%r).scale.z, paint(find(%r)).getHexString()];
+}"""
+
+
+def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
+    sync_playwright, path = chromium()
+    file = tmp_path / "play.html"
+    file.write_text(page)
+    moment = next(m for m in short.moments if m.played == 0)
+    link = {"wrist_spin": "flange", "wrist_roll": "wrist_barrel", "elbow_pitch": "forearm"}
+    joint = short.joints[moment.joint]
+    body = f"/drake/robot/0 before/arm6::{link.get(joint, 'flange')}"
+    arrow = f"/drake/robot/0 before/arm6::upper_arm/efforts/{JOINT}/measured/arrow"
+    seen = []
+    with sync_playwright() as playwright:
+        arguments = ["--no-sandbox", "--disable-background-networking", "--use-angle=swiftshader"]
+        arguments.append("--enable-unsafe-swiftshader")
+        browser = playwright.chromium.launch(executable_path=path, args=arguments)
+        view = browser.new_page(viewport={"width": 640, "height": 480})
+        view.on("console", lambda m: seen.append(m.text) if m.type == "error" else None)
+        view.on("pageerror", lambda error: seen.append(str(error)))
+        view.on("request", lambda r: seen.append(r.url) if r.url.startswith("http") else None)
+        view.goto(file.as_uri())
+        view.wait_for_selector("html[data-ready=yes]", state="attached", timeout=60_000)
+        button = view.locator(".gd-moment").first
+        assert joint in button.inner_text()
+        button.click()
+        view.wait_for_selector('.gd-moment[aria-pressed="true"]')
+        time, length, color = view.evaluate(SHOWN % (arrow, f"{body}/shapes"))
+        assert view.locator("#gd-play").inner_text() == "Play"
+        assert f"{joint} errs most" in view.locator("#gd-now").inner_text()
+        browser.close()
+    assert not seen
+    assert time == pytest.approx(moment.frame / FRAMES, abs=1e-3)
+    expected = tracks(page)[arrow, "scale"][1][moment.frame][2]
+    assert length == pytest.approx(expected, abs=1e-5)
+    if joint in link:
+        assert f"#{color}" == COLORS[-1]

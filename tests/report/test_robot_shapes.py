@@ -1,0 +1,175 @@
+"""Shapes of robots: meshes of all usual formats, and words for those that are not found."""
+
+import shutil
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from known_robots import robots
+from meshcat_pages import commands, drawn, tracks
+from pydrake.geometry import Box, Mesh
+
+from geodrake import load_model
+from geodrake.errors import ModelError
+from geodrake.report.mesh_files import MOST_TRIANGLES, wavefront
+from geodrake.report.replay import replay_page
+from geodrake.report.robot_shapes import robot_shapes
+
+CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float)
+QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+TRIANGLES = np.array([t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))])
+
+COLLADA = """<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+ <asset><unit name="millimeter" meter="0.001"/><up_axis>Z_UP</up_axis></asset>
+ <library_geometries><geometry id="box"><mesh>
+  <source id="p"><float_array id="pa" count="24">{points}</float_array></source>
+  <source id="n"><float_array id="na" count="3">0 0 1</float_array></source>
+  <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+  {faces}
+ </mesh></geometry></library_geometries>
+ <library_visual_scenes><visual_scene id="s"><node><translate>10 0 0</translate>
+  <rotate>0 0 1 90</rotate><node><scale>2 2 2</scale><instance_geometry url="#box"/></node>
+ </node></visual_scene></library_visual_scenes>
+</COLLADA>
+"""
+INPUTS = '<input semantic="VERTEX" source="#v" offset="0"/><input semantic="NORMAL" offset="1"/>'
+
+
+def polylist():
+    corners = " ".join(f"{c} 0" for quad in QUADS for c in quad)
+    return f"<polylist>{INPUTS}<vcount>{'4 ' * 6}</vcount><p>{corners}</p></polylist>"
+
+
+def triangles():
+    corners = " ".join(f"{c} 0" for triangle in TRIANGLES for c in triangle)
+    return f"<triangles>{INPUTS}<p>{corners}</p></triangles>"
+
+
+def polygons():
+    quads = "".join(f"<p>{' '.join(f'{c} 0' for c in quad)}</p>" for quad in QUADS)
+    return f"<polygons>{INPUTS}{quads}</polygons>"
+
+
+def write_stl(path, corners=CORNERS, faces=TRIANGLES):
+    with path.open("wb") as file:
+        file.write(bytes(80) + struct.pack("<I", len(faces)))
+        for face in faces:
+            file.write(struct.pack("<12fH", 0, 0, 0, *corners[face].ravel(), 0))
+
+
+def surface(text):
+    lines = [line.split() for line in text.splitlines()]
+    vertices = np.array([line[1:] for line in lines if line[0] == "v"], float)
+    return vertices, np.array([line[1:] for line in lines if line[0] == "f"], int) - 1
+
+
+def volume(vertices, faces):
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+@pytest.mark.parametrize("faces", [polylist, triangles, polygons])
+def test_a_collada_box_has_its_unit_and_place(tmp_path, faces):
+    path = tmp_path / "box.dae"
+    points = " ".join(map(str, CORNERS.ravel()))
+    path.write_text(COLLADA.format(points=points, faces=faces()))
+    vertices, corners = surface(wavefront(path))
+    assert len(vertices) == 8 and len(corners) == 12
+    np.testing.assert_allclose(vertices.min(0), [0.006, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(vertices.max(0), [0.010, 0.002, 0.006], atol=1e-9)
+    assert abs(volume(vertices, corners)) == pytest.approx(0.004 * 0.002 * 0.006)
+
+
+def test_fine_meshes_are_drawn_more_coarsely(tmp_path):
+    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 161), np.linspace(0, np.pi, 81), indexing="ij")
+    sphere = np.stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)], -1).reshape(-1, 3)
+    k = np.arange(161 * 81).reshape(161, 81)
+    a, b, c, d = k[:-1, :-1].ravel(), k[1:, :-1].ravel(), k[1:, 1:].ravel(), k[:-1, 1:].ravel()
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    write_stl(tmp_path / "sphere.stl", sphere, faces)
+    vertices, corners = surface(wavefront(tmp_path / "sphere.stl"))
+    assert 500 < len(corners) <= MOST_TRIANGLES < len(faces)
+    assert abs(volume(vertices, corners)) == pytest.approx(4 / 3 * np.pi, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("a.dae", "<COLLADA><library_visual_scenes/></COLLADA>"),
+        ("a.dae", "no xml"),
+        ("a.stl", "solid nothing"),
+        ("a.dae", COLLADA.format(points="1 2", faces=triangles())),
+    ],
+)
+def test_meshes_that_are_none_are_refused(tmp_path, name, text):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(ModelError):
+        wavefront(tmp_path / name)
+
+
+ROBOT = """<robot name="r"><link name="base"/>
+<link name="arm"><inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>{shapes}</link>
+<joint name="j" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+</joint>
+</robot>"""
+MESH = '<{kind}><geometry><mesh filename="{file}" scale="0.5 1 1"/></geometry></{kind}>'
+BOX = '<collision><geometry><box size="1 1 1"/></geometry></collision>'
+
+
+def robot(tmp_path, *shapes):
+    path = tmp_path / "r.urdf"
+    path.write_text(ROBOT.format(shapes="".join(shapes)))
+    return load_model(path)
+
+
+def test_an_stl_visual_is_shown_and_hides_collisions(tmp_path):
+    write_stl(tmp_path / "arm.STL")
+    model = robot(tmp_path, MESH.format(kind="visual", file="arm.STL"), BOX)
+    shapes = robot_shapes(model)
+    assert not shapes.notes
+    ((only,),) = shapes.links.values()
+    assert isinstance(only.shape, Mesh) and only.shape.scale3()[0] == 0.5
+    page = replay_page(model, np.array([0.1, 0.2]), np.array([[0.0], [0.5]]))
+    assert "/drake/robot/r::arm/shapes/0" in drawn(page)
+    turned = tracks(page)["/drake/robot/r::arm", "quaternion"][1]
+    np.testing.assert_allclose(turned[-1], [0, 0, np.sin(0.25), np.cos(0.25)], atol=1e-9)
+
+
+def test_a_missing_mesh_is_said_and_its_collision_shape_shown(tmp_path):
+    shapes = robot_shapes(
+        robot(tmp_path, MESH.format(kind="visual", file="package://nowhere/arm.dae"), BOX)
+    )
+    ((only,),) = shapes.links.values()
+    assert isinstance(only.shape, Box)
+    (note,) = shapes.notes
+    assert "package://nowhere/arm.dae (unknown package 'nowhere')" in note
+    assert "ROS_PACKAGE_PATH" in note
+
+
+def test_without_any_shape_bodies_are_ellipsoids_and_the_page_says_so(tmp_path):
+    model = robot(tmp_path, MESH.format(kind="visual", file="gone.stl"))
+    shapes = robot_shapes(model)
+    assert not shapes.links and "gone.stl" in shapes.notes[0]
+    page = replay_page(model, np.array([0.1, 0.2]), np.zeros((2, 1)))
+    (shape,) = [c for c in commands(page) if c.get("path", "").endswith("r::arm/shapes/0")][:1]
+    assert shape["type"] == "set_object"
+    assert "meshes that are not shown: gone.stl" in page
+
+
+def test_a_package_on_the_path_is_found(tmp_path, monkeypatch):
+    source = robots() / "ur_description"
+    folder = tmp_path / "ws" / "example-robot-data"
+    shutil.copytree(source / "meshes" / "ur3", folder / "robots/ur_description/meshes/ur3")
+    (folder / "package.xml").write_text("<package><name>example-robot-data</name></package>")
+    urdf = tmp_path / "ur3.urdf"
+    shutil.copy(source / "urdf" / "ur3_robot.urdf", urdf)
+    model = load_model(urdf)
+    assert robot_shapes(model).notes
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws"))
+    found = robot_shapes(model)
+    assert not found.notes
+    assert sum(isinstance(s.shape, Mesh) for links in found.links.values() for s in links) == 7
+    assert Path(urdf).exists()
