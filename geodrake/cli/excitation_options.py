@@ -142,8 +142,8 @@ class _Search:
     seeds: Annotated[int, typer.Option(metavar="N", help="Random motions to start from.")] = 3
     seed: Annotated[int, typer.Option(metavar="N", help="Number of the first of them.")] = 0
     seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Most time for each of them.")
-    ] = 60.0
+        float, typer.Option(metavar="SECONDS", help="Most time for the whole search.")
+    ] = 180.0
     iterations: Annotated[
         int, typer.Option(metavar="N", help="Most iterations of the solver, for each stage.")
     ] = 300

@@ -37,6 +37,7 @@ from geodrake.excitation import (
     Target,
     make_target,
 )
+from geodrake.excitation.budget import Budget
 from geodrake.excitation.design import design_objective
 from geodrake.excitation.design_results import DesignProgress
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
@@ -51,6 +52,7 @@ from geodrake.robot.plant import effort_limits
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _NOISE_SHARE = 0.01  # of the limits of effort
+_LEAST_SECONDS = 1e-3  # when collision geometry took all
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
 _FARTHEST, _LAST_SEED = 100.0, 1 << 32
@@ -181,6 +183,7 @@ def _designed(
     update: Update,
 ) -> ExcitationResult:
     """The design that options ask for."""
+    budget = Budget.of(options.seconds)
     limits = limits_of(options.limits, model)
     collisions, notes = _collisions(options, model)
     objective, more = _objective(options, model, limits, effects)
@@ -191,7 +194,7 @@ def _designed(
         collisions=collisions,
         solver=options.solver,
         iterations=options.iterations,
-        seconds=options.seconds,
+        seconds=max(budget.left, _LEAST_SECONDS),
     )
     update("Designing")
     result = design_objective(

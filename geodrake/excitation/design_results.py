@@ -30,7 +30,7 @@ class DesignOptions:
         collisions: What may not be hit.
         solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
         iterations: Most iterations of the solver, for each stage.
-        seconds: Most time of the solver for each seed, s.
+        seconds: Most time of the whole design, which its starts share, s.
         sharpness: Stages of the smooth forms of E-optimality and condition number; see
             `Criterion`.
         guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
@@ -43,7 +43,7 @@ class DesignOptions:
     collisions: CollisionWorld | None = None
     solver: str = "snopt"
     iterations: int = 300
-    seconds: float = 60.0
+    seconds: float = 180.0
     sharpness: tuple[float, ...] = (8.0, 64.0)
     guess: Array | None = None
 
