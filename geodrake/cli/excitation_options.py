@@ -14,6 +14,7 @@ from geodrake.cli.options import (
     Floating,
     JsonFile,
     ModelFile,
+    Quiet,
     ReportFile,
     ValidationOptions,
 )
@@ -182,4 +183,5 @@ class ExciteOptions(_Motion, _Robot, _Search):
         typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
     ] = None
     floating: Floating = False
+    quiet: Quiet = False
     debug: Debug = False

@@ -12,7 +12,7 @@ from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
-from geodrake.cli.progress import Update, progress
+from geodrake.cli.progress import Activity, progress
 from geodrake.cli.session import Maker, own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
@@ -74,7 +74,7 @@ def run_excite(options: ExciteOptions) -> None:
     targets.check([options.model, *files])
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
-    with progress(f"Reading {options.model.name}") as update:
+    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
@@ -180,7 +180,7 @@ def _designed(
     model: RobotModel,
     effects: _Effects,
     family: MotionFamily,
-    update: Update,
+    update: Activity,
 ) -> ExcitationResult:
     """The design that options ask for."""
     budget = Budget.of(options.seconds)
@@ -203,7 +203,7 @@ def _designed(
         trajectory=family,
         options=design,
         seeds=range(options.seed, options.seed + options.seeds),
-        progress=_updating(update),
+        progress=_updating(update, budget, options.seconds),
     )
     return replace(result, notes=(*result.notes, *notes, *more))
 
@@ -277,12 +277,12 @@ def _collisions(
         ) from error
 
 
-def _updating(update: Update) -> Callable[[DesignProgress], None]:
+def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[DesignProgress], None]:
     def updated(now: DesignProgress) -> None:
         if now.evaluations % _UPDATED_EVERY == 0:
             update(
-                f"Start {now.seed + 1} of {now.seeds}, evaluation {now.evaluations}, "
-                f"log criterion {now.value:.3f}"
+                f"Start {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
+                1.0 - budget.left / seconds,
             )
 
     return updated

@@ -39,6 +39,9 @@ ReportFile = Annotated[
 Floating = Annotated[
     bool, typer.Option("--floating", help="Leave roots free that nothing fixes to the world.")
 ]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show results and errors only, no progress.")
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
 EffectNames = Annotated[
     list[Path] | None,
@@ -81,6 +84,7 @@ class LogOptions:
             "Repeatable.",
         ),
     ] = None
+    quiet: Quiet = False
     debug: Debug = False
 
     @property
@@ -261,6 +265,7 @@ class DemoOptions:
         Path, typer.Option(metavar="FILE.html", help="Where the page with the figures goes.")
     ] = Path("geodrake_demo.html")
     json: JsonFile = None
+    quiet: Quiet = False
     debug: Debug = False
 
 

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import typer
 from rich.console import Console
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
+from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
-from geodrake.cli.progress import Update, progress
+from geodrake.cli.progress import Activity, progress
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
@@ -43,14 +45,14 @@ class Input:
         logs: The files of the logs, or what was read of them.
         extra: Effects of the user's own.
         settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
-        progress: Called with what is going on, in words.
+        progress: Called with what is going on, in words and as a share.
     """
 
     model: RobotModel
     logs: tuple[JointLog | Path, ...]
     extra: tuple[type[Effect], ...]
     settings: Mapping[str, Any]
-    progress: Update
+    progress: Activity
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def run(command: Command[R], options: LogOptions) -> None:
     targets.check(read)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
-    with progress(f"Reading {options.model.name}") as update:
+    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(options.effects or ())
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([*read, model.path])  # a saved model reads another one
@@ -133,6 +135,8 @@ def run(command: Command[R], options: LogOptions) -> None:
         console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
         command.show(console, result, Units.of(fitted, extra))
         show_saved(console, written)
+    if getattr(result, "is_interrupted", False):
+        raise typer.Exit(INTERRUPTED)
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

@@ -165,6 +165,7 @@ class Explanation:
         of_motion: Joint -> share of its squared error that goes with the motion: that a smooth
             function of positions and velocities predicts on held-out data. Of the final model;
             without a step, of the model refitted within its prior.
+        is_interrupted: Whether the search was stopped before its end.
     """
 
     verdict: Verdict
@@ -178,3 +179,4 @@ class Explanation:
     notes: tuple[str, ...]
     bodies: tuple[BodyChange, ...] = ()
     of_motion: Mapping[str, float] = field(default_factory=dict)
+    is_interrupted: bool = False
