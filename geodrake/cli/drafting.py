@@ -70,6 +70,7 @@ def run_drafting(options: ExplainOptions, target: Path) -> None:
         paged=lambda found: (found.explanation, found.draft),
         more={"draft-effect": target},
         makers=_makers,
+        sampled=lambda found: found.explanation,
     )
     run(command, options)
 

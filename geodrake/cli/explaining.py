@@ -58,6 +58,7 @@ def run_explaining(options: Options) -> None:
         "render_explained",
         _show,
         paged=lambda found: (found.explanation, found.correlates),
+        sampled=lambda found: found.explanation,
     )
     run(command, options)
 

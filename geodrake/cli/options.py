@@ -36,6 +36,13 @@ JsonFile = Annotated[
 ReportFile = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
 ]
+SeriesFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.csv|.parquet",
+        help="Write the samples: time, log, and of every joint measured, predicted and residual.",
+    ),
+]
 Floating = Annotated[
     bool, typer.Option("--floating", help="Leave roots free that nothing fixes to the world.")
 ]
@@ -102,6 +109,11 @@ class LogOptions:
         """Where the model goes, if it is saved."""
         return None
 
+    @property
+    def series_target(self) -> Path | None:
+        """Where the samples go, if they are wanted."""
+        return getattr(self, "series", None)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationOptions(LogOptions):
@@ -124,6 +136,7 @@ class Options(ValidationOptions):
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
     ] = None
+    series: SeriesFile = None
 
     @property
     def model_target(self) -> Path | None:
@@ -180,6 +193,7 @@ class RolloutOptions(LogOptions):
     windows: Annotated[
         int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
     ] = 12
+    series: SeriesFile = None
 
 
 @dataclass(frozen=True, kw_only=True)

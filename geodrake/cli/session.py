@@ -29,6 +29,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
+from geodrake.report.series_table import check_series, series_content
 
 R = TypeVar("R")
 
@@ -70,6 +71,7 @@ class Command(Generic[R]):
         more: Options of files that only this command writes, with their paths.
         makers: What makes the contents of those.
         check: Refuses a model before the long work.
+        sampled: The part of the result that has samples.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Command(Generic[R]):
     more: Mapping[str, Path | None] = field(default_factory=dict)
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     check: Callable[[RobotModel], None] = lambda model: None
+    sampled: Callable[[R], Any] = lambda result: result
 
 
 def run(command: Command[R], options: LogOptions) -> None:
@@ -94,10 +97,13 @@ def run(command: Command[R], options: LogOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    targets = Targets(options.model_target, options.json, options.report, command.more)
+    more = {**command.more, "series": options.series_target}
+    targets = Targets(options.model_target, options.json, options.report, more)
     read = [options.model, *options.logs, *(options.effects or ())]
     _check_logs(options.logs)
     targets.check(read)
+    if options.series_target is not None:
+        check_series(options.series_target)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
@@ -127,6 +133,8 @@ def run(command: Command[R], options: LogOptions) -> None:
             )
 
         makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
+        if options.series_target is not None:
+            makers["series"] = lambda: _samples(command.sampled(result), options)
         written = targets.write(fitted, {**makers, **command.makers(result)})
     with printing():
         if options.json == STDOUT:
@@ -137,6 +145,12 @@ def run(command: Command[R], options: LogOptions) -> None:
         show_saved(console, written)
     if getattr(result, "is_interrupted", False):
         raise typer.Exit(INTERRUPTED)
+
+
+def _samples(sampled: Any, options: LogOptions) -> Content:
+    from geodrake.report.views import samples  # which needs all kinds of results
+
+    return series_content(samples(sampled), options.series_target or Path("series.csv"))
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

@@ -45,6 +45,7 @@ _SAVED = {
     "ellipsoids": "ellipsoids",
     "meshcat": "page of ellipsoids",
     "draft-effect": "drafted effects",
+    "series": "samples",
 }
 
 

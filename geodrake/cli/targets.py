@@ -24,6 +24,7 @@ _SUFFIXES = {
     "ellipsoids": (".png", ".pdf", ".svg"),
     "meshcat": (".html", ".htm"),
     "draft-effect": (".py",),
+    "series": (".csv", ".parquet"),
 }
 
 

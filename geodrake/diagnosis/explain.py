@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance
+from geodrake.boundary.showing import Short
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, freed
 from geodrake.diagnosis.fixed_inertias import FixedInertias, with_fixed_inertias
 from geodrake.diagnosis.judgement import judge_errors
@@ -42,7 +43,7 @@ _STOPPED = "interrupted before the search had ended: there may be more to find, 
 
 
 @dataclass(frozen=True, eq=False)
-class Investigation:
+class Investigation(Short):
     """An explanation, and what it rests on.
 
     Attributes:

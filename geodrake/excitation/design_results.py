@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer, number, positive, real_array
+from geodrake.boundary.showing import Short, Shown
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class DesignOptions:
+class DesignOptions(Short):
     """How a design is made.
 
     Attributes:
@@ -104,7 +105,7 @@ class SeedOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class ExcitationResult:
+class ExcitationResult(Shown):
     """A designed motion.
 
     Attributes:
