@@ -7,6 +7,11 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+
+class StopSearch(BaseException):  # as KeyboardInterrupt, it is no error
+    """Ends a search early; what it found by then is its result."""
+
+
 _SIGNALS = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)
 
 

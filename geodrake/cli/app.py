@@ -206,7 +206,15 @@ def demo(options: DemoOptions) -> None:
 
     folder = files("geodrake") / "demo"
     with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as log:
-        run_explaining(Options(model=model, logs=[log], json=options.json, report=options.report))
+        run_explaining(
+            Options(
+                model=model,
+                logs=[log],
+                json=options.json,
+                report=options.report,
+                quiet=options.quiet,
+            )
+        )
 
 
 def _print_version(wanted: bool) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from geodrake.cli.options import ExplainOptions
+from geodrake.cli.progress import step_teller
 from geodrake.cli.session import Command, Input, Maker, run
 from geodrake.cli.tables import REST, head, say, show_explanation, show_list, show_table
 from geodrake.diagnosis.drafting import Draft, draft_effects, source_of
@@ -32,6 +33,11 @@ class _Drafted:
         """The model to save: that of the explanation, without the formulas."""
         return self.explanation.model
 
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether this is what was found by an interrupt."""
+        return self.explanation.is_interrupted
+
 
 def run_drafting(options: ExplainOptions, target: Path) -> None:
     """Run the command.
@@ -49,7 +55,7 @@ def run_drafting(options: ExplainOptions, target: Path) -> None:
             given.model,
             given.logs,
             extra=given.extra,
-            progress=lambda words, nrms: given.progress(f"Found {words}: nrms {nrms:.3f}"),
+            progress=step_teller(given.progress),
             **given.settings,
         )
         return _Drafted(*found)
@@ -64,6 +70,7 @@ def run_drafting(options: ExplainOptions, target: Path) -> None:
         paged=lambda found: (found.explanation, found.draft),
         more={"draft-effect": target},
         makers=_makers,
+        sampled=lambda found: found.explanation,
     )
     run(command, options)
 

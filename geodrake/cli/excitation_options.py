@@ -14,6 +14,7 @@ from geodrake.cli.options import (
     Floating,
     JsonFile,
     ModelFile,
+    Quiet,
     ReportFile,
     ValidationOptions,
 )
@@ -142,8 +143,8 @@ class _Search:
     seeds: Annotated[int, typer.Option(metavar="N", help="Random motions to start from.")] = 3
     seed: Annotated[int, typer.Option(metavar="N", help="Number of the first of them.")] = 0
     seconds: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Most time for each of them.")
-    ] = 60.0
+        float, typer.Option(metavar="SECONDS", help="Most time for the whole search.")
+    ] = 180.0
     iterations: Annotated[
         int, typer.Option(metavar="N", help="Most iterations of the solver, for each stage.")
     ] = 300
@@ -182,4 +183,5 @@ class ExciteOptions(_Motion, _Robot, _Search):
         typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
     ] = None
     floating: Floating = False
+    quiet: Quiet = False
     debug: Debug = False

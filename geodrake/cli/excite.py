@@ -12,7 +12,7 @@ from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
-from geodrake.cli.progress import Update, progress
+from geodrake.cli.progress import Activity, progress
 from geodrake.cli.session import Maker, own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
@@ -37,6 +37,7 @@ from geodrake.excitation import (
     Target,
     make_target,
 )
+from geodrake.excitation.budget import Budget
 from geodrake.excitation.design import design_objective
 from geodrake.excitation.design_results import DesignProgress
 from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
@@ -51,6 +52,7 @@ from geodrake.robot.plant import effort_limits
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
 _NOISE_SHARE = 0.01  # of the limits of effort
+_LEAST_SECONDS = 1e-3  # when collision geometry took all
 _UPDATED_EVERY = 5  # evaluations
 _SAMPLES = 300
 _FARTHEST, _LAST_SEED = 100.0, 1 << 32
@@ -72,7 +74,7 @@ def run_excite(options: ExciteOptions) -> None:
     targets.check([options.model, *files])
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
-    with progress(f"Reading {options.model.name}") as update:
+    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
@@ -178,9 +180,10 @@ def _designed(
     model: RobotModel,
     effects: _Effects,
     family: MotionFamily,
-    update: Update,
+    update: Activity,
 ) -> ExcitationResult:
     """The design that options ask for."""
+    budget = Budget.of(options.seconds)
     limits = limits_of(options.limits, model)
     collisions, notes = _collisions(options, model)
     objective, more = _objective(options, model, limits, effects)
@@ -191,7 +194,7 @@ def _designed(
         collisions=collisions,
         solver=options.solver,
         iterations=options.iterations,
-        seconds=options.seconds,
+        seconds=max(budget.left, _LEAST_SECONDS),
     )
     update("Designing")
     result = design_objective(
@@ -200,7 +203,7 @@ def _designed(
         trajectory=family,
         options=design,
         seeds=range(options.seed, options.seed + options.seeds),
-        progress=_updating(update),
+        progress=_updating(update, budget, options.seconds),
     )
     return replace(result, notes=(*result.notes, *notes, *more))
 
@@ -274,12 +277,12 @@ def _collisions(
         ) from error
 
 
-def _updating(update: Update) -> Callable[[DesignProgress], None]:
+def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[DesignProgress], None]:
     def updated(now: DesignProgress) -> None:
         if now.evaluations % _UPDATED_EVERY == 0:
             update(
-                f"Start {now.seed + 1} of {now.seeds}, evaluation {now.evaluations}, "
-                f"log criterion {now.value:.3f}"
+                f"Start {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
+                1.0 - budget.left / seconds,
             )
 
     return updated

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from rich.console import Console
 
 from geodrake.cli.options import Options
+from geodrake.cli.progress import step_teller
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import show_explanation
 from geodrake.diagnosis.drafting import Correlate, rest_correlates
@@ -31,6 +32,11 @@ class _Explained:
         """The model to save."""
         return self.explanation.model
 
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether this is what was found by an interrupt."""
+        return self.explanation.is_interrupted
+
 
 def run_explaining(options: Options) -> None:
     """Run the command.
@@ -52,16 +58,15 @@ def run_explaining(options: Options) -> None:
         "render_explained",
         _show,
         paged=lambda found: (found.explanation, found.correlates),
+        sampled=lambda found: found.explanation,
     )
     run(command, options)
 
 
 def _explained(given: Input) -> _Explained:
     case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
-    found = investigate(
-        case, progress=lambda words, nrms: given.progress(f"Found {words}: nrms {nrms:.3f}")
-    )
-    if found.explanation.verdict != "unexplained":
+    found = investigate(case, progress=step_teller(given.progress))
+    if found.explanation.verdict != "unexplained" or found.explanation.is_interrupted:
         return _Explained(found.explanation, ())
     given.progress("Looking what the rest goes with")
     return _Explained(found.explanation, rest_correlates(found))

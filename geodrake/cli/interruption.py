@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+from geodrake.boundary.interrupts import StopSearch
+
 _WORDS = {
     signal.SIGINT: "Interrupted.",
     signal.SIGTERM: "Terminated.",
@@ -19,6 +21,10 @@ _AGAIN = 0.05  # s after which an interrupt that came where nothing can be raise
 
 class Interruption(BaseException):
     """A signal asks the command to end; no handler of errors may take it for one of its own."""
+
+
+class FirstInterrupt(Interruption, StopSearch):
+    """The first Ctrl-C: a search that has found something ends with that."""
 
 
 class _Handler:
@@ -33,8 +39,9 @@ class _Handler:
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         del frame
+        is_first = self.arrived is None and number == signal.SIGINT
         self.arrived = signal.Signals(number)
-        raise Interruption(self.arrived.name)
+        raise (FirstInterrupt if is_first else Interruption)(self.arrived.name)
 
     def unraisable(self, lost: sys.UnraisableHookArgs) -> None:
         """Raises an interruption again that came in a destructor or the like."""
@@ -43,6 +50,8 @@ class _Handler:
             return
         main = threading.main_thread().ident
         again = threading.Timer(_AGAIN, signal.pthread_kill, [main, self.arrived])
+        if issubclass(lost.exc_type, FirstInterrupt):
+            self.arrived = None  # nobody has seen it yet
         again.daemon = True
         again.start()
 

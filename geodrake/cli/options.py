@@ -36,8 +36,18 @@ JsonFile = Annotated[
 ReportFile = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
 ]
+SeriesFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE.csv|.parquet",
+        help="Write the samples: time, log, and of every joint measured, predicted and residual.",
+    ),
+]
 Floating = Annotated[
     bool, typer.Option("--floating", help="Leave roots free that nothing fixes to the world.")
+]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show results and errors only, no progress.")
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
 EffectNames = Annotated[
@@ -81,6 +91,7 @@ class LogOptions:
             "Repeatable.",
         ),
     ] = None
+    quiet: Quiet = False
     debug: Debug = False
 
     @property
@@ -97,6 +108,11 @@ class LogOptions:
     def model_target(self) -> Path | None:
         """Where the model goes, if it is saved."""
         return None
+
+    @property
+    def series_target(self) -> Path | None:
+        """Where the samples go, if they are wanted."""
+        return getattr(self, "series", None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +136,7 @@ class Options(ValidationOptions):
     save: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
     ] = None
+    series: SeriesFile = None
 
     @property
     def model_target(self) -> Path | None:
@@ -176,6 +193,7 @@ class RolloutOptions(LogOptions):
     windows: Annotated[
         int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
     ] = 12
+    series: SeriesFile = None
     meshcat: Annotated[
         Path | None,
         typer.Option(
@@ -302,6 +320,7 @@ class DemoOptions:
         Path, typer.Option(metavar="FILE.html", help="Where the page with the figures goes.")
     ] = Path("geodrake_demo.html")
     json: JsonFile = None
+    quiet: Quiet = False
     debug: Debug = False
 
 

@@ -1,52 +1,161 @@
-"""Signs of life on stderr during long work; silent when no one is watching."""
+"""Signs of life on stderr during long work: a moving bar, or plain lines where no one watches.
+
+What is found stays as a line above the bar. In a pipe such lines are all, with a word now and then
+if nothing is found for long; there are no control characters.
+"""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn
 
 from geodrake.boundary.escaping import printable
 from geodrake.compiling import while_compiling
 
-Update = Callable[[str], None]
+if TYPE_CHECKING:
+    from geodrake.diagnosis.search_progress import FoundStep
 
 _COMPILING = "Compiling, once, which takes some ten seconds"
+_STOPPING = "Interrupted: fitting what was found; Ctrl-C again ends at once"
+_SILENT = 5.0  # s without a line in a pipe
+_LEAST_SHARE = 0.05  # from which on the time left can be told
+_WIDTH = 44
+
+
+class Activity(Protocol):
+    """Shows what is going on."""
+
+    def __call__(self, words: str, share: float | None = None) -> None:
+        """What is being done, and the share of it that is done; None where that is unknown."""
+
+    def history(self, line: str) -> None:
+        """A line that stays."""
+
+
+@dataclass
+class _Clock:
+    """Time since the work began, and what is left of it."""
+
+    begin: float = field(default_factory=time.monotonic)
+
+    @property
+    def passed(self) -> float:
+        return time.monotonic() - self.begin
+
+    def words(self, share: float | None) -> str:
+        """`12 s`, or `40 %, 12 s, about 18 s left`."""
+        if share is None or not _LEAST_SHARE <= share <= 1.0:
+            return f"{self.passed:.0f} s"
+        left = self.passed * (1.0 - share) / share
+        return f"{100.0 * share:.0f} %, {self.passed:.0f} s, about {left:.0f} s left"
+
+
+@dataclass
+class _Quiet:
+    """Shows nothing."""
+
+    def __call__(self, words: str, share: float | None = None) -> None:
+        pass
+
+    def history(self, line: str) -> None:
+        pass
+
+
+@dataclass
+class _Lines:
+    """Plain lines on stderr."""
+
+    clock: _Clock = field(default_factory=_Clock)
+    told: float = 0.0
+
+    def __call__(self, words: str, share: float | None = None) -> None:
+        if self.clock.passed - self.told >= _SILENT:
+            self.history(f"{words} ({self.clock.words(share)})")
+
+    def history(self, line: str) -> None:
+        self.told = self.clock.passed
+        with suppress(OSError):  # a full stderr is no reason to stop
+            print(printable(line), file=sys.stderr, flush=True)
+
+
+@dataclass
+class _Bar:
+    """A moving bar in a terminal, lines above it."""
+
+    bar: Progress
+    task: TaskID
+    clock: _Clock = field(default_factory=_Clock)
+    last: tuple[str, float | None] = ("", None)
+
+    def __call__(self, words: str, share: float | None = None) -> None:
+        self.last = (words, share)
+        self.show(words, share)
+
+    def show(self, words: str, share: float | None = None) -> None:
+        self.bar.update(
+            self.task,
+            description=printable(words)[:_WIDTH],
+            total=None if share is None else 1.0,
+            completed=share or 0.0,
+            time=self.clock.words(share),
+        )
+
+    def history(self, line: str) -> None:
+        self.bar.console.print(printable(line), soft_wrap=True)
 
 
 @contextmanager
-def progress(words: str) -> Iterator[Update]:
-    """A moving bar with words and the time so far, gone when the work is done.
+def progress(words: str, *, quiet: bool = False) -> Iterator[Activity]:
+    """Show what is going on, until it is done.
 
     Args:
         words: What is being done.
+        quiet: Whether to show nothing at all.
 
     Yields:
-        A function that replaces the words.
+        What shows other words.
     """
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    if quiet or not console.is_terminal:
+        yield _Quiet() if quiet else _Lines()
+        return
     bar = Progress(
         SpinnerColumn(),
         TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=16),
-        TimeElapsedColumn(),
+        BarColumn(bar_width=8),
+        TextColumn("{task.fields[time]}", markup=False),
         console=console,
         transient=True,
         redirect_stdout=False,
         redirect_stderr=False,
-        disable=not console.is_terminal,
     )
     with bar:
-        task, last = bar.add_task(printable(words), total=None), [words]
+        shown = _Bar(bar, bar.add_task(printable(words), total=None, time=""))
+        shown(words)
+        with while_compiling(lambda: shown.show(_COMPILING), lambda: shown.show(*shown.last)):
+            yield shown
 
-        def show(text: str) -> None:
-            bar.update(task, description=printable(text))
 
-        def update(text: str) -> None:
-            last[0] = text
-            show(text)
+def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
+    """What tells of the steps of a search, each as a line that stays."""
+    count = 0
 
-        with while_compiling(lambda: show(_COMPILING), lambda: show(last[0])):
-            yield update
+    def tell(step: FoundStep) -> None:
+        nonlocal count
+        if step.is_last:
+            activity.history(_STOPPING)
+            return
+        from geodrake.report.words import found_words  # which is slow to import
+
+        count += 1
+        activity.history(f"{count}  {found_words(step)}")
+        activity(f"Searching, {100.0 * step.share:.0f} % of the way to the noise", step.share)
+
+    return tell

@@ -13,7 +13,7 @@ from geodrake.control.rollout import Rollout, roll_out
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
 from geodrake.report.json_output import rollout_dict
-from geodrake.report.numbers import Units, percent
+from geodrake.report.numbers import Units
 from geodrake.report.tables import departures_table
 from geodrake.report.words import departure
 
@@ -43,7 +43,7 @@ def run_rollout(options: RolloutOptions) -> None:
             horizon=options.horizon,
             most=options.windows,
             **given.settings,
-            progress=lambda words, share: given.progress(f"{prefix}{words}: {percent(share)}"),
+            progress=lambda words, share: given.progress(f"{prefix}{words}", share),
         )
 
     model: list[RobotModel] = []

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import typer
 from rich.console import Console
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
+from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
-from geodrake.cli.progress import Update, progress
+from geodrake.cli.progress import Activity, progress
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
@@ -27,6 +29,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
+from geodrake.report.series_table import check_series, series_content
 
 R = TypeVar("R")
 
@@ -43,14 +46,14 @@ class Input:
         logs: The files of the logs, or what was read of them.
         extra: Effects of the user's own.
         settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
-        progress: Called with what is going on, in words.
+        progress: Called with what is going on, in words and as a share.
     """
 
     model: RobotModel
     logs: tuple[JointLog | Path, ...]
     extra: tuple[type[Effect], ...]
     settings: Mapping[str, Any]
-    progress: Update
+    progress: Activity
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class Command(Generic[R]):
         makers: What makes the contents of those.
         saved: Option -> what its file is, in words.
         check: Refuses a model before the long work.
+        sampled: The part of the result that has samples.
     """
 
     name: str
@@ -82,6 +86,7 @@ class Command(Generic[R]):
     makers: Callable[[R], Mapping[str, Maker]] = lambda result: {}
     saved: Mapping[str, str] = field(default_factory=dict)
     check: Callable[[RobotModel], None] = lambda model: None
+    sampled: Callable[[R], Any] = lambda result: result
 
 
 def run(command: Command[R], options: LogOptions) -> None:
@@ -94,13 +99,16 @@ def run(command: Command[R], options: LogOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    targets = Targets(options.model_target, options.json, options.report, command.more)
+    more = {**command.more, "series": options.series_target}
+    targets = Targets(options.model_target, options.json, options.report, more)
     read = [options.model, *options.logs, *(options.effects or ())]
     _check_logs(options.logs)
     targets.check(read)
+    if options.series_target is not None:
+        check_series(options.series_target)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
-    with progress(f"Reading {options.model.name}") as update:
+    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(options.effects or ())
         model = load_model(options.model, floating=options.floating, extra=extra)
         targets.check([*read, model.path])  # a saved model reads another one
@@ -127,6 +135,8 @@ def run(command: Command[R], options: LogOptions) -> None:
             )
 
         makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
+        if options.series_target is not None:
+            makers["series"] = lambda: _samples(command.sampled(result), options)
         written = targets.write(fitted, {**makers, **command.makers(result)})
     with printing():
         if options.json == STDOUT:
@@ -135,6 +145,14 @@ def run(command: Command[R], options: LogOptions) -> None:
         console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
         command.show(console, result, Units.of(fitted, extra))
         show_saved(console, written, command.saved)
+    if getattr(result, "is_interrupted", False):
+        raise typer.Exit(INTERRUPTED)
+
+
+def _samples(sampled: Any, options: LogOptions) -> Content:
+    from geodrake.report.views import samples  # which needs all kinds of results
+
+    return series_content(samples(sampled), options.series_target or Path("series.csv"))
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

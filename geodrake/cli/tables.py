@@ -45,6 +45,7 @@ _SAVED = {
     "ellipsoids": "ellipsoids",
     "meshcat": "page of ellipsoids",
     "draft-effect": "drafted effects",
+    "series": "samples",
 }
 
 
@@ -117,6 +118,8 @@ def show_explanation(
         rest: What the error left goes with, in sentences.
     """
     _show_steps(console, explanation, units)
+    if explanation.is_interrupted:
+        say(console, "Interrupted", "the search had not ended; these steps were found by then.")
     advice = draft_advice(explanation) if advised else ""
     say(console, "Verdict", f"{explanation_verdict(explanation, units)} {advice}".rstrip())
     show_list(console, REST, rest)

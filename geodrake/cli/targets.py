@@ -25,6 +25,7 @@ _SUFFIXES = {
     "meshcat": (".html", ".htm"),
     "out": (".html", ".htm"),
     "draft-effect": (".py",),
+    "series": (".csv", ".parquet"),
 }
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import function, instance
+from geodrake.boundary.showing import Short
 from geodrake.diagnosis.final_fit import companion_notes, final_fit, freed
 from geodrake.diagnosis.fixed_inertias import FixedInertias, with_fixed_inertias
 from geodrake.diagnosis.judgement import judge_errors
@@ -19,10 +20,11 @@ from geodrake.diagnosis.other_bandwidth import (
     other_bandwidths,
 )
 from geodrake.diagnosis.results import Explanation, Step, Verdict
+from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.diagnosis.search_rounds import searched
 from geodrake.diagnosis.stated_mass import stated_mass_notes
 from geodrake.diagnosis.steps import refit_step, steps_of, with_likelier_rival, without_step
-from geodrake.diagnosis.stepwise_search import Progress, Trail
+from geodrake.diagnosis.stepwise_search import Trail
 from geodrake.diagnosis.transition_speed import transition_speed_notes
 from geodrake.effects import Effect, Role
 from geodrake.effects.lookup import effect_of
@@ -37,9 +39,11 @@ from geodrake.identification.models.bodies import changed_bodies
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
+_STOPPED = "interrupted before the search had ended: there may be more to find, or other rivals"
+
 
 @dataclass(frozen=True, eq=False)
-class Investigation:
+class Investigation(Short):
     """An explanation, and what it rests on.
 
     Attributes:
@@ -74,7 +78,8 @@ def explain(
             note says so).
         blocks: Blocks into which every log is cut for validation.
         criteria: When an effect counts as found.
-        progress: Called with each step, in words and with the held-out nrms.
+        progress: Called with each `FoundStep`. It may raise `StopSearch`, as a handler of signals
+            may: the steps found by then are the result, which says so.
 
     Returns:
         The steps with held-out errors before and after, and the final model.
@@ -99,10 +104,12 @@ def investigate(
     Args:
         case: Prepared logs and the model, with columns for candidates.
         criteria: When an effect counts as found.
-        progress: Called with what is going on, in words, and the held-out nrms so far.
+        progress: Called with each step.
     """
     criteria = Criteria() if criteria is None else instance(criteria, "criteria", Criteria)
     found = _investigated(case, criteria, progress)
+    if found.explanation.is_interrupted:
+        return found
     explained = found.explanation.verdict != "unexplained"
     for other in other_bandwidths(found.case, found.hypothesis, criteria, explained=explained):
         how = f"at which {other.effect.name} shows"
@@ -110,10 +117,17 @@ def investigate(
         again = _investigated(there, criteria, None)
         if _explains_more(again, found, other, criteria):
             if progress is not None:
-                words = f"{other.effect.name} at {other.bandwidth:.3g} Hz"
-                progress(words, again.explanation.end.nrms)
+                progress(_step_at(again.explanation, found.explanation, other))
             return _with_bandwidth_notes(again, found)
     return found
+
+
+def _step_at(after: Explanation, before: Explanation, other: OtherBandwidth) -> FoundStep:
+    """The step to another bandwidth."""
+    name = f"{other.effect.name} at {other.bandwidth:.3g} Hz"
+    where = next((s.where for s in after.steps if s.effect == other.effect.name), ())
+    nrms = before.end.nrms, after.end.nrms, before.refitted.nrms, after.end.floor_nrms
+    return FoundStep(name, where, *nrms)
 
 
 def _explains_more(
@@ -162,7 +176,8 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     fixed = effects_of(model)
     case, trail = searched(case, start, fixed, criteria, tune=tune, progress=progress)
     start = trail.start  # as before, and dry friction fades as it was found to
-    hidden = with_fixed_inertias(case, trail, fixed, criteria) if tune else FixedInertias(case)
+    whole = tune and not trail.is_stopped
+    hidden = with_fixed_inertias(case, trail, fixed, criteria) if whole else FixedInertias(case)
     case = hidden.case
     after_case, fit, trail, steps = _helpful(case, (*hidden.trails, trail), criteria)
     steps = steps or refit_step(case, start, fit, criteria, rivals=hidden.rivals)
@@ -182,9 +197,10 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         fit.model if changed else model,
         before,
         after if changed else before,
-        (*case.notes, *more),
+        (*([_STOPPED] if trail.is_stopped else []), *case.notes, *more),
         changed_bodies(model, fit) if changed else (),
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
+        trail.is_stopped,
     )
     end = freed(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)

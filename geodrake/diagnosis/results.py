@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from geodrake.boundary.showing import Short, Shown
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Series
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel
@@ -14,7 +15,7 @@ Verdict = Literal["adequate", "explained", "unexplained"]
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class Candidate(Short):
     """An effect that could be missing.
 
     Attributes:
@@ -37,7 +38,7 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosis:
+class Diagnosis(Shown):
     """What is missing in a model, best candidate first.
 
     Attributes:
@@ -89,7 +90,7 @@ class FittedRival:
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Step(Short):
     """One effect added to a model.
 
     Attributes:
@@ -150,7 +151,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation:
+class Explanation(Shown):
     """The loop of comparing, diagnosing and adding, to the floor or to where nothing helps.
 
     Attributes:
@@ -168,6 +169,7 @@ class Explanation:
         of_motion: Joint -> share of its squared error that goes with the motion: that a smooth
             function of positions and velocities predicts on held-out data. Of the final model;
             without a step, of the model refitted within its prior.
+        is_interrupted: Whether the search was stopped before its end.
     """
 
     verdict: Verdict
@@ -181,3 +183,4 @@ class Explanation:
     notes: tuple[str, ...]
     bodies: tuple[BodyChange, ...] = ()
     of_motion: Mapping[str, float] = field(default_factory=dict)
+    is_interrupted: bool = False

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.interrupts import StopSearch
 from geodrake.diagnosis.continuous_shapes import to_profile, with_plain_shapes
 from geodrake.diagnosis.delay import fine_delays, fitted_delays, later
 from geodrake.diagnosis.exchange import exchange
@@ -23,7 +24,9 @@ from geodrake.diagnosis.further_columns import (
     with_refined_episodes,
     with_suggestions,
 )
-from geodrake.diagnosis.stepwise_search import Progress, Trail, search
+from geodrake.diagnosis.ranked import Ranked
+from geodrake.diagnosis.search_progress import FoundStep, Progress, found_step
+from geodrake.diagnosis.stepwise_search import Trail, search
 from geodrake.diagnosis.transition_speed import with_transition_speed
 from geodrake.effects import Effect, Role
 from geodrake.identification.logs.case import Case, reduced
@@ -59,20 +62,27 @@ def searched(
 
     Returns:
         The case as it was reduced last, and the trail on its dataset.
+
+    Raises:
+        StopSearch: It was stopped before it had found anything.
     """
     case, trail = with_suggestions(case, Trail(start, start), criteria, least_share=DOMINANT)
-    state = _State(case, trail, tuple(fixed), criteria)
-    for _ in range(_MOST_ROUNDS):
-        state.trail = search(
-            state.trail,
-            state.fixed,
-            criteria,
-            tune=tune,
-            pause=state.to_pause,
-            progress=progress,
-        )
-        if not state.goes_on():
-            break
+    state = _State(case, trail, tuple(fixed), criteria, progress)
+    try:
+        for _ in range(_MOST_ROUNDS):
+            state.trail = search(
+                state.trail,
+                state.fixed,
+                criteria,
+                tune=tune,
+                pause=state.to_pause,
+                watch=state.note,
+            )
+            if not state.goes_on():
+                break
+    except StopSearch:
+        if not state.stops():
+            raise
     if state.timed is not None:
         state.retime(0.5)
     return state.case, state.trail
@@ -90,10 +100,17 @@ class _State:
     """
 
     def __init__(
-        self, case: Case, trail: Trail, fixed: tuple[Effect, ...], criteria: Criteria
+        self,
+        case: Case,
+        trail: Trail,
+        fixed: tuple[Effect, ...],
+        criteria: Criteria,
+        progress: Progress | None = None,
     ) -> None:
         self.case, self.trail, self.fixed, self.criteria = case, trail, fixed, criteria
         self.timed: tuple[Effect, ...] | None = None
+        self._progress = progress
+        self._last: FoundStep | None = None
         self._given = fixed
         self._grid, self._origin = case.dataset.effects, case.model.delays
         self._delays = case.dataset.delays[1:, 0].tolist()
@@ -101,6 +118,22 @@ class _State:
         self._episodes: tuple[Effect, ...] = ()
         self._looked = False
         self._fadings: list[tuple[Effect, ...]] = []
+
+    def note(self, chosen: Ranked, trail: Trail) -> None:
+        """Keep a step, also if nothing more follows, and tell of it."""
+        before, self.trail = self.trail, trail
+        self._last = found_step(trail.start, before.end, trail.end, chosen.reported)
+        if self._progress is not None:
+            self._progress(self._last)
+
+    def stops(self) -> bool:
+        """End the trail where it is; false if there is no step yet."""
+        if self._last is None:
+            return False
+        self.trail = replace(self.trail, is_stopped=True)
+        if self._progress is not None:
+            self._progress(replace(self._last, is_last=True))
+        return True
 
     def to_pause(self, hypothesis: Hypothesis) -> bool:
         """Whether a hypothesis has something that is to be made exact before the search goes on."""

@@ -18,9 +18,6 @@ from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import RESTART_MARGIN, TIGHTER_PRIORS, Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis
 
-Progress = Callable[[str, float], None]
-"""Called with what is going on, in words, and the held-out nrms so far."""
-
 
 @dataclass(frozen=True, eq=False)
 class Trail:
@@ -33,6 +30,7 @@ class Trail:
         kept: Effects that stay though inertias could take them in.
         fits: The rivals that were fitted, with their errors.
         refusals: What was tried and refused; shared by all trails that go on from this one.
+        is_stopped: Whether the search was stopped before its end.
     """
 
     start: Hypothesis
@@ -41,6 +39,7 @@ class Trail:
     kept: tuple[Effect, ...] = ()
     fits: tuple[FittedRival, ...] = ()
     refusals: Refusals = field(default_factory=Refusals)
+    is_stopped: bool = False
 
     def asking_anew(self) -> Trail:
         """This trail with nothing refused, for other columns of its effects, or folds."""
@@ -55,7 +54,7 @@ def search(
     tune: bool = False,
     pause: Callable[[Hypothesis], bool] | None = None,
     max_steps: int = 20,
-    progress: Progress | None = None,
+    watch: Callable[[Ranked, Trail], None] | None = None,
 ) -> Trail:
     """Add what convinces most, step by step, with swaps and backward elimination after each.
 
@@ -66,7 +65,7 @@ def search(
         tune: Whether the data may say that the inertial prior is better than assumed.
         pause: Whether to return with a hypothesis that a step led to, as it is.
         max_steps: Largest number of steps.
-        progress: Called with each step.
+        watch: Called with what each step added, and the trail so far.
     """
     hypothesis = tuned(trail.end) if tune else trail.end
     rivals, fits = dict(trail.rivals), [*trail.fits]
@@ -85,8 +84,8 @@ def search(
         rivals |= rivals_of_swapped(rivals, hypothesis, step.after, names)
         fits += fitted_rivals(hypothesis, step)
         hypothesis = tuned(step.after) if tune else step.after
-        if progress is not None:
-            progress(" and ".join(step.chosen.names), hypothesis.nrms)
+        if watch is not None:
+            watch(step.chosen, so_far(hypothesis))
         if pause is not None and pause(hypothesis):
             return so_far(hypothesis)
     end = simplified(hypothesis, fixed, criteria, trail.refusals, tune=tune)

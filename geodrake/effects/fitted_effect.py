@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from geodrake.boundary.arguments import instance, real_array
+from geodrake.boundary.showing import Short
 from geodrake.effects.base import Array, Effect
 
 
 @dataclass(frozen=True, eq=False)
-class FittedEffect:
+class FittedEffect(Short):
     """An effect with the values of its linear parameters.
 
     Attributes:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.showing import Short
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.errors import ArgumentError
 from geodrake.robot.effort_slopes import EffortSlopes, effort_slopes
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class JointMotion:
+class JointMotion(Short):
     """Motion of one joint, each field (N,): what a joint effect is a function of.
 
     Attributes:
@@ -38,7 +39,7 @@ class JointMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotMotion:
+class RobotMotion(Short):
     """Motion of all joints over N samples, as effects see it.
 
     Attributes:

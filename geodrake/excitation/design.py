@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import function, instance, integer, integers
 from geodrake.errors import ArgumentError
+from geodrake.excitation.budget import Budget, OutOfTimeError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design_results import (
     DesignOptions,
@@ -22,7 +23,7 @@ from geodrake.excitation.families import FourierMotion, MotionFamily
 from geodrake.excitation.guess import random_guess, within_limits
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
-from geodrake.excitation.margins import limit_use
+from geodrake.excitation.margins import FINE, limit_use
 from geodrake.excitation.nonlinear_solvers import check_solver, solve
 from geodrake.excitation.postures import check_start, possible_postures
 from geodrake.excitation.problem import DesignProblem
@@ -32,6 +33,8 @@ from geodrake.model.robot_model import RobotModel
 Array = NDArray[np.float64]
 
 _MOST_SAMPLES, _MOST_SEEDS = 10_000, 1000
+_FOR_STARTS, _FOR_STAGE = 0.9, 0.85  # of the time; the rest is for a closer look at limits
+_A_MOMENT = 1.0  # s
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
 
@@ -105,6 +108,7 @@ def design_objective(
         function(progress, "progress")
     given = DesignOptions() if options is None else options
     options = instance(given, "options", DesignOptions)
+    budget = Budget.of(options.seconds)
     family = FourierMotion() if trajectory is None else trajectory
     instance(family, "trajectory", MotionFamily)
     asked = _asked(seeds)
@@ -120,14 +124,16 @@ def design_objective(
     problem = make_problem(objective, limits, family, options)
     model = objective.target.model
     if problem.start is None:
-        postures = possible_postures(model, problem.limits, options.collisions)
-        postures = postures[:_NEAREST_POSTURES]
+        postures = possible_postures(
+            model, problem.limits, options.collisions, most=_NEAREST_POSTURES
+        )
     else:
         check_start(model, problem.limits, problem.start, options.collisions)
         postures = problem.start[None]
     run = _Run(problem, options, postures, progress)
-    ends = run.from_seeds(chosen)
+    ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
+    use = limit_use(problem, best, budget=budget)
     final = problem.trajectory(best)
     eigenvalues = objective.eigenvalues(final.motion(problem.times))
     return ExcitationResult(
@@ -136,11 +142,25 @@ def design_objective(
         value=objective.criterion.value(eigenvalues),
         eigenvalues=eigenvalues,
         samples=len(problem.times),
-        use=limit_use(problem, best),
+        use=use,
         limits=problem.limits,
         outcomes=tuple(outcome for _, outcome in ends),
-        notes=() if options.collisions is None else options.collisions.notes,
+        notes=(
+            *(() if options.collisions is None else options.collisions.notes),
+            *_time_notes(problem, run.starts - len(ends), use.stride),
+        ),
     )
+
+
+def _time_notes(problem: DesignProblem, left_out: int, stride: int) -> tuple[str, ...]:
+    """What there was no time for."""
+    notes = []
+    if left_out:
+        notes.append(f"{left_out} starts were not begun, as time was up")
+    if stride > 1:
+        apart = stride * float(problem.family.limit_times(FINE)[1])
+        notes.append(f"collisions were looked for every {apart:.2g} s only, as time was up")
+    return tuple(notes)
 
 
 def _asked(seeds: int | Sequence[int]) -> Sequence[int]:
@@ -205,17 +225,44 @@ class _Run:
     starts: int = 0
     evaluations: int = 0
 
-    def from_seeds(self, seeds: Sequence[int]) -> list[tuple[Array, SeedOutcome]]:
-        """The best motions (f, nv) from random ones, and from the guess if there is one."""
-        begins: list[tuple[int | None, Array]] = [
-            (seed, random_guess(self.problem, self.postures, np.random.default_rng(seed)))
-            for seed in seeds
-        ]
-        if self.options.guess is not None:
-            given = self._given(self.options.guess)
-            begins.append((None, within_limits(self.problem, given, begins[0][1])))
-        self.starts = len(begins)
-        return [self._from(number, *begin) for number, begin in enumerate(begins)]
+    def from_seeds(self, seeds: Sequence[int], budget: Budget) -> list[tuple[Array, SeedOutcome]]:
+        """The best motions (f, nv) from random ones, and from the guess if there is one.
+
+        A start has half of the time that is left, the last one all of it; those that it does not
+        reach are left out.
+
+        Raises:
+            ArgumentError: Not even a first motion within the limits was found in time.
+        """
+        given = None if self.options.guess is None else self._given(self.options.guess)
+        asked: list[int | None] = [*seeds, *([] if given is None else [None])]
+        self.starts = len(asked)
+        ends: list[tuple[Array, SeedOutcome]] = []
+        first: Array | None = None
+        for number, seed in enumerate(asked):
+            own = budget.part(1.0 / min(self.starts - number, 2))  # few that end beat many
+            if first is not None and own.left <= 0.0:
+                break
+            try:
+                if seed is None and given is not None and first is not None:
+                    guess = within_limits(self.problem, given, first, own)
+                else:
+                    guess = self._random(seed, own if first is not None else budget)
+            except OutOfTimeError:
+                continue
+            first = guess if first is None else first
+            ends.append(self._from(number, seed, guess, own))
+        if not ends:
+            raise ArgumentError(
+                f"No motion within the limits was found in {self.options.seconds:g} s.",
+                advice="Allow more seconds, or start from a motion that keeps them.",
+            )
+        return ends
+
+    def _random(self, seed: int | None, budget: Budget) -> Array:
+        """A random motion within the limits; a moment for it there is always."""
+        least = Budget.of(max(budget.left, _A_MOMENT))
+        return random_guess(self.problem, self.postures, np.random.default_rng(seed), least)
 
     def _given(self, guess: Array) -> Array:
         """Variables of the motion that was given.
@@ -231,14 +278,15 @@ class _Run:
             )
         return self.problem.variables(np.asarray(guess, float))
 
-    def _from(self, number: int, seed: int | None, guess: Array) -> tuple[Array, SeedOutcome]:
+    def _from(
+        self, number: int, seed: int | None, guess: Array, budget: Budget
+    ) -> tuple[Array, SeedOutcome]:
         """The best motion from one, and how it was found."""
         begin, before = time.monotonic(), self.evaluations
         random_value = self._value(guess)
         found, status = guess, "not solved"
         for stage in self._stages():
-            left = self.options.seconds - (time.monotonic() - begin)
-            if left <= 0:
+            if budget.left <= 0.0:
                 break
             watched = replace(
                 self.problem, objective=replace(self.problem.objective, criterion=stage)
@@ -248,10 +296,10 @@ class _Run:
                 found,
                 solver=self.options.solver,
                 iterations=self.options.iterations,
-                seconds=left,
+                seconds=_FOR_STAGE * budget.left,
                 watch=lambda value, _: self._notify(number, value),
             )
-            inside = within_limits(self.problem, reached.reshape(guess.shape), found)
+            inside = within_limits(self.problem, reached.reshape(guess.shape), found, budget)
             if self._value(inside) < self._value(found):
                 found = inside
         outcome = SeedOutcome(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer, number, positive, real_array
+from geodrake.boundary.showing import Short, Shown
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits
@@ -19,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class DesignOptions:
+class DesignOptions(Short):
     """How a design is made.
 
     Attributes:
@@ -30,7 +31,7 @@ class DesignOptions:
         collisions: What may not be hit.
         solver: "snopt" or "ipopt". Where much may collide, one may go far where the other stops.
         iterations: Most iterations of the solver, for each stage.
-        seconds: Most time of the solver for each seed, s.
+        seconds: Most time of the whole design, which its starts share, s.
         sharpness: Stages of the smooth forms of E-optimality and condition number; see
             `Criterion`.
         guess: (count, nv) coefficients of a motion to start from, besides the random ones. What
@@ -43,7 +44,7 @@ class DesignOptions:
     collisions: CollisionWorld | None = None
     solver: str = "snopt"
     iterations: int = 300
-    seconds: float = 60.0
+    seconds: float = 180.0
     sharpness: tuple[float, ...] = (8.0, 64.0)
     guess: Array | None = None
 
@@ -104,7 +105,7 @@ class SeedOutcome:
 
 
 @dataclass(frozen=True, eq=False)
-class ExcitationResult:
+class ExcitationResult(Shown):
     """A designed motion.
 
     Attributes:

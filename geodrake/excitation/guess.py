@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from geodrake.errors import ArgumentError
-from geodrake.excitation.margins import limit_use
+from geodrake.excitation.budget import UNLIMITED, Budget, OutOfTimeError
+from geodrake.excitation.margins import FINE, keeps_limits
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.program import limit_motion
 
@@ -19,23 +22,30 @@ _NOTHING = 1e-9  # relative size of a change that is rounding
 _POSTURES = 5
 _SHRINK = 0.8
 _STEPS = 40
-_FINE = 0.05  # of the family's shortest time
+_COARSE = 0.05  # of the family's shortest time
 _BISECTIONS = 14
 _FIRST_STEP_BACK = 0.002
 
 
-def random_guess(problem: DesignProblem, postures: Array, rng: np.random.Generator) -> Array:
+def random_guess(
+    problem: DesignProblem,
+    postures: Array,
+    rng: np.random.Generator,
+    budget: Budget = UNLIMITED,
+) -> Array:
     """A random motion within all limits, about a posture that can be held.
 
     Args:
         problem: The design problem.
         postures: (n, nv) postures to choose from.
         rng: Source of randomness.
+        budget: Time for it.
 
     Returns:
         Variables (f, nv) of the motion.
 
     Raises:
+        OutOfTimeError: There is none when the time is up.
         ArgumentError: About none of a few postures there is such a motion.
     """
     for _ in range(_POSTURES):
@@ -48,8 +58,9 @@ def random_guess(problem: DesignProblem, postures: Array, rng: np.random.Generat
         share = 1.0
         for _ in range(_STEPS):
             guess = resting + share * (moving - resting)
-            if limit_use(problem, guess, fine=_FINE).is_within:
+            if keeps_limits(problem, guess, fine=_COARSE, budget=budget):
                 return np.asarray(guess)
+            budget.check()
             share *= _SHRINK
     raise ArgumentError(
         "The robot can hold still within its limits, but hardly move: no random motion about "
@@ -105,22 +116,33 @@ def _multiple(change: Array, above: Array, below: Array) -> Array:
     return np.asarray(np.maximum(ratio.min(axis=0), 0.0))
 
 
-def within_limits(problem: DesignProblem, variables: Array, inside: Array) -> Array:
+def within_limits(
+    problem: DesignProblem,
+    variables: Array,
+    inside: Array,
+    budget: Budget = UNLIMITED,
+    *,
+    fine: float = FINE,
+) -> Array:
     """The motion nearest to one, on the way from another that keeps all limits, that does so too.
 
     Args:
         problem: The design problem.
         variables: (f, nv) variables of a motion that keeps the limits, or nearly so.
         inside: (f, nv) variables of a motion that keeps them.
+        budget: Time for it; when it is up, the nearest one found by then counts.
+        fine: As for `limit_use`.
     """
-    if limit_use(problem, variables).is_within:
-        return variables
     least, step = 0.0, _FIRST_STEP_BACK
     most = 1.0
-    for _ in range(_BISECTIONS):
-        share = most - step if most - step > least else 0.5 * (least + most)
-        if limit_use(problem, inside + share * (variables - inside)).is_within:
-            least = share
-        else:
-            most, step = share, 4.0 * step
+    with suppress(OutOfTimeError):
+        if keeps_limits(problem, variables, fine=fine, budget=budget):
+            return variables
+        for _ in range(_BISECTIONS):
+            share = most - step if most - step > least else 0.5 * (least + most)
+            tried = inside + share * (variables - inside)
+            if keeps_limits(problem, tried, fine=fine, budget=budget):
+                least = share
+            else:
+                most, step = share, 4.0 * step
     return np.asarray(inside + least * (variables - inside))

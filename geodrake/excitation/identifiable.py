@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.normalization import normalizing_map
 from geodrake.excitation.target import Target
@@ -32,7 +33,7 @@ _SAMPLES = 2000  # of which there is a regressor in memory at once
 
 
 @dataclass(frozen=True, eq=False)
-class IdentifiableParameters:
+class IdentifiableParameters(Short):
     """Which combinations of p parameters are identifiable to within a threshold.
 
     Attributes:
@@ -77,7 +78,7 @@ class IdentifiableParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedIdentification:
+class ReducedIdentification(Short):
     """Parameters found along the directions that data identify.
 
     Attributes:

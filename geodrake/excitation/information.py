@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, one_of, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.motion_gradient import regressor_motion_gradient
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Objective:
+class Objective(Short):
     """A normalized criterion of a target, as a function of the motion.
 
     Attributes:

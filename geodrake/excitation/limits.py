@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import instance, instances, number, positive, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
 from geodrake.model.robot_model import RobotModel
@@ -19,7 +20,7 @@ ByJoint = float | Mapping[str, float] | ArrayLike | None
 
 
 @dataclass(frozen=True, eq=False)
-class MotionLimits:
+class MotionLimits(Short):
     """Limits of the nv joints of a robot, which must be of one degree of freedom each.
 
     Attributes:

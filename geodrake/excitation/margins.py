@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.excitation.budget import UNLIMITED, Budget
+from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.problem import DesignProblem
+from geodrake.logs.motion import Motion
 
 Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-6  # share of a limit by which it may be exceeded
-_FINE = 0.005  # of the family's shortest time, between instants at which the end result is checked
+FINE = 0.005  # of the family's shortest time, between instants at which the end result is checked
+_AT_ONCE = 20  # postures that are looked at between two looks at the clock
+_STRIDES = (32, 8, 2, 1)  # of instants at which collisions are looked for, the coarsest first
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +33,8 @@ class LimitUse:
         distance: Least distance of bodies, m; infinite without collision geometry.
         nearest: Which bodies those are.
         clearance: The distance to be kept, m.
+        stride: Every how many of the instants that were to be looked at the distance is of; more
+            than one if time was up.
     """
 
     position: Array
@@ -36,6 +44,7 @@ class LimitUse:
     distance: float = np.inf
     nearest: str = ""
     clearance: float = 0.0
+    stride: int = 1
 
     @property
     def is_within(self) -> bool:
@@ -45,14 +54,57 @@ class LimitUse:
         return within and self.distance >= self.clearance - _TOLERANCE
 
 
-def limit_use(problem: DesignProblem, variables: Array, *, fine: float = _FINE) -> LimitUse:
+def limit_use(
+    problem: DesignProblem,
+    variables: Array,
+    *,
+    fine: float = FINE,
+    budget: Budget = UNLIMITED,
+) -> LimitUse:
     """What a motion uses of its limits, looked at far more closely than in the design.
 
     Args:
         problem: The design problem.
         variables: (f nv,) its variables.
         fine: Time between instants, as a share of the family's shortest time.
+        budget: Time for collisions, which are the slow part: what is left out when it is up is
+            between instants at which they were looked for.
     """
+    motion, use = _use_of_joints(problem, variables, fine)
+    if problem.collisions is None:
+        return use
+    return _with_collisions(problem.collisions, use, motion.q, budget)
+
+
+def keeps_limits(
+    problem: DesignProblem, variables: Array, *, fine: float = FINE, budget: Budget = UNLIMITED
+) -> bool:
+    """Whether a motion keeps all limits, as `limit_use` sees it; ends where one is not kept.
+
+    Args:
+        problem: The design problem.
+        variables: (f nv,) its variables.
+        fine: As for `limit_use`.
+        budget: Time for it.
+
+    Raises:
+        OutOfTimeError: That is not known yet, and the time is up.
+    """
+    motion, use = _use_of_joints(problem, variables, fine)
+    if problem.collisions is None or not use.is_within:
+        return use.is_within
+    for _, q in _passes(motion.q):
+        budget.check()
+        distances, _ = problem.collisions.distances(q)
+        if distances.min() < problem.collisions.clearance - _TOLERANCE:
+            return False
+    return True
+
+
+def _use_of_joints(
+    problem: DesignProblem, variables: Array, fine: float
+) -> tuple[Motion, LimitUse]:
+    """The motion, and what it uses of limits without those of collisions."""
     trajectory, limits = problem.trajectory(variables), problem.limits
     q, v, vd = states = problem.family.basis(problem.family.limit_times(fine)) @ (
         trajectory.coefficients
@@ -60,22 +112,36 @@ def limit_use(problem: DesignProblem, variables: Array, *, fine: float = _FINE) 
     motion = trajectory.motion_of(states)
     effort = problem.model.effort(motion, sign_width=problem.sign_width)
     timed = problem.family.timed
-    use = LimitUse(
+    return motion, LimitUse(
         position=_peak((q - limits.middle) / limits.reach, timed),
         velocity=_peak(v / limits.velocity, timed),
         acceleration=_peak(vd / limits.acceleration, timed),
         effort=_peak(effort / limits.effort, timed),
     )
-    if problem.collisions is None:
-        return use
-    distances, names = problem.collisions.distances(motion.q)
-    nearest = int(np.argmin(distances))
-    return replace(
-        use,
-        distance=float(distances[nearest]),
-        nearest=names[nearest],
-        clearance=problem.collisions.clearance,
-    )
+
+
+def _with_collisions(world: CollisionWorld, use: LimitUse, q: Array, budget: Budget) -> LimitUse:
+    use = replace(use, clearance=world.clearance)
+    for stride, postures in _passes(q):
+        if stride and budget.left <= 0.0:
+            return replace(use, stride=stride)
+        distances, names = world.distances(postures)
+        nearest = int(np.argmin(distances))
+        if distances[nearest] < use.distance:
+            use = replace(use, distance=float(distances[nearest]), nearest=names[nearest])
+    return use
+
+
+def _passes(q: Array) -> Iterator[tuple[int, Array]]:
+    """Some postures of (n, nq) at a time, each once, and every how many were there before."""
+    seen, before = np.zeros(len(q), bool), 0
+    for stride in _STRIDES:
+        new = np.arange(0, len(q), stride)
+        new = new[~seen[new]]
+        seen[new] = True
+        for first in range(0, len(new), _AT_ONCE):
+            yield before, q[new[first : first + _AT_ONCE]]
+        before = stride
 
 
 def _peak(shares: Array, timed: bool) -> Array:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverInterface, SolverOptions
 
 from geodrake.errors import ArgumentError
+from geodrake.excitation.budget import Budget, OutOfTimeError
 from geodrake.excitation.guess import within_limits
-from geodrake.excitation.margins import limit_use
+from geodrake.excitation.margins import keeps_limits
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.program import build_program
 from geodrake.robot.files.description import drake_messages
@@ -21,6 +23,9 @@ SOLVERS: dict[str, type[SolverInterface]] = {"snopt": SnoptSolver, "ipopt": Ipop
 _OPTIMAL, _FEASIBLE = 1e-4, 1e-6
 _LOOKED_AT = 200  # most of the motions that a solver saw
 _COARSE = 0.05  # of the family's shortest time
+_FOR_WAY = 0.5  # of what is left of it; the rest is for motions that the solver saw
+_FOR_SOLVER = 0.8  # of the time; the rest is for the way back to the limits
+_OUT_OF_TIME = "out of time"
 
 
 def check_solver(solver: str) -> None:
@@ -66,8 +71,32 @@ def solve(
         seen.append((value, y.copy()))
         watch(value, y)
 
-    program, variables = build_program(problem, see, raised)
-    options, engine = SolverOptions(), SOLVERS[solver]()
+    budget = Budget.of(seconds)
+    program, variables = build_program(problem, see, raised, budget.part(_FOR_SOLVER))
+    engine = SOLVERS[solver]()
+    try:
+        with drake_messages():  # of iteration limits, which are no news here
+            options = _settings(engine, solver, iterations, seconds)
+            result = engine.Solve(program, guess.ravel(), options)
+    except RuntimeError as error:
+        if raised and isinstance(raised[0], OutOfTimeError):
+            last = seen[-1][1] if seen else guess.ravel()
+            return _back(problem, last, guess, seen, budget), _OUT_OF_TIME
+        if raised:
+            raise raised[0] from error
+        raise
+    found = np.asarray(result.GetSolution(variables), float)
+    # Solvers keep linear limits on their way, those of efforts and collisions in the end only.
+    bent = problem.collisions is not None or bool(np.isfinite(problem.limits.effort).any())
+    is_done = result.is_success() or not bent
+    if not is_done and not keeps_limits(problem, found, fine=_COARSE):
+        found = _back(problem, found, guess, seen, budget)
+    return found, result.get_solution_result().name
+
+
+def _settings(
+    engine: SolverInterface, solver: str, iterations: int, seconds: float
+) -> SolverOptions:
     settings: dict[str, float | int]
     if solver == "snopt":
         settings = {
@@ -84,32 +113,27 @@ def solve(
             "max_cpu_time": seconds,
             "print_level": 0,
         }
+    options = SolverOptions()
     for name, value in settings.items():
         options.SetOption(engine.solver_id(), name, value)
-    try:
-        with drake_messages():  # of iteration limits, which are no news here
-            result = engine.Solve(program, guess.ravel(), options)
-    except RuntimeError as error:
-        if raised:
-            raise raised[0] from error
-        raise
-    found = np.asarray(result.GetSolution(variables), float)
-    # Solvers keep linear limits on their way, those of efforts and collisions in the end only.
-    bent = problem.collisions is not None or bool(np.isfinite(problem.limits.effort).any())
-    is_done = result.is_success() or not bent
-    if not is_done and not limit_use(problem, found, fine=_COARSE).is_within:
-        found = _back(problem, found, guess, seen)
-    return found, result.get_solution_result().name
+    return options
 
 
 def _back(
-    problem: DesignProblem, found: Array, guess: Array, seen: list[tuple[float, Array]]
+    problem: DesignProblem,
+    found: Array,
+    guess: Array,
+    seen: list[tuple[float, Array]],
+    budget: Budget,
 ) -> Array:
     """The better of the motion (f nv,) on the way back to the guess, and the best of those seen."""
-    nearest = within_limits(problem, found.reshape(guess.shape), guess).ravel()
+    nearest = within_limits(
+        problem, found.reshape(guess.shape), guess, budget.part(_FOR_WAY), fine=_COARSE
+    ).ravel()
     value = problem.cost(nearest)[0]
     better = sorted((one for one in seen if one[0] < value), key=lambda one: one[0])
-    for _, y in better[:_LOOKED_AT]:
-        if limit_use(problem, y, fine=_COARSE).is_within:
-            return y
+    with suppress(OutOfTimeError):
+        for _, y in better[:_LOOKED_AT]:
+            if keeps_limits(problem, y, fine=_COARSE, budget=budget):
+                return y
     return nearest

@@ -87,6 +87,7 @@ def possible_postures(
     collisions: CollisionWorld | None,
     *,
     seed: int = 0,
+    most: int = _POSTURES,
 ) -> Array:
     """(n, nv) postures by joint that a robot can hold, the middle of its ranges first if it can.
 
@@ -95,6 +96,7 @@ def possible_postures(
         limits: Its limits.
         collisions: What it may not hit.
         seed: Of the random postures.
+        most: So many are enough, the nearest to the middle.
 
     Raises:
         ArgumentError: No posture can be held; the message says why.
@@ -120,15 +122,28 @@ def possible_postures(
         )
     postures = postures[holds]
     if collisions is None:
-        return postures
-    distance, names = collisions.distances(postures[:, joint_order(model)])
-    free = distance >= collisions.clearance
-    if not free.any():
-        best = int(np.argmax(distance))
+        return postures[:most]
+    return _apart(postures, joint_order(model), collisions, most)
+
+
+def _apart(
+    postures: Array, order: NDArray[np.intp], collisions: CollisionWorld, most: int
+) -> Array:
+    """The first of the postures in which nothing collides; the others are not looked at."""
+    free: list[Array] = []
+    best, nearest = -np.inf, ""
+    for posture in postures:
+        distance, names = collisions.distances(posture[None, order])
+        if distance[0] >= collisions.clearance:
+            free.append(posture)
+        if distance[0] > best:
+            best, nearest = float(distance[0]), names[0]
+        if len(free) == most:
+            break
+    if not free:
         raise ArgumentError(
             f"The robot collides in all of {len(postures)} postures; in the best one, "
-            f"{names[best]} are {distance[best]:.4g} m apart, and shall be "
-            f"{collisions.clearance:g} m.",
+            f"{nearest} are {best:.4g} m apart, and shall be {collisions.clearance:g} m.",
             advice="Check the geometry and where the obstacles are.",
         )
-    return np.asarray(postures[free])
+    return np.array(free)

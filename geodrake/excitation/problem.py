@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import null_space
 
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.collisions import CollisionWorld
 from geodrake.excitation.families import MotionFamily
@@ -33,7 +34,7 @@ _STILL = 1e-8  # relative error of a constant motion
 
 
 @dataclass(frozen=True, eq=False)
-class DesignProblem:
+class DesignProblem(Short):
     """The most informative motion of a family within limits, as a function of variables.
 
     Attributes:

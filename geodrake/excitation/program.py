@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram
 
+from geodrake.excitation.budget import UNLIMITED, Budget
 from geodrake.excitation.problem import DesignProblem
 
 Array = NDArray[np.float64]
@@ -23,6 +24,7 @@ def build_program(
     problem: DesignProblem,
     watch: Callable[[float, Array], None] | None = None,
     raised: list[BaseException] | None = None,
+    budget: Budget = UNLIMITED,
 ) -> tuple[MathematicalProgram, NDArray[np.object_]]:
     """The program of a design problem.
 
@@ -30,6 +32,8 @@ def build_program(
         problem: The problem.
         watch: Called with every cost and its variables (f nv,), for showing progress.
         raised: Gets what costs, constraints or `watch` raise, which solvers only tell the text of.
+        budget: When it is up, costs and constraints raise `OutOfTimeError`: solvers look at the
+            clock now and then only.
 
     Returns:
         The program, and its decision variables (f nv,), which `DesignProblem.trajectory` takes.
@@ -45,15 +49,15 @@ def build_program(
         return value, gradient
 
     flat = variables.ravel()
-    program.AddCost(_with_autodiff(cost, raised), vars=flat)
+    program.AddCost(_with_autodiff(cost, raised, budget), vars=flat)
     limit_motion(program, problem, variables)
     if np.isfinite(problem.limits.effort).any():
         most = np.ones(problem.effort_basis.shape[1] * nv)
-        efforts = _with_autodiff(problem.efforts, raised)
+        efforts = _with_autodiff(problem.efforts, raised, budget)
         program.AddConstraint(efforts, lb=-most, ub=most, vars=flat)
     if problem.collisions is not None:
         most = np.ones(problem.collision_basis.shape[1])
-        nearness = _with_autodiff(problem.nearness, raised)
+        nearness = _with_autodiff(problem.nearness, raised, budget)
         program.AddConstraint(nearness, lb=np.full_like(most, -np.inf), ub=most, vars=flat)
     return program, flat
 
@@ -89,12 +93,13 @@ def limit_motion(
 
 
 def _with_autodiff(
-    function: Differentiable, raised: list[BaseException] | None
+    function: Differentiable, raised: list[BaseException] | None, budget: Budget
 ) -> Callable[[Any], Any]:
     """A function of numbers or of AutoDiffXd, from one that gives its value and Jacobian."""
 
     def evaluate(y: Array) -> tuple[Any, Array]:
         try:
+            budget.check()
             return function(y)
         except BaseException as error:
             if raised is not None:

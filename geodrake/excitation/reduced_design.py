@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, number
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.criteria import Criterion
 from geodrake.excitation.design import design_excitation
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class ReducedExcitation:
+class ReducedExcitation(Short):
     """The best motion for as many parameters as are identifiable.
 
     Attributes:

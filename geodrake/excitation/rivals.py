@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from geodrake.boundary.arguments import instance, instances
+from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, effect_class, make_effect
 from geodrake.effects.user_code import candidates_of
 from geodrake.errors import ArgumentError
@@ -23,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rival:
+class Rival(Short):
     """One of two effects that are to be distinguished.
 
     Attributes:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.information import Objective
 from geodrake.excitation.motion_gradient import regressor_motion_gradient
@@ -40,7 +41,7 @@ _LEAST = 1e-12  # separation that counts as none, per sample
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class Pair(Short):
     """A robot with one effect at a place, explained by another one.
 
     Attributes:

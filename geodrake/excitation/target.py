@@ -13,6 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import instance, instances, integer, real_array
+from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, FittedEffect, RobotMotion
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.dataset import is_payload
@@ -52,7 +53,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class Target(Short):
     """Unknown parameters of a robot, and the measurements that are to identify them.
 
     Attributes:

@@ -11,6 +11,7 @@ from pydrake.trajectories import BsplineTrajectory
 from scipy.interpolate import make_interp_spline
 
 from geodrake.boundary.arguments import instance, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.families import MotionFamily, SplineMotion
 from geodrake.excitation.reverse_recursion import MotionGradient
@@ -25,7 +26,7 @@ _PER_FASTEST = 64  # intervals of that spline in the shortest time: errors of so
 
 
 @dataclass(frozen=True, eq=False)
-class ExcitationTrajectory:
+class ExcitationTrajectory(Short):
     """A motion of all joints of a robot whose joints have one degree of freedom each.
 
     Attributes:

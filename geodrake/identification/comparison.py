@@ -9,6 +9,7 @@ from typing import TypedDict, Unpack
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instances, positive
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.identify import (
@@ -35,7 +36,7 @@ class SharedArguments(TypedDict, total=False):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RegularizerComparison:
+class RegularizerComparison(Short):
     """Solutions of equal residual.
 
     Attributes:

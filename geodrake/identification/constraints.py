@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import LinearConstraints, checked
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, pseudo_inertia, pseudo_inertia_basis
@@ -16,7 +17,7 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class BodyConstraints:
+class BodyConstraints(Short):
     """Linear constraints on inertial parameters.
 
     Attributes:

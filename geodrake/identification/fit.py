@@ -13,6 +13,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
 from geodrake.boundary.arguments import instance
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.newton_program import NewtonProgram
@@ -37,7 +38,7 @@ _BOUNDARY = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FitResult:
+class FitResult(Short):
     """Solution of a `FitProblem`.
 
     Attributes:

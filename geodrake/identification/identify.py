@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, number, one_of
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
@@ -31,7 +32,7 @@ _MARGIN = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class IdentificationResult:
+class IdentificationResult(Short):
     """Identified parameters.
 
     Attributes:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import instances, integer, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import checked
 from geodrake.inertia import (
@@ -28,7 +29,7 @@ _MOST = 1_000_000  # points of a body
 
 
 @dataclass(frozen=True, eq=False)
-class PointMasses:
+class PointMasses(Short):
     """Point masses of several bodies.
 
     Attributes:

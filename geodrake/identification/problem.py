@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, instances, integers, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, is_physical
 from geodrake.robot.reduction import triangular_factor
@@ -66,7 +67,7 @@ class LinearConstraints:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FitProblem:
+class FitProblem(Short):
     """Convex fit of inertial parameters and scalar effect parameters, both in one vector x.
 
     Minimizes, with P ≻ 0 for every inertia block φ_i of x and all bounds and constraints kept,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, instance, integers, number, positive, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia.kernels import Array
 from geodrake.inertia.parameters import (
@@ -28,7 +29,7 @@ _MOST_STEPS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipsoid:
+class Ellipsoid(Short):
     """A solid ellipsoid in a body's frame B, or several.
 
     Attributes:

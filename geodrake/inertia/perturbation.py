@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, integer, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.inertia.body_distances import riemannian_distance
 from geodrake.inertia.ellipsoids import Ellipsoid, equivalent_ellipsoid
@@ -19,7 +20,7 @@ _TOLERANCE = 1e-6  # relative eigenvalue of P: a body of 1 m that is 1 mm thin
 
 
 @dataclass(frozen=True, eq=False)
-class Perturbation:
+class Perturbation(Short):
     """Random physical bodies around given ones.
 
     Attributes:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia.kernels import Array
 from geodrake.inertia.parameters import checked_phi, pseudo_inertia
 
 
 @dataclass(frozen=True, eq=False)
-class PrincipalAxes:
+class PrincipalAxes(Short):
     """A body about its centre of mass, along its principal axes.
 
     Attributes:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.known_payload import KnownPayload
@@ -26,7 +27,7 @@ _ROWS = 100_000  # of a log that are copied at once
 
 
 @dataclass(frozen=True, eq=False)
-class JointLog:
+class JointLog(Short):
     """What was measured at the joints of a robot; rows may hold NaN where nothing was.
 
     Attributes:
@@ -123,7 +124,7 @@ class JointLog:
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Short):
     """Positions, velocities and accelerations in Drake's order, sample by sample.
 
     Attributes:

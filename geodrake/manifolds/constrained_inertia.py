@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, positive, real_array
+from geodrake.boundary.showing import Short
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds.base import Array, Lift, Manifold, excess
 from geodrake.manifolds.inertia import PhysicalInertia
@@ -18,7 +19,7 @@ _INERTIA = PhysicalInertia()
 
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedInertia(Manifold):
+class ConstrainedInertia(Manifold, Short):
     """Inertial parameters φ with P(φ) ≻ 0 and aₖᵀ φ > bₖ for m constraints.
 
     h = −log det P(φ) − α Σ log(aₖᵀ φ − bₖ), [Lee2019] Eq. (5.3.27). It does not depend on the

@@ -13,6 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
 from geodrake.boundary.arguments import instance, instances, one_or_each, real_array
+from geodrake.boundary.showing import Short
 from geodrake.effects import RobotMotion, Role, catalogue
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
@@ -32,7 +33,7 @@ LARGEST_REGRESSOR = 10_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class RobotModel:
+class RobotModel(Short):
     """What is known about a robot: effort needed = Y_rb φ + Σ_e Y_e μ_e.
 
     Attributes:

@@ -94,6 +94,7 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
     tables = {"start": explanation.start, "refit": explanation.refitted, "end": explanation.end}
     return {
         "verdict": explanation.verdict,
+        "interrupted": explanation.is_interrupted,
         "steps": [_step(step) for step in explanation.steps],
         "error": {**_errors(**tables), "of_motion": dict(explanation.of_motion)},
         "bodies": bodies_dict(explanation.bodies),

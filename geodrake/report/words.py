@@ -9,6 +9,7 @@ import numpy as np
 from geodrake.boundary.escaping import printable
 from geodrake.diagnosis.drafting import Correlate
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
 from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
@@ -128,6 +129,13 @@ def finding(step: Step, units: Units) -> str:
     if not lowers_error(step):
         return f"{words}, though it does not lower the held-out error ({errors})"
     return f"{words}, {errors}"
+
+
+def found_words(step: FoundStep) -> str:
+    """A step of a search as it is taken: `payload on flange: nrms 0.703 -> 0.266`."""
+    names, more = step.where[:_MOST_PLACES], len(step.where) - _MOST_PLACES
+    where = listed([*names, f"{more} more"]) if more > 0 else places_label(names, ())
+    return f"{step.effect} on {where}: nrms {number(step.before)} -> {number(step.after)}"
 
 
 def lowers_error(step: Step) -> bool:

@@ -19,6 +19,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from scipy.linalg import qr, solve_triangular
 
 from geodrake.boundary.arguments import instances, integer, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
 from geodrake.manifolds import PhysicalInertia
@@ -34,7 +35,7 @@ _PREFERENCE = (*range(4, PARAMETERS_PER_BODY), 1, 2, 3, 0)  # what is kept: I, t
 
 
 @dataclass(frozen=True, eq=False)
-class BaseParameters:
+class BaseParameters(Short):
     """Which combinations of p parameters a regressor sees.
 
     Attributes:

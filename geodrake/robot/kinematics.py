@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, Joint, WeldJoint
 
+from geodrake.boundary.showing import Short
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
@@ -47,7 +48,7 @@ class Mobilizer:
 
 
 @dataclass(frozen=True)
-class KinematicTree:
+class KinematicTree(Short):
     """A plant's mobilizers, every one after its parent, with the sizes and gravity.
 
     Bodies are those of `lumped_bodies`, each in the frame of its representative.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.boundary.arguments import Sizes, instance, positive_definite, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.manifolds import Manifold
 from geodrake.manifolds.base import Array
@@ -17,7 +18,7 @@ _NOT_INVERSE = 1e-3  # error of the product of a matrix and its inverse, on a un
 
 
 @dataclass(frozen=True, eq=False)
-class ConstantMetric(Manifold):
+class ConstantMetric(Manifold, Short):
     """ℝⁿ with h = ½ xᵀ Γ x: no bounds, straight geodesics and D(x‖y) = ½ (x − y)ᵀ Γ (x − y).
 
     Attributes:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, number, positive, real_array
+from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import ConvexSet, ProjectedLaw, natural_adaptation
 from geodrake.control.online_estimation.slab_step import slab_step
 from geodrake.errors import ArgumentError, GeodrakeError
@@ -22,7 +23,7 @@ Rows = tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
-class SampleUpdate:
+class SampleUpdate(Short):
     """A step of an estimate toward the slab of a sample, and its projection onto a constraint set.
 
     Attributes:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.showing import Short, Shown
 from geodrake.effects import Effect
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class Window(Short):
     """One simulated stretch of a log.
 
     Attributes:
@@ -57,7 +58,7 @@ class JointDeparture:
 
 
 @dataclass(frozen=True, eq=False)
-class Rollout:
+class Rollout(Shown):
     """A model simulated under measured efforts.
 
     Attributes:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import positive, real_array
+from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.adaptation.covectors import calc_tracking_energy
 from geodrake.control.regressor import ControlModel
@@ -21,7 +22,7 @@ from geodrake.inertia import Array
 
 
 @dataclass(frozen=True, eq=False)
-class FixedGains:
+class FixedGains(Short):
     """Constant diagonal gains K and Λ.
 
     Sampled at a time step h, damping is stable for K h well below 2 M only, with M the inertia that

@@ -11,6 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JointActuatorIndex
 
 from geodrake.boundary.arguments import number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
@@ -20,7 +21,7 @@ _MOVING = 1e-4  # rad/s or m/s, speed above which two equal measurements are one
 
 
 @dataclass(frozen=True, eq=False)
-class Safeguards:
+class Safeguards(Short):
     """Limits of a controller.
 
     Attributes:

@@ -17,7 +17,7 @@ from geodrake.diagnosis.drafting.vocabulary import short_vocabulary
 from geodrake.diagnosis.explain import Investigation, investigate
 from geodrake.diagnosis.pruning import prune
 from geodrake.diagnosis.results import Explanation
-from geodrake.diagnosis.stepwise_search import Progress
+from geodrake.diagnosis.search_progress import FoundStep, Progress
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.case import error_table, open_case
 from geodrake.identification.logs.criteria import FIXED, NOISE_MARGIN, Criteria
@@ -55,7 +55,7 @@ def draft_effects(
             or chosen from the data.
         blocks: Blocks into which every log is cut for validation.
         criteria: When an effect or a formula counts as found.
-        progress: Called with each step, in words and with the held-out nrms.
+        progress: Called with each `FoundStep`, and with each formula.
 
     Returns:
         The explanation as `explain` gives it, and formulas for the rest.
@@ -117,7 +117,8 @@ def draft_rest(
     start = hypothesis = _where_fewest_joints_err(investigation.hypothesis)
     drafted: list[DraftedEffect] = []
     correlates: list[Correlate] = []
-    for joint in _worst_first(start):
+    stopped = investigation.explanation.is_interrupted
+    for joint in () if stopped else _worst_first(start):
         if not _left(hypothesis, joint):
             continue
         search = JointSearch(investigation.case, hypothesis, joint)
@@ -126,10 +127,13 @@ def draft_rest(
         found = search.judged(search.formulas(screen), len(screen.vocabulary), criteria)
         if found is not None:
             drafts = [e for e in found.after.unknowns.effects if e.name == found.columns.name]
+            before = hypothesis.nrms
             hypothesis = prune(found.after, [*fixed, *drafts], criteria)
             drafted.append(_drafted(found, hypothesis))
             if progress is not None:
-                progress(f"a formula for {joint}", hypothesis.nrms)
+                floor = error_table(start.dataset, start.held_out).floor_nrms
+                nrms = before, hypothesis.nrms, start.nrms, floor
+                progress(FoundStep("a formula", (joint,), *nrms))
     kept = hypothesis.unknowns.effects
     return Draft(
         tuple(drafted),

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import identifiers
+from geodrake.boundary.showing import Short
 from geodrake.diagnosis.drafting.formula import Formula
 from geodrake.effects import Effect
 from geodrake.identification.logs.model_errors import ErrorTable
@@ -31,7 +32,7 @@ class Correlate:
 
 
 @dataclass(frozen=True, eq=False)
-class DraftedEffect:
+class DraftedEffect(Short):
     """A formula for what is missing at a joint.
 
     Attributes:
@@ -62,7 +63,7 @@ class DraftedEffect:
 
 
 @dataclass(frozen=True, eq=False)
-class Draft:
+class Draft(Short):
     """Formulas for the error that a model leaves.
 
     Attributes:

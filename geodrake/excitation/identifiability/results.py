@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.showing import Shown
 from geodrake.excitation.identifiable import IdentifiableParameters
 from geodrake.model.robot_model import RobotModel
 
@@ -79,7 +80,7 @@ class ParameterCombination:
 
 
 @dataclass(frozen=True, eq=False)
-class LogIdentifiability:
+class LogIdentifiability(Shown):
     """What is identifiable of a model from logs.
 
     Attributes:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geodrake.boundary.showing import Short
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
 from geodrake.effects.robot_motion import RobotMotion
@@ -74,7 +75,7 @@ class KeptMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class Case(Short):
     """A model and its logs.
 
     Attributes:

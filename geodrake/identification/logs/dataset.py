@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.showing import Short
 from geodrake.effects import Effect, Role
 from geodrake.inertia import PARAMETERS_PER_BODY
 
@@ -161,7 +162,7 @@ class Settled:
 
 
 @dataclass(frozen=True, eq=False)
-class Dataset:
+class Dataset(Short):
     """Several logs, reduced.
 
     Attributes:

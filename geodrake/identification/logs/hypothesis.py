@@ -9,6 +9,7 @@ from hashlib import blake2b
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.showing import Short
 from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import FIXED, IMPROBABLE
 from geodrake.identification.logs.cross_validation import CrossValidation, HeldOut
@@ -37,7 +38,7 @@ _FIRST_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Hypothesis:
+class Hypothesis(Short):
     """The model with the effects among `unknowns`, and what it gets wrong on held-out data.
 
     Attributes:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.showing import Short, Shown
 from geodrake.identification.logs.criteria import JOINT_NOISE_MARGIN, NOISE_MARGIN
 
 Array = NDArray[np.float64]
@@ -45,7 +46,7 @@ class JointError:
 
 
 @dataclass(frozen=True)
-class ErrorTable:
+class ErrorTable(Short):
     """Errors of all joints.
 
     Attributes:
@@ -95,7 +96,7 @@ class ErrorTable:
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class Series(Short):
     """One joint over one block, filtered and decimated: what figures show.
 
     Attributes:
@@ -148,7 +149,7 @@ class Failing:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Shown):
     """How far a model is from logs, and where.
 
     Attributes:

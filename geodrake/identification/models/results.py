@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.boundary.arguments import instance, integer, real_array
+from geodrake.boundary.showing import Short, Shown
 from geodrake.errors import ArgumentError
 from geodrake.identification.identify import REGULARIZERS, IdentificationResult
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
@@ -16,7 +17,7 @@ from geodrake.model.robot_model import RobotModel
 
 
 @dataclass(frozen=True, eq=False)
-class BodyChange:
+class BodyChange(Short):
     """A body before and after a fit.
 
     Attributes:
@@ -41,7 +42,7 @@ class BodyChange:
 
 
 @dataclass(frozen=True, eq=False)
-class Alternative:
+class Alternative(Short):
     """What another regularizer makes of the same training residual.
 
     Attributes:
@@ -62,7 +63,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelIdentification:
+class ModelIdentification(Shown):
     """An identified model.
 
     Attributes:
@@ -103,7 +104,7 @@ _LARGEST_RATIO = 1e6  # of residuals, beyond which a bound bounds nothing
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentificationSettings:
+class IdentificationSettings(Short):
     """How to identify; at most one of gamma and residual_ratio, neither to choose γ by itself.
 
     Attributes:

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import Sizes, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.manifolds.base import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Polyhedron:
+class Polyhedron(Short):
     """The points y with lower ≤ matrix y ≤ upper.
 
     Attributes:

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import Sizes, instance, instances, number, real_array
+from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.robot.transmission.base import Transmission
 
 
 @dataclass(frozen=True, eq=False)
-class LinearTransmission(Transmission):
+class LinearTransmission(Transmission, Short):
     """θ = J q + θ₀ with a constant J, of `of` or `from_ratios`: gears, belts, coupled wrists.
 
     Attributes:

@@ -1,0 +1,166 @@
+"""Samples behind a result as one table: time, log, and joint by joint measured and predicted."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.whole_files import Content
+from geodrake.control.rollout import Rollout
+from geodrake.control.rollout.results import Window
+from geodrake.errors import ArgumentError
+from geodrake.identification.logs.model_errors import Comparison
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Sequence[str] | Array]
+"""Name of a column -> its values, all of one length."""
+
+_BLOCK = re.compile(r"^(?P<log>.+) -?[\d.]+–-?[\d.]+ s$")
+
+
+def comparison_series(now: Comparison, before: Comparison | None = None) -> Columns:
+    """Efforts of a comparison, N·m or N; NaN where a joint's sample was left out.
+
+    Args:
+        now: The comparison.
+        before: That of the model before on the same logs, if there is one.
+
+    Returns:
+        `time`, `log`, and of every joint `measured`, `predicted` and `residual`, measured −
+        predicted; with a model before also `predicted_before` and `residual_before`.
+    """
+    stages = {"": now} if before is None else {"_before": before, "": now}
+    index = _index((log_of(s.block), s.time) for c in stages.values() for s in c.series)
+    columns = _head(index)
+    for joint in dict.fromkeys(s.joint for s in now.series):
+        values = {f"{joint}.measured": np.full(len(index), np.nan)}
+        for stage, comparison in stages.items():
+            predicted = np.full(len(index), np.nan)
+            for s in (s for s in comparison.series if s.joint == joint):
+                at = [index[log_of(s.block), time] for time in s.time.tolist()]
+                values[f"{joint}.measured"][at], predicted[at] = s.measured, s.predicted
+            values[f"{joint}.predicted{stage}"] = predicted
+            values[f"{joint}.residual{stage}"] = values[f"{joint}.measured"] - predicted
+        columns |= values
+    return columns
+
+
+def rollout_series(now: Rollout, before: Rollout | None = None) -> Columns:
+    """Positions of a rollout, rad or m, window after window.
+
+    Args:
+        now: The rollout.
+        before: That of the model before, if there is one.
+
+    Returns:
+        `time`, `log`, `window`, and of every joint `measured`, `predicted` and `residual`, measured
+        − predicted; with a model before also `predicted_before` and `residual_before`.
+    """
+    windows = now.windows
+    columns: dict[str, Sequence[str] | Array] = {
+        "time": np.concatenate([w.time for w in windows]),
+        "log": [w.log for w in windows for _ in w.time],
+        "window": np.concatenate([np.full(len(w.time), float(k)) for k, w in enumerate(windows)]),
+    }
+    measured = _stacked(windows, "measured")
+    stages = {"": now} if before is None else {"_before": before, "": now}
+    for j, joint in enumerate(now.joints):
+        columns[f"{joint.joint}.measured"] = measured[:, j]
+        for stage, rollout in stages.items():
+            predicted = _stacked(rollout.windows, "simulated")[:, j]
+            columns[f"{joint.joint}.predicted{stage}"] = predicted
+            columns[f"{joint.joint}.residual{stage}"] = measured[:, j] - predicted
+    return columns
+
+
+def series_content(columns: Columns, path: Path) -> Content:
+    """What goes into a file of samples, by its suffix.
+
+    Args:
+        columns: The samples.
+        path: The file, CSV or Parquet; empty entries of a CSV are samples that were left out.
+
+    Raises:
+        ArgumentError: Parquet is asked for, and pyarrow is not installed.
+    """
+    if path.suffix.lower() == ".parquet":
+        arrow, parquet = optional("pyarrow", "parquet"), optional("pyarrow.parquet", "parquet")
+        return partial(parquet.write_table, arrow.table(dict(columns)))
+    lines = io.StringIO()
+    lines.write(",".join(map(_field, columns)) + "\n")
+    for row in zip(*map(_texts, columns.values()), strict=True):
+        lines.write(",".join(row) + "\n")
+    return lines.getvalue()
+
+
+def check_series(path: Path) -> None:
+    """Refuse a file of samples that could not be written in the end.
+
+    Raises:
+        ArgumentError: As `series_content`.
+    """
+    if path.suffix.lower() == ".parquet":
+        optional("pyarrow", "parquet")
+
+
+def optional(module: str, extra: str) -> Any:
+    """A module of a package that geodrake can do without.
+
+    Args:
+        module: Its name.
+        extra: The extra of geodrake that brings it.
+
+    Raises:
+        ArgumentError: It is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise ArgumentError(
+            f"This needs {package}, which is not installed.",
+            advice=f'Install it with: pip install "geodrake[{extra}]"',
+        ) from error
+
+
+def log_of(block: str) -> str:
+    """The log that a block was cut from: its name without the stretch of time."""
+    match = _BLOCK.match(block)
+    return match["log"] if match else block
+
+
+def _index(stretches: Iterable[tuple[str, Array]]) -> dict[tuple[str, float], int]:
+    """Log and instant -> row, in the order of logs and of time."""
+    logs: dict[str, set[float]] = {}
+    for log, time in stretches:
+        logs.setdefault(log, set()).update(time.tolist())
+    rows = ((log, time) for log, times in logs.items() for time in sorted(times))
+    return {row: k for k, row in enumerate(rows)}
+
+
+def _head(index: Mapping[tuple[str, float], int]) -> dict[str, Sequence[str] | Array]:
+    times = np.array([time for _, time in index])
+    return {"time": times, "log": [log for log, _ in index]}
+
+
+def _stacked(windows: Sequence[Window], name: str) -> Array:
+    return np.concatenate([getattr(w, name) for w in windows])
+
+
+def _texts(values: Sequence[str] | Array) -> list[str]:
+    if isinstance(values, np.ndarray):
+        return [f"{value:.10g}" if np.isfinite(value) else "" for value in values.tolist()]
+    return [_field(value) for value in values]
+
+
+def _field(text: str) -> str:
+    """A field of a CSV, in quotes where it must be."""
+    return '"{}"'.format(text.replace('"', '""')) if set(text) & set(',"\r\n') else text

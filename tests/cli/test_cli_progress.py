@@ -1,0 +1,136 @@
+"""Progress on stderr, quiet and plain where asked for; what is kept of an interrupted search."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from geodrake.boundary.interrupts import StopSearch
+from geodrake.cli.app import app
+from geodrake.cli.progress import progress
+from geodrake.diagnosis.explain import explain
+from geodrake.diagnosis.search_progress import FoundStep
+from geodrake.model.saved_model import load_model
+
+DEMO = files("geodrake") / "demo"
+MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
+ROOT = Path(__file__).parents[2]
+
+
+def test_lines_in_a_pipe_are_plain(capsys):
+    with progress("Reading a file") as shown:
+        shown("Searching", 0.5)
+        shown.history("1  payload on \x1b[31mflange: nrms 0.7 -> 0.1")
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("1  payload on ") and err.endswith("flange: nrms 0.7 -> 0.1\n")
+    assert not any(ord(letter) < 32 for letter in err.rstrip("\n"))
+
+
+def test_share_and_time_left_are_told_where_nothing_was_said_for_long(capsys, monkeypatch):
+    with progress("Reading a file") as shown:
+        shown.clock.begin -= 10.0
+        shown("Simulating", 0.5)
+        shown("Simulating", 0.6)
+    assert capsys.readouterr().err == "Simulating (50 %, 10 s, about 10 s left)\n"
+
+
+def test_quiet_is_silent(capsys):
+    with progress("Reading a file", quiet=True) as shown:
+        shown("Searching", 0.5)
+        shown.history("1  payload")
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "command", ["compare", "diagnose", "add", "explain", "rollout", "identify", "excite", "demo"]
+)
+def test_every_command_can_be_quiet(command):
+    result = CliRunner().invoke(app, [command, "--help"], env={"COLUMNS": "160"})
+    assert "--quiet" in result.stdout
+
+
+def test_share_of_a_step_is_how_far_it_is_to_the_noise():
+    step = FoundStep("payload", ("flange",), 1.0, 0.1, start=1.0, floor=0.01)
+    assert step.share == pytest.approx(0.5)
+    assert FoundStep("payload", (), 1.0, 0.01, start=1.0, floor=0.01).share == 1.0
+    assert FoundStep("payload", (), 1.0, 0.1, start=1.0, floor=0.0).share == pytest.approx(1 / 3)
+
+
+@pytest.fixture(scope="module")
+def found():
+    told = []
+
+    def stop(step):
+        told.append(step)
+        if len(told) == 1:
+            raise StopSearch
+
+    return explain(load_model(MODEL), [LOG], progress=stop), told
+
+
+class TestStopped:
+    def test_steps_found_by_then_are_the_result(self, found):
+        explanation, told = found
+        assert explanation.is_interrupted
+        assert {step.effect for step in explanation.steps} <= set(told[0].effect.split(" + "))
+        assert explanation.steps and explanation.end.nrms < explanation.refitted.nrms
+        assert explanation.verdict == "unexplained"
+        assert any("interrupted" in note for note in explanation.notes)
+
+    def test_it_is_told(self, found):
+        first, last = found[1]
+        assert not first.is_last and last.is_last
+        assert first.before > first.after and first.where
+
+    def test_before_the_first_step_there_is_no_result(self, monkeypatch):
+        def stopped(*_):
+            raise StopSearch
+
+        monkeypatch.setattr("geodrake.diagnosis.stepwise_search.next_step", stopped)
+        with pytest.raises(StopSearch):
+            explain(load_model(MODEL), [LOG])
+
+
+def started(folder, *options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "geodrake", "explain", MODEL, LOG, *options],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_an_interrupt_after_a_step_keeps_what_was_found(tmp_path):
+    run = started(tmp_path, "--json", "found.json", "--save", "model.yaml")
+    first = run.stderr.readline()
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert run.returncode == 130, err
+    assert first.startswith("1  ") and "nrms 0.703 -> " in first
+    assert "Interrupted: fitting what was found" in err and "Traceback" not in err
+    numbers = json.loads((tmp_path / "found.json").read_text())
+    assert numbers["interrupted"] is True and numbers["steps"]
+    assert "Interrupted: the search had not ended" in out
+    assert yaml.safe_load((tmp_path / "model.yaml").read_text())["effects"]
+
+
+def test_a_second_interrupt_ends_at_once(tmp_path):
+    run = started(tmp_path, "--json", "found.json")
+    run.stderr.readline()
+    run.send_signal(signal.SIGINT)
+    while "Interrupted: fitting" not in run.stderr.readline():
+        pass
+    run.send_signal(signal.SIGINT)
+    out, err = run.communicate(timeout=60)
+    assert (run.returncode, out, err) == (130, "", "Interrupted.\n")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,103 @@
+"""A design ends in its time, with the best motion found by then, or says that there is none."""
+
+import time
+
+import numpy as np
+import pytest
+from excitation_robots import MODELS, arm
+from pydrake.geometry import Box
+from pydrake.math import RigidTransform
+
+from geodrake.errors import ArgumentError
+from geodrake.excitation import (
+    CollisionWorld,
+    DesignOptions,
+    FourierMotion,
+    MotionLimits,
+    Solid,
+    design_excitation,
+)
+from geodrake.model.robot_model import load_description
+
+SLACK = 1.0  # s, for what cannot be interrupted, on a busy machine
+WALL = Solid("wall", Box(0.1, 2.0, 2.0), RigidTransform([0.0, -3.0, 0.0]))
+
+
+class SlowWorld(CollisionWorld):
+    """A world in which looking at a posture takes its time, as with large meshes."""
+
+    seconds = 0.002
+
+    def distances(self, q):
+        time.sleep(self.seconds * len(q))
+        return np.full(len(q), np.inf), ("",) * len(q)
+
+    def constraint(self, q):
+        time.sleep(self.seconds * len(q))
+        return np.zeros(len(q)), np.zeros(q.shape)
+
+
+class NarrowWorld(SlowWorld):
+    """Every single posture is free, and every motion hits something."""
+
+    def distances(self, q):
+        far, names = super().distances(q)
+        return (far, names) if len(q) == 1 else (np.zeros(len(q)), names)
+
+
+def limits_of(model):
+    nv = len(model.joints)
+    most = np.full(nv, 2.0)
+    return MotionLimits(model.joints, -most, most, most, 4.0 * most, np.full(nv, np.inf))
+
+
+def designed(seconds, world=SlowWorld, **more):
+    model = load_description(MODELS / "arm7.urdf")
+    limits = limits_of(model)
+    collisions = world(model, obstacles=[WALL], use_file=False)
+    options = DesignOptions(seconds=seconds, collisions=collisions, samples=100)
+    begin = time.monotonic()
+    result = design_excitation(
+        model, limits, trajectory=FourierMotion(10.0, 5), options=options, **more
+    )
+    return result, time.monotonic() - begin
+
+
+@pytest.mark.parametrize("seeds", [1, 4])
+def test_starts_share_the_time(seeds):
+    result, took = designed(1.5, seeds=seeds)
+    assert took < 1.1 * 1.5 + SLACK
+    assert result.use.is_within
+    assert any(outcome.status == "out of time" for outcome in result.outcomes)
+    assert result.value <= min(outcome.random_value for outcome in result.outcomes)
+
+
+def test_no_time_for_a_close_look_is_said():
+    result, took = designed(0.01, seeds=3)
+    assert took < SLACK + 0.5
+    assert [outcome.seed for outcome in result.outcomes] == [0]
+    assert "2 starts were not begun, as time was up" in result.notes
+    assert any("collisions were looked for every 0.3" in note for note in result.notes)
+
+
+def test_no_motion_in_that_time_is_an_error():
+    begin = time.monotonic()
+    with pytest.raises(ArgumentError, match=r"No motion within the limits was found in 0\.5 s"):
+        designed(0.5, NarrowWorld, seeds=2)
+    assert time.monotonic() - begin < 0.5 + 1.0 + SLACK
+
+
+def test_what_ends_by_itself_is_the_same_with_more_time():
+    model = arm()
+    limits = limits_of(model)
+    values = [
+        design_excitation(
+            model,
+            limits,
+            trajectory=FourierMotion(4.0, 2),
+            options=DesignOptions(samples=60, iterations=10, sharpness=(8.0,), seconds=seconds),
+            seeds=2,
+        ).value
+        for seconds in (60.0, 600.0)
+    ]
+    assert values[0] == values[1]

@@ -1,0 +1,191 @@
+"""Results in a notebook: short as text, as tables, DataFrames and figures; samples as files."""
+
+import csv
+import inspect
+import sys
+from dataclasses import is_dataclass
+from importlib import import_module
+from importlib.resources import files
+
+import numpy as np
+import pandas
+import pyarrow.parquet
+import pytest
+from matplotlib.figure import Figure
+from typer.testing import CliRunner
+
+from geodrake import load_model
+from geodrake.boundary.showing import Short, Shown
+from geodrake.cli.app import app
+from geodrake.control.rollout import roll_out
+from geodrake.diagnosis import compare, diagnose
+from geodrake.diagnosis.add import add
+from geodrake.errors import ArgumentError
+from geodrake.excitation import (
+    DesignOptions,
+    FourierMotion,
+    design_excitation,
+    log_identifiability,
+)
+from geodrake.identification.models import identify_model
+from geodrake.logs.files import read_log
+
+DEMO = files("geodrake") / "demo"
+MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
+PACKAGES = (
+    "inertia", "manifolds", "logs", "robot", "effects", "model", "identification",
+    "identification.models", "diagnosis", "excitation", "excitation.identifiability",
+    "control", "control.rollout",
+)  # fmt: skip
+
+
+def designed():
+    return design_excitation(
+        load_model(MODEL),
+        trajectory=FourierMotion(4.0, 2),
+        options=DesignOptions(samples=40, iterations=2, sharpness=(8.0,)),
+        seeds=1,
+    )
+
+
+MAKERS = {
+    "model": lambda: load_model(MODEL),
+    "log": lambda: read_log(LOG),
+    "Comparison": lambda: compare(load_model(MODEL), [LOG]),
+    "Diagnosis": lambda: diagnose(load_model(MODEL), [LOG]),
+    "Explanation": lambda: add("payload", load_model(MODEL), [LOG], where=["flange"]),
+    "ModelIdentification": lambda: identify_model(load_model(MODEL), [LOG]),
+    "ExcitationResult": designed,
+    "LogIdentifiability": lambda: log_identifiability(load_model(MODEL), [LOG]),
+    "Rollout": lambda: roll_out(load_model(MODEL), [LOG], horizon=0.1, most=3),
+}
+SHOWN = [name for name in MAKERS if name[0].isupper()]
+WITH_SAMPLES = [name for name in SHOWN if name != "LogIdentifiability"]
+
+
+@pytest.fixture(scope="module")
+def results():
+    made = {}
+
+    def get(name):
+        if name not in made:
+            made[name] = MAKERS[name]()
+        return made[name]
+
+    return get
+
+
+def parts(value, seen):
+    """A value and all that it holds."""
+    if id(value) in seen:
+        return
+    seen[id(value)] = value
+    yield value
+    if is_dataclass(value) and not isinstance(value, type):
+        for held in vars(value).values():
+            yield from parts(held, seen)
+    elif isinstance(value, tuple | list):
+        for held in value[:3]:
+            yield from parts(held, seen)
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_every_repr_is_short(results, name):
+    for part in parts(results(name), {}):
+        if type(part).__module__.startswith("geodrake"):
+            assert len(repr(part)) < 1000, type(part)
+
+
+def test_public_results_with_arrays_have_a_short_repr():
+    for package in PACKAGES:
+        public = import_module(f"geodrake.{package}")
+        for name in public.__all__:
+            kind = getattr(public, name)
+            if inspect.isclass(kind) and is_dataclass(kind) and kind.__dataclass_params__.repr:
+                fields = kind.__dataclass_fields__.values()
+                arrays = [f for f in fields if str(f.type).startswith(("Array", "NDArray"))]
+                assert not arrays or issubclass(kind, Short), f"geodrake.{package}.{name}"
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_tables_and_a_figure(results, name):
+    result = results(name)
+    assert isinstance(result, Shown)
+    page = result._repr_html_()
+    assert page.startswith("<div><p>") and page.count("<table>") == page.count("</table>") >= 1
+    assert isinstance(result.plot(), Figure)
+    assert isinstance(result.to_dataframe(), pandas.DataFrame)
+
+
+@pytest.mark.parametrize("name", WITH_SAMPLES)
+def test_samples_are_a_frame(results, name):
+    frame = results(name).to_dataframe(series=True)
+    assert len(frame) > 30 and frame["time"].notna().all()
+
+
+def test_frame_has_the_numbers_of_the_result(results):
+    found = results("Comparison")
+    frame = found.to_dataframe().set_index("joint")
+    assert frame["rms"].to_dict() == found.errors.by_joint()
+    samples = found.to_dataframe(series=True)
+    for joint, rms in found.errors.by_joint().items():
+        residual = samples[f"{joint}.residual"].dropna()
+        assert np.sqrt((residual**2).mean()) == pytest.approx(rms)
+
+
+def test_without_pandas_it_is_said_how_to_install_it(results, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ArgumentError, match=r'pip install "geodrake\[notebook\]"'):
+        results("Comparison").to_dataframe()
+
+
+def test_a_result_without_samples_says_so(results):
+    with pytest.raises(ArgumentError, match="LogIdentifiability has no samples"):
+        results("LogIdentifiability").to_dataframe(series=True)
+
+
+class TestSeriesFile:
+    def run(self, *arguments):
+        return CliRunner().invoke(app, [*map(str, arguments), "--quiet"])
+
+    def test_csv_and_parquet_agree(self, tmp_path, results):
+        table, parquet = tmp_path / "s.csv", tmp_path / "s.parquet"
+        for target in (table, parquet):
+            done = self.run("compare", MODEL, LOG, "--series", target)
+            assert done.exit_code == 0, done.output
+            assert f"Saved the samples: {target}" in done.stdout
+        with table.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        columns = pyarrow.parquet.read_table(parquet).to_pydict()
+        assert list(rows[0]) == list(columns)
+        for name in ("time", "elbow_pitch.measured", "elbow_pitch.residual"):
+            read = [float(row[name] or "nan") for row in rows]
+            np.testing.assert_allclose(read, columns[name], rtol=1e-8)
+        assert set(columns["log"]) == {"demo"}
+
+    def test_before_and_after_of_an_addition(self, tmp_path):
+        target = tmp_path / "s.csv"
+        where = ("--where", "flange")
+        assert self.run("add", "payload", MODEL, LOG, *where, "--series", target).exit_code == 0
+        frame = pandas.read_csv(target)
+        before, after = (frame[f"elbow_pitch.residual{end}"] for end in ("_before", ""))
+        assert (after**2).sum() < 0.5 * (before**2).sum()
+
+    def test_rollout_of_two_models(self, tmp_path):
+        target = tmp_path / "s.csv"
+        windows = ("--windows", 2, "--horizon", 0.05, "--before", MODEL)
+        done = self.run("rollout", MODEL, LOG, *windows, "--series", target)
+        assert done.exit_code == 0, done.output
+        frame = pandas.read_csv(target)
+        assert set(frame["window"]) == {0, 1}
+        same = frame["base_yaw.residual"] == frame["base_yaw.residual_before"]
+        assert same.all()
+
+    def test_other_suffixes_are_refused(self, tmp_path):
+        done = self.run("compare", MODEL, LOG, "--series", tmp_path / "s.txt")
+        assert done.exit_code == 2 and "does not end in .csv or .parquet" in done.stderr
+
+    def test_without_pyarrow_nothing_is_begun(self, tmp_path, monkeypatch):
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+        done = self.run("compare", MODEL, LOG, "--series", tmp_path / "s.parquet")
+        assert done.exit_code == 2 and 'pip install "geodrake[parquet]"' in done.stderr
