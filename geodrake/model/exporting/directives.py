@@ -64,6 +64,14 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     return Exported(files, notes)
 
 
+def stands_free(model: RobotModel) -> bool:
+    """Whether the file leaves the robot free, so that directives decide how it stands."""
+    plant = model.plant
+    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
+    on_world = [joint for joint in joints if joint.parent_body().index() == 0]
+    return len(on_world) == len(_roots(model))
+
+
 def _roots(model: RobotModel) -> list[tuple[RigidBody, RigidTransform]]:
     """The bodies that geodrake welds to the world, which the file leaves free, as they stand."""
     plant, tilt = model.plant, RotationMatrix(tilt_rotation(model))

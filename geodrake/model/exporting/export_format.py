@@ -24,8 +24,8 @@ class Exported:
     notes: tuple[str, ...] = ()
 
 
-Holds = Callable[[Effect, str], bool]
-"""Whether an effect is held as it is, in a copy of a robot's file that is urdf, sdf or xml."""
+Holding = Callable[[RobotModel], Callable[[Effect], bool]]
+"""For a model, whether the files hold one of its effects as it is."""
 
 Write = Callable[[RobotModel, HeldModel, Path], Exported]
 """Writes a model: the whole one, what the format holds of it, and the folder of the files."""
@@ -38,13 +38,14 @@ class ExportFormat:
     Attributes:
         name: What it is called, as in `--to`.
         bases: Formats of the robot's own file that it takes: urdf, sdf, xml; empty for all.
-        holds: Whether it holds an effect as it is; inertias and payloads it always holds.
+        holding: What tells, for a model, whether the files hold an effect as it is; inertias and
+            payloads they always hold.
         write: Makes the files.
         engines: Names of the simulators in which the files are tried.
     """
 
     name: str
     bases: frozenset[str]
-    holds: Holds
+    holding: Holding
     write: Write
     engines: tuple[str, ...] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from geodrake.effects import (
@@ -14,8 +15,9 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.errors import ArgumentError
-from geodrake.model.exporting.directives import drake_files
-from geodrake.model.exporting.export_format import Exported, ExportFormat, Holds
+from geodrake.model.export import file_kind
+from geodrake.model.exporting.directives import drake_files, stands_free
+from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
 from geodrake.model.exporting.model_text import model_text
@@ -25,13 +27,26 @@ _JOINT_TERMS = (ViscousFriction, CoulombFriction, RotorInertia)
 _WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
 
 
-def _holding(*more: type[Effect]) -> Holds:
-    def holds(effect: Effect, kind: str) -> bool:
+def _joints(model: RobotModel) -> Callable[[Effect], bool]:
+    """Friction and rotors, and springs where the robot's own file may have some."""
+    springs = file_kind(model) in _WITH_SPRINGS
+
+    def holds(effect: Effect) -> bool:
         if isinstance(effect, JointSpring):
-            return effect.exponent == 1 and kind in _WITH_SPRINGS
-        return isinstance(effect, (*_JOINT_TERMS, *more))
+            return springs and effect.exponent == 1
+        return isinstance(effect, _JOINT_TERMS)
 
     return holds
+
+
+def _beside(kind: type[Effect], able: Callable[[RobotModel], bool] = lambda model: True) -> Holding:
+    """What `_joints` holds, and effects of a kind where a model makes them possible."""
+
+    def holding(model: RobotModel) -> Callable[[Effect], bool]:
+        of_joints, possible = _joints(model), able(model)
+        return lambda effect: of_joints(effect) or (possible and isinstance(effect, kind))
+
+    return holding
 
 
 def _own_file(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
@@ -44,11 +59,11 @@ _URDF, _SDF, _MJCF = (frozenset({kind}) for kind in ("urdf", "sdf", "xml"))
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("urdf", _URDF, _holding(), _own_file, ("drake", "pinocchio")),
-        ExportFormat("sdf", _SDF, _holding(), _own_file, ("drake",)),
-        ExportFormat("mjcf", _MJCF, _holding(GravityTilt), _own_file, ("mujoco",)),
-        ExportFormat("drake", _URDF | _SDF, _holding(GravityTilt), drake_files, ("drake",)),
-        ExportFormat("isaac", _URDF, _holding(EffortDelay), isaac_files, ("drake", "pinocchio")),
+        ExportFormat("urdf", _URDF, _joints, _own_file, ("drake", "pinocchio")),
+        ExportFormat("sdf", _SDF, _joints, _own_file, ("drake",)),
+        ExportFormat("mjcf", _MJCF, _beside(GravityTilt), _own_file, ("mujoco",)),
+        ExportFormat("drake", _URDF | _SDF, _beside(GravityTilt, stands_free), drake_files, ("drake",)),
+        ExportFormat("isaac", _URDF, _beside(EffortDelay), isaac_files, ("drake", "pinocchio")),
     )
 }
 """By name; a further format is one more entry."""
