@@ -151,9 +151,15 @@ def _build(description: ModelDescription, *, floating: bool) -> _Built:
         values = {j: stated.get(_scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
         return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
 
-    arrays = [per_velocity(values) for values in (damping, of_text("friction"), rotor)]
-    springs = np.array([per_velocity(of_text(name, most=1)) for name in ("stiffness", "rest")])
-    return _Built(plant, tuple(notes), *arrays, springs)
+    friction, of_springs = of_text("friction"), [of_text(n, most=1) for n in ("stiffness", "rest")]
+    return _Built(
+        plant,
+        tuple(notes),
+        damping=per_velocity(damping),
+        friction=per_velocity(friction),
+        rotor_inertia=per_velocity(rotor),
+        springs=np.array([per_velocity(values) for values in of_springs]),
+    )
 
 
 def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:

@@ -5,20 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.control.export_proof.engines import engine, missing
 from geodrake.control.export_proof.engines.base import Engine
-from geodrake.control.export_proof.reference import Start, roll_out_all, without
+from geodrake.control.export_proof.reference import (
+    STEP,
+    Start,
+    position_order,
+    roll_out_all,
+    without,
+)
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
-
-STEP = 1e-3  # of rollouts, s
 
 
 @dataclass(frozen=True)
@@ -75,8 +80,9 @@ def prove(
     for name in engines:
         make = engine(name)
         if make is None:
-            notes.append(f"{name} is not installed, so the export was not tried in it: "
-                         f"{missing(name)}")
+            notes.append(
+                f"{name} is not installed, so the export was not tried in it: {missing(name)}"
+            )
             continue
         try:
             loaded = make(file, held)
@@ -102,10 +108,13 @@ def _of_efforts(
 ) -> Difference:
     model = without(held, loaded.ignores)
     ours = model.effort(motion)
-    q = motion.q[:, _position_places(held)]
+    q = motion.q[:, position_order(held)]
     theirs, meant = loaded.effort(q, motion.v, motion.vd)
     off = np.where(meant, np.abs(theirs - ours), 0.0)
-    return _difference(loaded.name, "effort", off, ours, held, float(meant.mean()), names)
+    share = float(meant.mean())
+    return Difference(
+        loaded.name, "effort", **_largest(off, ours, held), compared=share, without=names
+    )
 
 
 def _of_rollouts(
@@ -122,27 +131,16 @@ def _of_rollouts(
     moved = (ours - ours[:, :1]).reshape(off.shape)
     dry = (f.effect.name for f in held.effects if f.effect.name == "coulomb_friction")
     names = tuple(dict.fromkeys([*names, *dry]))
-    return _difference(loaded.name, "position", off, moved, held, 1.0, names)
-
-
-def _difference(
-    name: str,
-    what: str,
-    off: Array,
-    values: Array,
-    model: RobotModel,
-    compared: float,
-    names: tuple[str, ...],
-) -> Difference:
-    worst = int(off.max(0).argmax())
-    typical = float(np.sqrt(np.mean(values[:, worst] ** 2)))
     return Difference(
-        name, what, float(off.max()), model.joints[worst], typical, compared, names
+        loaded.name, "position", **_largest(off, moved, held), compared=1.0, without=names
     )
 
 
-def _position_places(model: RobotModel) -> Array:
-    """Where the position of each velocity stands among Drake's."""
-    nv = len(model.joints)
-    places = model.positions(np.arange(nv, dtype=float)[None])[0]
-    return np.asarray(np.argsort(places))
+def _largest(off: Array, values: Array, model: RobotModel) -> dict[str, Any]:
+    """The largest of differences (N, nv) of some values, and its joint."""
+    worst = int(off.max(0).argmax())
+    return {
+        "largest": float(off.max()),
+        "joint": model.joints[worst],
+        "typical": float(np.sqrt(np.mean(values[:, worst] ** 2))),
+    }

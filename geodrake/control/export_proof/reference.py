@@ -14,6 +14,9 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+STEP = 1e-3
+"""Length of a step of rollouts, s."""
+
 
 @dataclass(frozen=True, eq=False)
 class Start:
@@ -78,3 +81,10 @@ def _acceleration(model: RobotModel, q: Array, v: Array, effort: Array) -> Array
     needed = model.effort(tried).reshape(count, nv + 1, nv)
     mass = (needed[:, 1:] - needed[:, :1]).swapaxes(1, 2)
     return np.asarray(np.linalg.solve(mass, (effort - needed[:, 0])[..., None])[..., 0])
+
+
+def position_order(model: RobotModel) -> NDArray[np.intp]:
+    """Where the position of each velocity stands among Drake's."""
+    nv = len(model.joints)
+    places = model.positions(np.arange(nv, dtype=float)[None])[0]
+    return np.argsort(places)

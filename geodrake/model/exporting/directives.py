@@ -53,12 +53,12 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     manifest = (
         f'<package format="2">\n  <name>{package}</name>\n  <version>0.0.0</version>\n'
         f"  <description>{model.path.stem}, by geodrake</description>\n"
-        "  <maintainer email=\"nobody@example.com\">nobody</maintainer>\n"
+        '  <maintainer email="nobody@example.com">nobody</maintainer>\n'
         "  <license>as the robot's own file</license>\n</package>\n"
     )
     files = {
-        model.path.name: data,
         f"{model.path.stem}.dmd.yaml": ("\n".join(lines) + "\n").encode(),
+        model.path.name: data,
         "package.xml": manifest.encode(),
     }
     return Exported(files, notes)

@@ -62,7 +62,9 @@ FORMATS = {
         ExportFormat("urdf", _URDF, _joints, _own_file, ("drake", "pinocchio")),
         ExportFormat("sdf", _SDF, _joints, _own_file, ("drake",)),
         ExportFormat("mjcf", _MJCF, _beside(GravityTilt), _own_file, ("mujoco",)),
-        ExportFormat("drake", _URDF | _SDF, _beside(GravityTilt, stands_free), drake_files, ("drake",)),
+        ExportFormat(
+            "drake", _URDF | _SDF, _beside(GravityTilt, stands_free), drake_files, ("drake",)
+        ),
         ExportFormat("isaac", _URDF, _beside(EffortDelay), isaac_files, ("drake", "pinocchio")),
     )
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,8 +72,8 @@ def held_by(
 
     Effects of a kind at a joint become one. What the format cannot hold is approximated at each
     joint by least squares over the motion: friction that depends on load or direction, or that
-    falls with speed, by damping and Coulomb friction, inertia that couples joints by that of rotors.
-    All these stay positive.
+    falls with speed, by damping and Coulomb friction, and inertia that couples joints by that of
+    rotors. All these stay positive.
 
     Args:
         model: The model.
@@ -81,7 +81,7 @@ def held_by(
         motions: Motion on which the approximation is to be good.
         bases: Effects into which others are fitted; those of `BASES` that the format holds if None.
     """
-    kept, lost = [], []
+    kept, lost = list[FittedEffect](), list[FittedEffect]()
     for fitted in _folded(model.effects, holds):
         (kept if holds(fitted.effect) or _is_inertia(fitted.effect) else lost).append(fitted)
     merged, into = _merged(kept), dict[Effect, tuple[str, ...]]()
@@ -90,7 +90,10 @@ def held_by(
     if bases and motions:
         seen = [model.motion(motion) for motion in motions]
         for joint in model.single_joints:
-            merged |= _with_fitted(joint, lost, merged, seen, bases, into)
+            changed, named = _stand_ins(joint, lost, merged, seen, bases)
+            merged |= changed
+            for effect, names in named.items():
+                into[effect] = tuple(dict.fromkeys([*into.get(effect, ()), *names]))
     effects = tuple(fitted for fitted in merged.values() if fitted.effect.role is not Role.INERTIA)
     return HeldModel(replace(model, effects=effects, information=None), _named(lost, into))
 
@@ -144,44 +147,47 @@ def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:
     return found
 
 
-def _with_fitted(
+def _stand_ins(
     joint: str,
     lost: Sequence[FittedEffect],
-    held: dict[Effect, FittedEffect],
+    held: Mapping[Effect, FittedEffect],
     seen: Sequence[RobotMotion],
     bases: Sequence[type[Basis]],
-    into: dict[Effect, tuple[str, ...]],
-) -> dict[Effect, FittedEffect]:
-    """Held effects of a joint with those of it that stand for what is lost.
+) -> tuple[dict[Effect, FittedEffect], dict[Effect, tuple[str, ...]]]:
+    """Held effects of a joint that are changed so that they stand for what is lost.
 
-    `into` gets, by each lost effect, the names of those.
+    Returns:
+        They; and by each effect that is lost, the names of those that stand for it.
     """
     at = seen[0].index(joint)
-    forces = [f for f in lost if f.effect.role is Role.FORCE and f.effect.depends_on & {"v", "vd"}]
     wanted = {
-        f.effect: np.concatenate([f.effect.effort(m, f.parameters)[:, at] for m in seen])
-        for f in forces
+        fitted.effect: np.concatenate(
+            [fitted.effect.effort(motion, fitted.parameters)[:, at] for motion in seen]
+        )
+        for fitted in lost
+        if fitted.effect.role is Role.FORCE and fitted.effect.depends_on & {"v", "vd"}
     }
     wanted = {effect: effort for effect, effort in wanted.items() if effort.any()}
-    signals = frozenset().union(*(effect.depends_on for effect in wanted))
+    signals = frozenset[str]().union(*(effect.depends_on for effect in wanted))
     used = [kind(joint) for kind in bases if kind.depends_on <= signals]
     if not wanted or not used:
-        return {}
-    A = np.concatenate([np.stack(_columns(used, m, joint), axis=1) for m in seen])
+        return {}, {}
+    A = np.concatenate([np.stack(_columns(used, motion, joint), axis=1) for motion in seen])
     b = np.sum([*wanted.values()], axis=0)
     have = np.array([held[e].parameters[0] if e in held else 0.0 for e in used])
     x = _bounded(A, b, have)
     if np.sum((A @ x - b) ** 2) > (1.0 - _WORTH) * np.sum(b**2):
-        return {}
-    changed = {
+        return {}, {}
+    changed: dict[Effect, FittedEffect] = {
         effect: FittedEffect(effect, np.array([before + change]))
         for effect, before, change in zip(used, have.tolist(), x.tolist(), strict=True)
         if change
     }
-    for effect in wanted:
-        names = (e.name for e in changed if e.depends_on <= effect.depends_on)
-        into[effect] = tuple(dict.fromkeys([*into.get(effect, ()), *names]))
-    return changed
+    named = {
+        effect: tuple(e.name for e in changed if e.depends_on <= effect.depends_on)
+        for effect in wanted
+    }
+    return changed, named
 
 
 def _columns(
@@ -193,7 +199,7 @@ def _columns(
 
 
 def _bounded(A: Array, b: Array, have: Array) -> Array:
-    """x of least |A x − b| with have + x ≥ 0, columns scaled to one size."""
+    """The x of least |A x − b| with have + x ≥ 0, columns scaled to one size."""
     size = np.linalg.norm(A, axis=0)
     usable = size > 0
     x = np.zeros(len(have))
@@ -204,9 +210,7 @@ def _bounded(A: Array, b: Array, have: Array) -> Array:
     return np.maximum(x, -have)
 
 
-def _named(
-    lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]
-) -> tuple[Lost, ...]:
+def _named(lost: Sequence[FittedEffect], into: dict[Effect, tuple[str, ...]]) -> tuple[Lost, ...]:
     """What is lost, the places of one effect together."""
     found: dict[str, Lost] = {}
     for fitted in lost:

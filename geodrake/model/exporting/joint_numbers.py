@@ -7,11 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects import CoulombFriction, JointSpring, RotorInertia, ViscousFriction
+from geodrake.effects import CoulombFriction, Effect, JointSpring, RotorInertia, ViscousFriction
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.robot.plant import load_plant, scoped_joint_names
 
-_TERMS = {ViscousFriction: "damping", CoulombFriction: "friction", RotorInertia: "armature"}
+_TERMS: Mapping[type[Effect], str] = {
+    ViscousFriction: "damping",
+    CoulombFriction: "friction",
+    RotorInertia: "armature",
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ def joint_numbers(model: RobotModel) -> Mapping[str, JointNumbers]:
     for fitted in model.effects:
         effect = fitted.effect
         own = values.get(effect.where[0], {}) if effect.where else {}
-        if (term := _TERMS.get(type(effect))) is not None:  # type: ignore[call-overload]
+        if (term := _TERMS.get(type(effect))) is not None:
             own[term] = own.get(term, 0.0) + float(fitted.parameters[0])
         elif isinstance(effect, JointSpring) and effect.exponent == 1 and fitted.parameters[0]:
             stiffness, preload = fitted.parameters.tolist()

@@ -84,7 +84,7 @@ def _urdf_joints(root: SourceElement, path: Path) -> dict[str, SourceElement]:
 
 
 def _sdf_joints(root: SourceElement, path: Path, scope: str = "") -> dict[str, SourceElement]:
-    found = {}
+    found: dict[str, SourceElement] = {}
     for model in [*root.all("model"), *(m for w in root.all("world") for m in w.all("model"))]:
         own = model.attributes.get("name", "")
         name = f"{scope}::{own}" if scope else own

@@ -23,7 +23,7 @@ def with_references(data: bytes, path: Path, folder: Path) -> bytes:
     base, there = path.resolve().parent, Path(os.path.realpath(folder))
     for element, attribute in _references(text.root):
         named = element.attributes[attribute] if attribute else element.text.strip()
-        if not named or "://" in named or os.path.isabs(named):
+        if not named or "://" in named or Path(named).is_absolute():
             continue
         moved = Path(os.path.relpath(base / named, there)).as_posix()
         if Path(moved) == Path(named):

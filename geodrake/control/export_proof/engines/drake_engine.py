@@ -42,8 +42,7 @@ class DrakeEngine(Engine):
         text = file.read_text(encoding="utf-8", errors="replace")
         parser.package_map().PopulateFromFolder(str(file.parent))
         with drake_messages(), drake_errors(file):
-            names = {n for n in named_packages(text) if not parser.package_map().Contains(n)}
-            add_packages(parser.package_map(), model.path, names)
+            add_packages(parser.package_map(), model.path, named_packages(text))
             parser.AddModels(str(file))
             for body in free_roots(self._plant):
                 X_WB = self._plant.GetDefaultFloatingBaseBodyPose(body)

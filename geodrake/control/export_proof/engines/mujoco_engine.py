@@ -33,7 +33,12 @@ class MujocoEngine(Engine):
             line = " ".join(str(error).split())[:300]
             raise ModelError(f"MuJoCo cannot read {file.name}: {line}") from error
         off = mujoco.mjtDisableBit
-        for bit in (off.mjDSBL_CONTACT, off.mjDSBL_LIMIT, off.mjDSBL_EQUALITY, off.mjDSBL_ACTUATION):
+        for bit in (
+            off.mjDSBL_CONTACT,
+            off.mjDSBL_LIMIT,
+            off.mjDSBL_EQUALITY,
+            off.mjDSBL_ACTUATION,
+        ):
             self._model.opt.disableflags |= int(bit)
         self._at = order_of(model, self._places().__getitem__, file, self.name)
         joints = {int(d): j for j, d in enumerate(self._model.jnt_dofadr)}

@@ -34,9 +34,9 @@ class PinocchioEngine(Engine):
         except (ValueError, RuntimeError) as error:
             line = " ".join(str(error).split())[:300]
             raise ModelError(f"Pinocchio cannot read {file.name}: {line}") from error
-        for values in ("armature", "damping", "friction", "rotorInertia"):
-            if len(own := getattr(self._model, values, ())):
-                own[:] = 0.0
+        for values in ("armature", "damping", "friction"):  # whether a version reads them or not
+            if hasattr(self._model, values):
+                getattr(self._model, values)[:] = 0.0
         names = {name: k for k, name in enumerate(self._model.names)}
         self._joints = order_of(model, names.__getitem__, file, self.name)
 
