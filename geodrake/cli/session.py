@@ -94,7 +94,7 @@ def run(command: Command[R], options: LogOptions) -> None:
     """
     targets = Targets(options.model_target, options.json, options.report, command.more)
     read = [options.model, *options.logs, *(options.effects or ())]
-    _check_logs(options.logs)
+    check_logs(options.logs)
     targets.check(read)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
@@ -149,7 +149,7 @@ def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
     return tuple(found.values())
 
 
-def _check_logs(logs: Sequence[Path]) -> None:
+def check_logs(logs: Sequence[Path]) -> None:
     """Refuse what is no file, and a file that is there twice, by whatever path or link."""
     seen: set[tuple[int, int]] = set()
     for log in logs:

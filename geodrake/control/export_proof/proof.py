@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.control.export_proof.engines import engine, missing
+from geodrake.control.export_proof.engines import engine
 from geodrake.control.export_proof.engines.base import Engine
 from geodrake.control.export_proof.reference import (
     STEP,
@@ -81,7 +81,8 @@ def prove(
         make = engine(name)
         if make is None:
             notes.append(
-                f"{name} is not installed, so the export was not tried in it: {missing(name)}"
+                f"{name} is not installed, so the export was not tried in it: "
+                'pip install "geodrake[proof]"'
             )
             continue
         try:

@@ -17,9 +17,6 @@ _ENGINES = {
 }
 """Name -> the package that it needs, and its class in the module `<name>_engine`."""
 
-PACKAGES = {"pinocchio": "pin", "pydrake": "drake"}
-"""Packages that are installed under another name."""
-
 
 def engine(name: str) -> Callable[[Path, RobotModel], Engine] | None:
     """What loads a file into a simulator; None if that is not installed."""
@@ -29,9 +26,3 @@ def engine(name: str) -> Callable[[Path, RobotModel], Engine] | None:
     module = import_module(f"{__name__}.{name}_engine")
     made: Callable[[Path, RobotModel], Engine] = getattr(module, kind)
     return made
-
-
-def missing(name: str) -> str:
-    """What to install for a simulator."""
-    package = _ENGINES[name][0]
-    return f"pip install {PACKAGES.get(package, package)}"
