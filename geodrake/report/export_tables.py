@@ -6,9 +6,6 @@ from geodrake.control.export_proof.export import ProvenExport
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.tables import Table, cells, effect_cell
 
-_SURE = 1e-6
-"""Difference relative to the values compared, and in rad or m, up to which an export is exact."""
-
 
 def proof_table(found: ProvenExport, units: Units) -> Table:
     """How far each simulator is from the model.
@@ -72,9 +69,9 @@ def export_verdict(found: ProvenExport) -> str:
         words += f". {engine} does not act on {', '.join(found.proof.ignored)} in them"
         if found.costs is not None and found.costs.ignored is not None:
             words += f": nrms {number(found.costs.ignored)} there"
-    off = [d for d in found.proof.differences if d.largest > _SURE * max(1.0, d.typical)]
+    off = [difference for difference in found.proof.differences if not difference.is_rounding]
     if off:
-        words += f". {off[0].engine} differs from the model by more than rounding; see the notes"
+        words += f". {off[0].engine} differs from geodrake by more than rounding"
     elif found.proof.differences:
-        words += ". What they hold is the model, to rounding"
+        words += ". Simulators that load them agree with geodrake to rounding"
     return f"{words}."

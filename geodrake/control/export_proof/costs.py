@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from geodrake.effects import Effect
 from geodrake.identification.logs.case import Case, reopen
 from geodrake.identification.logs.compare import comparison
 from geodrake.logs.motion import Motion
 from geodrake.model.exporting.export_format import ExportFormat
-from geodrake.model.exporting.held import BASES, HeldModel, Lost, held_by
+from geodrake.model.exporting.held import HeldModel, Lost, held_by
 from geodrake.model.robot_model import RobotModel
 
 
@@ -34,7 +33,7 @@ class Costs:
     Attributes:
         whole: nrms of the whole model.
         held: nrms of what the export holds.
-        effects: What each effect costs that the export lacks, alone.
+        effects: What each effect costs that the export lacks, alone; the largest first.
         ignored: nrms of what the export holds less what the simulator does not act upon; None
             where it acts upon all.
     """
@@ -61,21 +60,18 @@ def costs_of(
         motions: Motion of the logs, on which effects are approximated.
         ignored: Names of effects upon which the simulator does not act.
     """
-    model, holds = case.model, form.holding(case.model)
-    bases = [kind for kind in BASES if holds(kind(model.joints[0]))]
+    holds = form.holding(case.model)
 
     def without(name: str) -> RobotModel:
-        def kept(effect: Effect) -> bool:
-            return effect.name != name or holds(effect)
+        return held_by(case.model, holds, motions, keep=lambda other: other.name != name).model
 
-        return held_by(model, kept, motions, bases=bases).model
-
-    acting = [f for f in held.model.effects if f.effect.name not in ignored]
-    acted = held_by(held.model, lambda effect: effect.name not in ignored, (), bases=()).model
+    acting = tuple(f for f in held.model.effects if f.effect.name not in ignored)
+    acted = replace(held.model, effects=acting)
+    found = [Cost(lost, _nrms(case, without(lost.effect))) for lost in held.lost]
     return Costs(
         whole=comparison(case).errors.nrms,
         held=_nrms(case, held.model),
-        effects=tuple(Cost(lost, _nrms(case, without(lost.effect))) for lost in held.lost),
+        effects=tuple(sorted(found, key=lambda cost: -(cost.nrms or 0.0))),
         ignored=_nrms(case, acted) if len(acting) < len(held.model.effects) else None,
     )
 

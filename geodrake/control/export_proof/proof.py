@@ -25,6 +25,9 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+ROUNDING = 1e-6
+"""Difference, rad or m, or relative to the values compared, up to which an export is exact."""
+
 
 @dataclass(frozen=True)
 class Difference:
@@ -47,6 +50,11 @@ class Difference:
     typical: float
     compared: float
     without: tuple[str, ...]
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether it is so small that the simulator computes what geodrake computes."""
+        return self.largest <= ROUNDING * max(1.0, self.typical)
 
 
 @dataclass(frozen=True)
@@ -92,9 +100,12 @@ def prove(
             continue
         names = _named(held, loaded)
         ignored = names if ignored is None else ignored
-        differences.append(_of_efforts(held, loaded, motion, names))
+        found = [_of_efforts(held, loaded, motion, names)]
         rolled = _of_rollouts(held, loaded, starts, names)
-        differences += [rolled] if rolled else []
+        found += [rolled] if rolled else []
+        if not all(difference.is_rounding for difference in found):
+            notes += [f"{loaded.name}: {message}" for message in loaded.messages]
+        differences += found
     return Proof(tuple(differences), ignored or (), tuple(notes))
 
 

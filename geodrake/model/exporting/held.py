@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Holds = Callable[[Effect], bool]
 
 Basis = ViscousFriction | CoulombFriction | RotorInertia
-BASES: tuple[type[Basis], ...] = (ViscousFriction, CoulombFriction, RotorInertia)
+_BASES: tuple[type[Basis], ...] = (ViscousFriction, CoulombFriction, RotorInertia)
 """Effects into which others are fitted."""
 
 _WORTH = 0.1  # share of the square of an effect that its approximation must take away
@@ -66,7 +66,7 @@ def held_by(
     holds: Holds,
     motions: Sequence[Motion],
     *,
-    bases: Sequence[type[Basis]] | None = None,
+    keep: Holds = lambda effect: False,
 ) -> HeldModel:
     """The model that a format can hold and that is nearest to a model on some motion.
 
@@ -79,14 +79,15 @@ def held_by(
         model: The model.
         holds: Whether the format holds an effect as it is.
         motions: Motion on which the approximation is to be good.
-        bases: Effects into which others are fitted; those of `BASES` that the format holds if None.
+        keep: Which effects stay although the format does not hold them, to see what others cost.
     """
     kept, lost = list[FittedEffect](), list[FittedEffect]()
-    for fitted in _folded(model.effects, holds):
-        (kept if holds(fitted.effect) or _is_inertia(fitted.effect) else lost).append(fitted)
+    for fitted in _folded(model.effects, holds, keep):
+        effect = fitted.effect
+        stays = holds(effect) or keep(effect) or _is_inertia(effect)
+        (kept if stays else lost).append(fitted)
     merged, into = _merged(kept), dict[Effect, tuple[str, ...]]()
-    if bases is None:
-        bases = [kind for kind in BASES if holds(kind(model.joints[0]))]
+    bases = [kind for kind in _BASES if holds(kind(model.joints[0]))]
     if bases and motions:
         seen = [model.motion(motion) for motion in motions]
         for joint in model.single_joints:
@@ -102,7 +103,7 @@ def _is_inertia(effect: Effect) -> bool:
     return effect.role in (Role.BODY, Role.INERTIA)
 
 
-def _folded(effects: Sequence[FittedEffect], holds: Holds) -> list[FittedEffect]:
+def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[FittedEffect]:
     """Effects, in which an offset at a joint with a spring that is held is a part of the spring."""
     springs = {
         fitted.effect.where: fitted
@@ -115,7 +116,8 @@ def _folded(effects: Sequence[FittedEffect], holds: Holds) -> list[FittedEffect]
     found = []
     for fitted in effects:
         spring = springs.get(fitted.effect.where)
-        if spring is None or not isinstance(fitted.effect, EffortOffset) or holds(fitted.effect):
+        stays = holds(fitted.effect) or keep(fitted.effect)
+        if spring is None or stays or not isinstance(fitted.effect, EffortOffset):
             found.append(fitted)
         else:
             preload = np.array([0.0, fitted.parameters[0]])

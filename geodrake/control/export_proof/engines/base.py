@@ -26,9 +26,11 @@ class Engine(abc.ABC):
     Attributes:
         name: Name of the simulator and its version.
         ignores: Effects that may be in the file, but which the simulator does not act upon.
+        messages: What it said about the file.
     """
 
     name: str
+    messages: tuple[str, ...] = ()
     ignores: ClassVar[tuple[type[Effect], ...]] = ()
 
     @abc.abstractmethod

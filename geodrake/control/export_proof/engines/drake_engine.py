@@ -41,7 +41,7 @@ class DrakeEngine(Engine):
         parser = Parser(self._plant)
         text = file.read_text(encoding="utf-8", errors="replace")
         parser.package_map().PopulateFromFolder(str(file.parent))
-        with drake_messages(), drake_errors(file):
+        with drake_messages() as messages, drake_errors(file):
             add_packages(parser.package_map(), model.path, named_packages(text))
             parser.AddModels(str(file))
             for body in free_roots(self._plant):
@@ -49,6 +49,8 @@ class DrakeEngine(Engine):
                 self._plant.WeldFrames(self._plant.world_frame(), body.body_frame(), X_WB)
             self._plant.Finalize()
             self._diagram = builder.Build()
+        said = (message.partition("\n")[0].rpartition("warning: ")[2] for message in messages)
+        self.messages = tuple(dict.fromkeys(said))
         plant, names = self._plant, joint_names(self._plant)
         self._at = order_of(
             model, {name: k for k, name in enumerate(names)}.__getitem__, file, self.name
