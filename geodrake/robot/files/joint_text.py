@@ -148,10 +148,12 @@ def _write_transmission(text: SourceText, joint: str, armature: float) -> None:
 
 
 def _actuators(root: SourceElement, joint: str) -> list[SourceElement]:
+    """Actuators of a joint in transmissions of the type that Drake reads."""
     return [
         actuator
         for transmission in root.all("transmission")
-        if any(each.attributes.get("name") == joint for each in transmission.all("joint"))
+        if any("SimpleTransmission" in each.text for each in transmission.all("type"))
+        and any(each.attributes.get("name") == joint for each in transmission.all("joint"))
         for actuator in transmission.all("actuator")
     ]
 
