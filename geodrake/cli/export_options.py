@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from geodrake.cli.options import Debug, Floating, JsonFile, ModelFile
+from geodrake.cli.options import Debug, Floating, JsonFile, ModelFile, ReportFile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +39,7 @@ class ExportOptions:
         bool, typer.Option("--force", help="Replace files of these names that are there.")
     ] = False
     json: JsonFile = None
+    report: ReportFile = None
     floating: Floating = False
     effects: Annotated[
         list[Path] | None,

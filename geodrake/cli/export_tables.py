@@ -6,7 +6,7 @@ from rich.console import Console
 
 from geodrake.cli.tables import head, say, show_list, show_table
 from geodrake.control.export_proof.export import ProvenExport
-from geodrake.report.export_tables import export_verdict, lacks_table, proof_table
+from geodrake.report.export_tables import export_verdict, holds_table, lacks_table, proof_table
 from geodrake.report.numbers import Units, number
 
 
@@ -18,6 +18,10 @@ def show_export(console: Console, found: ProvenExport, units: Units) -> None:
         found: The export.
         units: Units of joints and effects of the model.
     """
+    holds = holds_table(found, units)
+    if holds.rows:
+        head(console, "What the files hold, beside inertias")
+        show_table(console, holds)
     if found.lacks:
         costs = found.costs
         with_all = "" if costs is None else f"; nrms without each, {number(costs.whole)} with all"

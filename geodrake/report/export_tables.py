@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from geodrake.control.export_proof.export import ProvenExport
+from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.tables import Table, cells, effect_cell
+from geodrake.robot.plant import scoped_joint_names
 
 
 def proof_table(found: ProvenExport, units: Units) -> Table:
@@ -31,6 +33,37 @@ def proof_table(found: ProvenExport, units: Units) -> Table:
         )
     head = ("loaded by", "compared", "without", "worst joint", "largest difference", "of RMS")
     return Table(head, tuple(rows), words=4)
+
+
+def holds_table(found: ProvenExport, units: Units) -> Table:
+    """Damping, dry friction, rotors and springs in the files, by joint.
+
+    Args:
+        found: The export.
+        units: Units of the joints.
+    """
+    scoped = scoped_joint_names(found.held.plant)
+    of_joints, rows = joint_numbers(found.held), []
+    for joint, name in zip(found.held.joints, scoped, strict=True):
+        values = of_joints.get(name, JointNumbers())
+        terms = {
+            "N·m·s/rad": values.damping,
+            "N·m": values.friction,
+            "kg·m²": values.armature,
+            "N·m/rad": values.stiffness,
+        }
+        if any(terms.values()):
+            rows.append(
+                cells(
+                    joint,
+                    *(
+                        f"{number(value)} {units.at(joint, unit)}" if value else "0"
+                        for unit, value in terms.items()
+                    ),
+                )
+            )
+    head = ("joint", "damping", "dry friction", "rotor inertia", "spring")
+    return Table(head, tuple(rows))
 
 
 def lacks_table(found: ProvenExport, units: Units) -> Table:
