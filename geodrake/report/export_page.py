@@ -45,7 +45,9 @@ def render_export(
         log_names: What the logs are called.
         units: Units of the joints; those of revolute joints by default.
     """
-    units, costs, verdict = units or Units(), found.costs, export_verdict(found)
+    units, costs = units or Units(), found.costs
+    verdict, _, rest = export_verdict(found).removesuffix(".").partition(". ")
+    rest = f"{rest}." if rest else ""
     tiles = [Tile("format", found.form.name, ", ".join(found.exported.files))]
     if costs is not None:
         tiles += [
@@ -70,8 +72,8 @@ def render_export(
         f"{subject}, on {', '.join(log_names)}" if log_names else subject,
         "compared",
         "exported",
-        f"{verdict[0].upper()}{verdict[1:]}",
-        (),
+        f"{verdict[0].upper()}{verdict[1:]}.",
+        (rest,) if rest else (),
         tuple(tiles),
         without_empty(sections),
         "Made by geodrake: a model written for a simulator, and loaded again.",

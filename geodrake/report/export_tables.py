@@ -8,6 +8,8 @@ from geodrake.report.numbers import Units, number, percent
 from geodrake.report.tables import Table, cells, effect_cell
 from geodrake.robot.plant import scoped_joint_names
 
+_NAMED = 3  # effects, at most, that a sentence names
+
 
 def proof_table(found: ProvenExport, units: Units) -> Table:
     """How far each simulator is from the model.
@@ -91,7 +93,8 @@ def lacks_table(found: ProvenExport, units: Units) -> Table:
 
 def export_verdict(found: ProvenExport) -> str:
     """What an export holds, and what that means, in a sentence or two."""
-    lacks = ", ".join(cost.lost.effect for cost in found.lacks)
+    names = [cost.lost.effect for cost in found.lacks]
+    lacks = ", ".join(names) if len(names) <= _NAMED else f"{len(names)} effects"
     words = f"the files hold the model but for {lacks}" if lacks else "the files hold the model"
     if found.costs is not None:
         words += f"; nrms {number(found.costs.whole)} of the model"
