@@ -48,8 +48,9 @@ def export_to(
         LogError: A log cannot be used.
         OutputError: A file is there already, or cannot be written.
     """
-    form, folder = export_format(to), file_path(folder)
-    check_folder(instance(model, "model", RobotModel), form, folder, (), force=force)
+    form, folder = export_format(instance(to, "to", str)), file_path(folder)
+    instance(model, "model", RobotModel)
+    check_folder(model, form, folder, (), force=instance(force, "force", bool))
     found = export_with_proof(model, form, folder, logs, bandwidth=bandwidth)
     write_files(found, folder)
     return found
