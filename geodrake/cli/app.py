@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 
 from geodrake.boundary.escaping import printable
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
+from geodrake.cli.export_options import ExportOptions
 from geodrake.cli.options import (
     AddOptions,
     DemoOptions,
@@ -196,6 +197,15 @@ def identifiable(options: IdentifiableOptions) -> None:
     from geodrake.cli.identifiable import run_identifiable
 
     run_identifiable(options)
+
+
+@app.command()
+@taking(ExportOptions)
+def export(options: ExportOptions) -> None:
+    """Write the model for a simulator, and prove it: loaded again, and compared with the model."""
+    from geodrake.cli.export import run_export
+
+    run_export(options)
 
 
 @app.command()

@@ -102,7 +102,7 @@ def run(command: Command[R], options: LogOptions) -> None:
     more = {**command.more, "series": options.series_target}
     targets = Targets(options.model_target, options.json, options.report, more)
     read = [options.model, *options.logs, *(options.effects or ())]
-    _check_logs(options.logs)
+    check_logs(options.logs)
     targets.check(read)
     if options.series_target is not None:
         check_series(options.series_target)
@@ -169,7 +169,7 @@ def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
     return tuple(found.values())
 
 
-def _check_logs(logs: Sequence[Path]) -> None:
+def check_logs(logs: Sequence[Path]) -> None:
     """Refuse what is no file, and a file that is there twice, by whatever path or link."""
     seen: set[tuple[int, int]] = set()
     for log in logs:

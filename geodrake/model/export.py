@@ -81,7 +81,7 @@ def check_export(model: RobotModel, path: Path) -> None:
         ModelError: The model is put together from several files.
         OutputError: The name has the suffix of another format.
     """
-    kind = _kind(model)
+    kind = file_kind(model)
     if path.suffix.lower() not in _SUFFIXES[kind]:
         raise OutputError(
             f"Cannot write --export {path}: {model.path.name} is {_FORMATS[kind]}, and so is its "
@@ -108,8 +108,18 @@ def export_model(model: RobotModel) -> Export:
     Raises:
         ModelError: The model's file cannot take the inertias.
     """
-    instance(model, "model", RobotModel)
-    kind, data = _kind(model), model.path.read_bytes()
+    exported = export_bodies(instance(model, "model", RobotModel))
+    notes = *_left_out(model), *exported.notes, *_relative_note(exported.content, model.path)
+    return Export(exported.content, exported.links, notes)
+
+
+def export_bodies(model: RobotModel) -> Export:
+    """As `export_model`, with notes on bodies alone.
+
+    Raises:
+        ModelError: The model's file cannot take the inertias.
+    """
+    kind, data = file_kind(model), model.path.read_bytes()
     stated, here = _stated_inertias(model.path), link_names(data, model.path)
     written: dict[str, Array] = {}
     shared, absent = [], []
@@ -131,8 +141,7 @@ def export_model(model: RobotModel) -> Export:
     content = with_inertias(data, model.path, written)
     _check(content, model.path, written)
     links = tuple(name.rpartition("::")[2] for name in written)
-    notes = (*_left_out(model, absent), *shared, *_file_notes(data, model.path))
-    return Export(content, links, notes)
+    return Export(content, links, (*_body_notes(model, absent), *shared, *_file_notes(data, model)))
 
 
 def distributed(body: LumpedBody, stated: Array, phi: Array) -> tuple[Array, str]:
@@ -230,15 +239,20 @@ def _check(content: bytes, path: Path, written: Mapping[str, Array]) -> None:
             )
 
 
-def _left_out(model: RobotModel, absent: Sequence[str]) -> list[str]:
-    """Notes on what the file cannot carry."""
-    notes = []
+def _left_out(model: RobotModel) -> list[str]:
+    """A note on what a file of inertias cannot carry."""
     names = dict.fromkeys(f.effect.name for f in model.effects if f.effect.role is not Role.BODY)
-    if names:
-        notes.append(
-            f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
-            "and armature in it stay as they are): --save keeps everything"
-        )
+    if not names:
+        return []
+    return [
+        f"the exported file has the inertias only, not {', '.join(names)} (damping, friction "
+        "and armature in it stay as they are): --save keeps everything"
+    ]
+
+
+def _body_notes(model: RobotModel, absent: Sequence[str]) -> list[str]:
+    """Notes on payloads, and on bodies that the file has no place for."""
+    notes = []
     carried = [f.effect.where[0] for f in model.effects if f.effect.role is Role.BODY]
     if carried:
         notes.append(f"the payload is part of {', '.join(carried)} in the exported file")
@@ -250,22 +264,30 @@ def _left_out(model: RobotModel, absent: Sequence[str]) -> list[str]:
     return notes
 
 
-def _file_notes(data: bytes, path: Path) -> list[str]:
-    notes = []
-    if _RELATIVE.search(data):
-        notes.append(
-            f"{path.name} names other files by relative paths, so the exported file belongs into "
-            "the same folder"
-        )
-    if re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
-        notes.append(
-            f'{path.name} has inertiafromgeom="true", with which MuJoCo ignores all inertias; '
-            "take it out of the exported file"
-        )
-    return notes
+def _relative_note(data: bytes, path: Path) -> list[str]:
+    if not _RELATIVE.search(data):
+        return []
+    return [
+        f"{path.name} names other files by relative paths, so the exported file belongs into "
+        "the same folder"
+    ]
 
 
-def _kind(model: RobotModel) -> str:
+def _file_notes(data: bytes, model: RobotModel) -> list[str]:
+    if not re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
+        return []
+    return [
+        f'{model.path.name} has inertiafromgeom="true", with which MuJoCo ignores all inertias; '
+        "take it out of the exported file"
+    ]
+
+
+def file_kind(model: RobotModel) -> str:
+    """The format of a model's file: urdf, sdf, or xml for MJCF.
+
+    Raises:
+        ModelError: The model is put together from several files.
+    """
     if model.path.suffix.lower() in (".yaml", ".yml"):
         raise ModelError(
             f"{model.path} puts several model files together, and there is no one file to write "

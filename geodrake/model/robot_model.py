@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context
 
 from geodrake.boundary.arguments import instance, instances, one_or_each, real_array
 from geodrake.boundary.showing import Short
-from geodrake.effects import RobotMotion, Role, catalogue
+from geodrake.effects import JointSpring, RobotMotion, Role, catalogue
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
@@ -302,6 +302,13 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
         if stated:
             listed = ", ".join(f"{joint} {value:g}" for joint, value in stated)
             notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
+    for joint, stiffness, rest in zip(joints, *loaded.file_springs, strict=True):
+        if stiffness:
+            spring = JointSpring(joint, center=float(rest))
+            effects.append(FittedEffect(spring, np.array([stiffness, 0.0])))
+            notes.append(
+                f"The spring in the file ({joint} {stiffness:g}) is kept as {spring.name}."
+            )
     phi = inertial_parameters(loaded.plant)
     return RobotModel(loaded.plant, loaded.path, floating, phi, tuple(effects), notes=tuple(notes))
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
         motion_figure,
         render_excitation,
     )
+    from geodrake.report.export_page import render_export
     from geodrake.report.figures import (
         candidate_figure,
         joint_error_figure,
@@ -52,6 +53,7 @@ __all__ = [
     "render_excitation",
     "render_explained",
     "render_explanation",
+    "render_export",
     "render_identifiable",
     "render_identification",
     "render_rollout",
@@ -69,6 +71,7 @@ _MODULES = (
     "report",
     "draft",
     "excitation",
+    "export_page",
     "figures",
     "identifiable",
     "identification_page",

@@ -46,6 +46,8 @@ class LoadedPlant:
         file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m.
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
+        file_springs: (2, nv) stiffness of the file's springs, N·m/rad or N/m, and their rest
+            positions, rad or m.
     """
 
     plant: MultibodyPlant
@@ -55,6 +57,7 @@ class LoadedPlant:
     file_damping: Array
     file_friction: Array
     file_rotor_inertia: Array
+    file_springs: Array
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -95,6 +98,7 @@ def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
         built.damping,
         built.friction,
         built.rotor_inertia,
+        built.springs,
     )
 
 
@@ -105,6 +109,7 @@ class _Built:
     damping: Array
     friction: Array
     rotor_inertia: Array
+    springs: Array
 
 
 def _build(description: ModelDescription, *, floating: bool) -> _Built:
@@ -140,13 +145,21 @@ def _build(description: ModelDescription, *, floating: bool) -> _Built:
                 array[start : start + joint.num_velocities()] = np.nan_to_num(values[j])
         return array
 
-    stated = description.joint_values("friction")
-    friction = {
-        j: np.full(joint.num_velocities(), stated.get(_scoped(joint), 0.0))
-        for j, joint in enumerate(_joints(plant))
-    }
-    arrays = [per_velocity(values) for values in (damping, friction, rotor)]
-    return _Built(plant, tuple(notes), *arrays)
+    def of_text(name: str, most: float = np.inf) -> dict[int, Array]:
+        stated = description.joint_values(name)
+        counts = {j: joint.num_velocities() for j, joint in enumerate(_joints(plant))}
+        values = {j: stated.get(_scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
+        return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
+
+    friction, of_springs = of_text("friction"), [of_text(n, most=1) for n in ("stiffness", "rest")]
+    return _Built(
+        plant,
+        tuple(notes),
+        damping=per_velocity(damping),
+        friction=per_velocity(friction),
+        rotor_inertia=per_velocity(rotor),
+        springs=np.array([per_velocity(values) for values in of_springs]),
+    )
 
 
 def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:
@@ -261,6 +274,16 @@ def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     return tuple(
         long if names.count(short) > 1 else short for short, long in zip(names, full, strict=True)
     )
+
+
+def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
+    """Names of the joints (nv) that velocities belong to, as `robot::joint`."""
+    names = {
+        joint.velocity_start() + k: _scoped(joint)
+        for joint in _joints(plant)
+        for k in range(joint.num_velocities())
+    }
+    return tuple(names[k] for k in range(plant.num_velocities()))
 
 
 def effort_limits(plant: MultibodyPlant) -> Array:

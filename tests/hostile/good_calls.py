@@ -18,6 +18,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.trajectories import PiecewisePolynomial
 
 import geodrake
+import geodrake.control.export_proof
 from geodrake import effects, inertia
 from geodrake.control.adaptation import (
     AdaptationLaw,
@@ -74,6 +75,7 @@ from geodrake.robot.transmission import FunctionTransmission, LinearTransmission
 MODULES = (
     "excitation.identifiability",
     "control.adaptation",
+    "control.export_proof",
     "control.loops",
     "control.regressor",
     "control.rollout",
@@ -195,6 +197,7 @@ NO_DOOR = {
             "models.BodyChange",
             "models.ModelIdentification",
             "perturbation.Perturbation",
+            "export_proof.ProvenExport",
             "rollout.Rollout",
         ),
         "a result: a function makes it",
@@ -204,6 +207,8 @@ NO_DOOR = {
             "drafting.rest_correlates",
             "drafting.source_of",
             "export.check_export",
+            "export.export_bodies",
+            "export.file_kind",
             "export.distributed",
             "floating_base.on_a_free_world",
             "regressor.checked_samples",
@@ -1509,6 +1514,15 @@ def _files(t):
     yield (
         "export.save_export",
         Call(geodrake.model.export.save_export, {"model": t.model, "path": folder() / "new.urdf"}),
+    )
+    yield (
+        "export_proof.export_to",
+        Call(
+            geodrake.control.export_proof.export_to,
+            {"to": "urdf", "model": t.model, "folder": folder() / "out", "force": True},
+            allows={"force": ("0", "1", "a float", "true", "false")},
+            slow=True,
+        ),
     )
     yield (
         "log_files.read_log",

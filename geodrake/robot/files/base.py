@@ -31,6 +31,8 @@ class ModelText(abc.ABC):
             and no body can have; these are not in the text.
         friction: Scoped joint names with their dry friction, N or N·m.
         armature: Scoped joint names with their reflected inertia, kg·m² or kg.
+        stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
+        rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         packages: Names of packages whose files are left for Drake to include.
     """
@@ -43,6 +45,8 @@ class ModelText(abc.ABC):
         self.notes: list[str] = []
         self.friction: dict[str, float] = {}
         self.armature: dict[str, float] = {}
+        self.stiffness: dict[str, float] = {}
+        self.rest: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.packages: set[str] = set()
         self._links: dict[str, Element] = {}

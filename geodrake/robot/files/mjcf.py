@@ -55,6 +55,7 @@ class MjcfText(ModelText):
         friction, armature = self._joint_values("frictionloss"), self._joint_values("armature")
         self.friction = {f"{scope}::{name}": value for name, value in friction.items()}
         self.armature = {f"{scope}::{name}": value for name, value in armature.items()}
+        self._read_springs(scope)
         self.effort = {f"{scope}::{name}": value for name, value in self._efforts()}
 
     def _name_bodies(self) -> None:
@@ -110,9 +111,23 @@ class MjcfText(ModelText):
                 f"or not .obj (in {folder}); these meshes do not count."
             )
 
+    def _read_springs(self, scope: str) -> None:
+        types = self._joint_words("type", "hinge")
+        degrees = turns_in_degrees(self.root)
+        rest = self._joint_values("springref")
+        for name, stiffness in self._joint_values("stiffness").items():
+            turned = degrees and types[name] == "hinge"
+            self.stiffness[f"{scope}::{name}"] = stiffness
+            self.rest[f"{scope}::{name}"] = np.deg2rad(rest[name]) if turned else rest[name]
+
     def _joint_values(self, attribute: str) -> dict[str, float]:
+        """An attribute of all joints as a number, with the default classes applied."""
+        words = self._joint_words(attribute, "0").items()
+        return {name: numbers(text, 1)[0] for name, text in words}
+
+    def _joint_words(self, attribute: str, usual: str) -> dict[str, str]:
         """An attribute of all joints, with the default classes applied."""
-        classes = {"main": "0"}
+        classes = {"main": usual}
 
         def read_class(default: Element, inherited: str) -> None:
             joint = default.find("joint")
@@ -122,13 +137,13 @@ class MjcfText(ModelText):
                 read_class(child, value)
 
         for default in self.root.findall("default"):
-            read_class(default, "0")
+            read_class(default, usual)
 
-        def read_body(body: Element, class_name: str) -> Iterator[tuple[str, float]]:
+        def read_body(body: Element, class_name: str) -> Iterator[tuple[str, str]]:
             class_name = body.get("childclass", class_name)
             for joint in body.findall("joint"):
-                default = classes.get(joint.get("class", class_name), "0")
-                yield joint.get("name", ""), numbers(joint.get(attribute, default), 1)[0]
+                default = classes.get(joint.get("class", class_name), usual)
+                yield joint.get("name", ""), joint.get(attribute, default)
             for child in body.findall("body"):
                 yield from read_body(child, class_name)
 
@@ -164,3 +179,9 @@ class MjcfText(ModelText):
     def _write_inertia(self, inertial: Element, phi: Array) -> None:
         mass, com, inertia = to_mass_com_inertia(phi)
         inertial.attrib.update(pos=words(com), mass=words(mass), fullinertia=words(inertia[UPPER]))
+
+
+def turns_in_degrees(root: Element) -> bool:
+    """Whether angles in an MJCF file are in degrees, as they are if it does not say."""
+    compilers = [compiler.get("angle") for compiler in root.findall("compiler")]
+    return next((angle for angle in reversed(compilers) if angle), "degree") == "degree"

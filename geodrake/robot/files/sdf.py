@@ -22,6 +22,8 @@ from geodrake.robot.files.values import (
     words,
 )
 
+_SPRING = ("stiffness", "reference")
+
 
 class SdfText(ModelText):
     """An SDF model or world."""
@@ -55,13 +57,10 @@ class SdfText(ModelText):
         friction = joint.findtext("axis/dynamics/friction", "0")
         self.friction[name] = numbers(friction, 1)[0]
         for dynamics in joint.iter("dynamics"):
-            stiffness = numbers(dynamics.findtext("spring_stiffness", "0"), 1)[0]
-            drop(dynamics, "spring_stiffness", "spring_reference")
-            if stiffness and np.isfinite(stiffness):
-                self.notes.append(
-                    f"{joint.get('name')}: the spring of the file ({stiffness:g} N·m/rad or N/m) "
-                    "is no part of the rigid-body model; add it as an effect."
-                )
+            if dynamics is joint.find("axis/dynamics"):
+                stated = (dynamics.findtext(f"spring_{key}", "0") for key in _SPRING)
+                self.stiffness[name], self.rest[name] = (numbers(text, 1)[0] for text in stated)
+            drop(dynamics, *(f"spring_{key}" for key in _SPRING))
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")

@@ -47,6 +47,8 @@ class UrdfText(ModelText):
             name = f"{scope}::{joint.get('name')}"
             self.friction[name] = number(joint, "dynamics", "friction")
             self.effort[name] = number(joint, "limit", "effort")
+            if (limit := joint.find("limit")) is not None and self.effort[name] == 0.0:
+                limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")

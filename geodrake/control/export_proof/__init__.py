@@ -1,0 +1,6 @@
+"""Exports tried in simulators: what they hold, what they lack, and what that costs."""
+
+from geodrake.control.export_proof.export import ProvenExport
+from geodrake.control.export_proof.writing import export_to
+
+__all__ = ["ProvenExport", "export_to"]

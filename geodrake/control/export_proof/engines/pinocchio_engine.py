@@ -1,0 +1,59 @@
+"""Pinocchio."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pinocchio
+
+from geodrake.control.export_proof.engines.base import Array, Engine, Mask, order_of
+from geodrake.effects import CoulombFriction, Effect, RotorInertia, ViscousFriction
+from geodrake.errors import ModelError
+from geodrake.model.robot_model import RobotModel
+
+
+class PinocchioEngine(Engine):
+    """A model of Pinocchio: the rigid bodies alone.
+
+    Args:
+        file: The exported URDF.
+        model: The model, for the names of its joints.
+
+    Raises:
+        ModelError: Pinocchio cannot read the file.
+    """
+
+    ignores: ClassVar[tuple[type[Effect], ...]] = (CoulombFriction, RotorInertia, ViscousFriction)
+
+    def __init__(self, file: Path, model: RobotModel) -> None:
+        self.name = f"Pinocchio {pinocchio.__version__}"
+        try:
+            self._model = pinocchio.buildModelFromUrdf(str(file))
+        except (ValueError, RuntimeError) as error:
+            line = " ".join(str(error).split())[:300]
+            raise ModelError(f"Pinocchio cannot read {file.name}: {line}") from error
+        for values in ("armature", "damping", "friction"):  # whether a version reads them or not
+            if hasattr(self._model, values):
+                getattr(self._model, values)[:] = 0.0
+        names = {name: k for k, name in enumerate(self._model.names)}
+        self._joints = order_of(model, names.__getitem__, file, self.name)
+
+    def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
+        """Inverse dynamics of the bodies; see `Engine.effort`."""
+        model = self._model
+        data, found = model.createData(), np.empty_like(v)
+        positions, velocities = pinocchio.neutral(model), np.zeros(model.nv)
+        accelerations = np.zeros(model.nv)
+        at = [model.joints[joint].idx_v for joint in self._joints]
+        for k in range(len(v)):
+            for joint, angle in zip(self._joints, q[k], strict=True):
+                start = model.joints[joint].idx_q
+                if model.joints[joint].nq == 2:  # without limits
+                    positions[start : start + 2] = np.cos(angle), np.sin(angle)
+                else:
+                    positions[start] = angle
+            velocities[at], accelerations[at] = v[k], vd[k]
+            found[k] = pinocchio.rnea(model, data, positions, velocities, accelerations)[at]
+        return found, np.full(v.shape, True)

@@ -1,0 +1,130 @@
+"""An export with its proof: files, what they hold, and how simulators that load them do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from geodrake.control.export_proof.costs import Cost, Costs, costs_of
+from geodrake.control.export_proof.proof import Proof, prove
+from geodrake.control.export_proof.samples import (
+    compared,
+    logged_motions,
+    logged_starts,
+    random_motion,
+    random_starts,
+)
+from geodrake.errors import ModelError
+from geodrake.identification.logs.case import Case, open_case
+from geodrake.logs.motion import JointLog
+from geodrake.model.export import file_kind
+from geodrake.model.exporting.export_format import Exported, ExportFormat
+from geodrake.model.exporting.held import held_by
+from geodrake.model.robot_model import RobotModel
+
+_CALLED = {"urdf": "a URDF", "sdf": "an SDF", "xml": "an MJCF"}
+
+Progress = Callable[[str], object]
+
+
+@dataclass(frozen=True, eq=False)
+class ProvenExport:
+    """An export, and what is known about it.
+
+    Attributes:
+        form: Its format.
+        exported: Its files.
+        held: The model that the files hold.
+        lacks: The effects that they do not hold as they are.
+        costs: Errors on the logs; None without logs.
+        proof: What simulators make of it.
+        notes: What was done to the logs, and what is worth knowing about the files.
+    """
+
+    form: ExportFormat
+    exported: Exported
+    held: RobotModel
+    lacks: tuple[Cost, ...]
+    costs: Costs | None
+    proof: Proof
+    notes: tuple[str, ...]
+
+
+def check_base(model: RobotModel, form: ExportFormat) -> None:
+    """Refuse a model whose own file is of another format.
+
+    Args:
+        model: The model.
+        form: The format to export to.
+
+    Raises:
+        ModelError: It is, or the model is put together from several files.
+    """
+    if not form.bases:
+        return
+    kind = file_kind(model)
+    if kind not in form.bases:
+        wanted = " or ".join(_CALLED[base] for base in sorted(form.bases))
+        raise ModelError(
+            f"--to {form.name} writes into a copy of the robot's own file, which must be {wanted}; "
+            f"{model.path.name} is {_CALLED[kind]}.",
+            advice="Choose another --to, or fit the model to the robot's file of that format.",
+            path=model.path,
+        )
+
+
+def export_with_proof(
+    model: RobotModel,
+    form: ExportFormat,
+    folder: Path,
+    logs: Sequence[JointLog | str | Path] = (),
+    *,
+    bandwidth: float | None = None,
+    progress: Progress = lambda words: None,
+) -> ProvenExport:
+    """Make the files of an export, and try them in the simulators they are for.
+
+    Nothing is written to the folder.
+
+    Args:
+        model: The model.
+        form: The format.
+        folder: Where the files will be: relative paths in them lead from there.
+        logs: Logs, or their files, on whose motion the export is fitted and tried; without any,
+            random motion within the limits of the robot serves.
+        bandwidth: Bandwidth of the filter of the logs, Hz; by default that of the model's fit.
+        progress: Called with what is going on.
+
+    Raises:
+        ModelError: The model's file cannot take what is to be written.
+        LogError: A log cannot be used.
+    """
+    check_base(model, form)
+    case: Case | None = None
+    if logs:
+        case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+        motions = logged_motions(model, case.trajectories)
+    else:
+        motions = [random_motion(model)]
+    held = held_by(model, form.holding(model), motions)
+    exported = form.write(model, held, folder)
+    progress("Trying it in simulators")
+    if case is not None:
+        starts = logged_starts(held.model, case.trajectories)
+    else:
+        starts = random_starts(held.model, motions[0])
+    with TemporaryDirectory() as scratch:
+        again = form.write(model, held, Path(scratch))
+        for name, content in again.files.items():
+            (Path(scratch) / name).write_bytes(content)
+        first = Path(scratch) / next(iter(again.files))
+        proof = prove(held.model, first, form.engines, compared(motions), starts)
+    costs = None
+    if case is not None:
+        progress("Comparing it with the logs")
+        costs = costs_of(case, held, form, motions, proof.ignored)
+    lacks = costs.effects if costs else tuple(Cost(lost, None) for lost in held.lost)
+    notes = (*(model.notes if case is None else case.notes), *exported.notes, *proof.notes)
+    return ProvenExport(form, exported, held.model, lacks, costs, proof, notes)

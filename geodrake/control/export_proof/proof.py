@@ -1,0 +1,158 @@
+"""Exports loaded again by simulators, and compared with the model that they were made of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control.export_proof.engines import engine
+from geodrake.control.export_proof.engines.base import Engine
+from geodrake.control.export_proof.reference import (
+    STEP,
+    Start,
+    position_order,
+    roll_out_all,
+    without,
+)
+from geodrake.errors import ModelError
+from geodrake.logs.motion import Motion
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+ROUNDING = 1e-6
+"""Difference, rad or m, or relative to the values compared, up to which an export is exact."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """By how much a simulator differs from the model.
+
+    Attributes:
+        engine: Name and version of the simulator.
+        what: "effort", needed along the motion, or "position", in rollouts.
+        largest: Largest difference: N·m or N, or rad or m.
+        joint: The joint that has it.
+        typical: RMS of the values that are compared, at that joint.
+        compared: Share of the samples that are compared.
+        without: Names of effects in the file that take no part.
+    """
+
+    engine: str
+    what: str
+    largest: float
+    joint: str
+    typical: float
+    compared: float
+    without: tuple[str, ...]
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether it is so small that the simulator computes what geodrake computes."""
+        return self.largest <= ROUNDING * max(1.0, self.typical)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What simulators make of an export.
+
+    Attributes:
+        differences: By simulator and quantity.
+        ignored: Names of effects of the file upon which the first simulator does not act.
+        notes: Simulators that are not installed, or cannot read the file.
+    """
+
+    differences: tuple[Difference, ...]
+    ignored: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def prove(
+    held: RobotModel, file: Path, engines: Sequence[str], motion: Motion, starts: Sequence[Start]
+) -> Proof:
+    """Compare simulators that load an export with the model in it.
+
+    Args:
+        held: The model that the export holds.
+        file: The exported file that is loaded.
+        engines: Names of the simulators.
+        motion: Motion along which efforts are compared.
+        starts: Starts of rollouts.
+    """
+    differences, ignored, notes = list[Difference](), None, list[str]()
+    for name in engines:
+        make = engine(name)
+        if make is None:
+            notes.append(
+                f"{name} is not installed, so the export was not tried in it: "
+                'pip install "geodrake[proof]"'
+            )
+            continue
+        try:
+            loaded = make(file, held)
+        except ModelError as error:
+            notes.append(f"the export was not tried: {error.problem}")
+            continue
+        names = _named(held, loaded)
+        ignored = names if ignored is None else ignored
+        found = [_of_efforts(held, loaded, motion, names)]
+        rolled = _of_rollouts(held, loaded, starts, names)
+        found += [rolled] if rolled else []
+        if not all(difference.is_rounding for difference in found):
+            notes += [f"{loaded.name}: {message}" for message in loaded.messages]
+        differences += found
+    return Proof(tuple(differences), ignored or (), tuple(notes))
+
+
+def _named(held: RobotModel, loaded: Engine) -> tuple[str, ...]:
+    """Names of effects that a simulator does not act upon."""
+    names = (f.effect.name for f in held.effects if isinstance(f.effect, loaded.ignores))
+    return tuple(dict.fromkeys(names))
+
+
+def _of_efforts(
+    held: RobotModel, loaded: Engine, motion: Motion, names: tuple[str, ...]
+) -> Difference:
+    model = without(held, loaded.ignores)
+    ours = model.effort(motion)
+    q = motion.q[:, position_order(held)]
+    theirs, meant = loaded.effort(q, motion.v, motion.vd)
+    off = np.where(meant, np.abs(theirs - ours), 0.0)
+    share = float(meant.mean())
+    return Difference(
+        loaded.name, "effort", **_largest(off, ours, held), compared=share, without=names
+    )
+
+
+def _of_rollouts(
+    held: RobotModel, loaded: Engine, starts: Sequence[Start], names: tuple[str, ...]
+) -> Difference | None:
+    if not starts:
+        return None
+    theirs = [loaded.roll_out(start.q, start.v, start.effort, STEP) for start in starts]
+    simulated = [each for each in theirs if each is not None]
+    if len(simulated) < len(starts):
+        return None
+    ours = roll_out_all(without(held, loaded.ignores), starts, STEP)
+    off = np.abs(np.array(simulated) - ours).reshape(-1, ours.shape[-1])
+    moved = (ours - ours[:, :1]).reshape(off.shape)
+    dry = (f.effect.name for f in held.effects if f.effect.name == "coulomb_friction")
+    names = tuple(dict.fromkeys([*names, *dry]))
+    return Difference(
+        loaded.name, "position", **_largest(off, moved, held), compared=1.0, without=names
+    )
+
+
+def _largest(off: Array, values: Array, model: RobotModel) -> dict[str, Any]:
+    """The largest of differences (N, nv) of some values, and its joint."""
+    worst = int(off.max(0).argmax())
+    return {
+        "largest": float(off.max()),
+        "joint": model.joints[worst],
+        "typical": float(np.sqrt(np.mean(values[:, worst] ** 2))),
+    }

@@ -1,0 +1,131 @@
+"""Motion that exports are fitted and compared on: that of logs, or random within limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.control.export_proof.reference import STEP, Start, position_order
+from geodrake.effects import CoulombFriction
+from geodrake.logs.motion import MEMORY, Motion, Trajectory
+from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.plant import position_limits, velocity_limits
+
+Array = NDArray[np.float64]
+
+HORIZON = 0.2
+"""Length of a rollout, s."""
+
+_CHUNK, _CHUNKS = 1000, 12  # samples that follow each other, and how many such passages of all logs
+_COMPARED = 400  # samples at which efforts are compared
+_STARTS = 4
+_RANDOM = 2000  # samples where there is no log
+_LARGEST_ANGLE, _LARGEST_SPEED, _ACCELERATION = np.pi, 2.0, 5.0  # rad or m, and per s and s²
+
+
+def logged_motions(model: RobotModel, trajectories: Sequence[Trajectory]) -> list[Motion]:
+    """Passages of logs, spread evenly.
+
+    Args:
+        model: The model.
+        trajectories: The prepared logs.
+    """
+    stretches = [s for trajectory in trajectories for s in trajectory.segments]
+    began = [t.began for t in trajectories for _ in t.segments]
+    passages = [
+        (k, start)
+        for k, stretch in enumerate(stretches)
+        for start in range(0, max(1, len(stretch) - _CHUNK // 2), _CHUNK)
+    ]
+    spread = np.linspace(0, len(passages) - 1, min(_CHUNKS, len(passages))).round().astype(int)
+    return [
+        _motion(model, stretches[k], start, began[k])
+        for k, start in (passages[i] for i in dict.fromkeys(spread.tolist()))
+    ]
+
+
+def _motion(model: RobotModel, stretch: Stretch, start: int, began: float) -> Motion:
+    part = stretch[start : start + _CHUNK]
+    before = stretch[max(0, start - MEMORY) : start].position
+    return Motion(
+        model.positions(part.position),
+        part.velocity,
+        part.acceleration,
+        part.time - began,
+        model.positions(before),
+    )
+
+
+def random_motion(model: RobotModel, seed: int = 0) -> Motion:
+    """Postures, velocities and accelerations at random, within the limits of the robot.
+
+    Args:
+        model: The model.
+        seed: Of the random numbers.
+    """
+    rng, nv = np.random.default_rng(seed), len(model.joints)
+    order = position_order(model)
+    low, high = (limits[order] for limits in position_limits(model.plant))
+    low, high = np.maximum(low, -_LARGEST_ANGLE), np.minimum(high, _LARGEST_ANGLE)
+    fastest = np.minimum(velocity_limits(model.plant), _LARGEST_SPEED)
+    q = rng.uniform(low, np.maximum(low, high), (_RANDOM, nv))
+    v = rng.uniform(-fastest, fastest, (_RANDOM, nv))
+    vd = rng.uniform(-_ACCELERATION, _ACCELERATION, (_RANDOM, nv))
+    return Motion(model.positions(q), v, vd)
+
+
+def compared(motions: Sequence[Motion]) -> Motion:
+    """Samples of motions, spread evenly, at which efforts are compared."""
+    q, v, vd = (np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "v", "vd"))
+    every = max(1, len(v) // _COMPARED)
+    return Motion(q[::every], v[::every], vd[::every])
+
+
+def logged_starts(held: RobotModel, trajectories: Sequence[Trajectory]) -> list[Start]:
+    """Starts of rollouts in logs, under the logged efforts less dry friction.
+
+    Args:
+        held: The model that an export holds.
+        trajectories: The prepared logs.
+    """
+    stretches = [s for trajectory in trajectories for s in trajectory.segments]
+    longest = sorted(stretches, key=len, reverse=True)[:_STARTS]
+    shares = (np.arange(_STARTS) + 0.5) / _STARTS
+    found = []
+    for stretch, share in zip(longest * _STARTS, shares.tolist(), strict=False):
+        count = int(np.ceil(HORIZON / stretch.period)) + 2
+        if len(stretch) < count:
+            continue
+        start = int(share * (len(stretch) - count))
+        found.append(_logged_start(held, stretch[start : start + count]))
+    return found
+
+
+def _logged_start(held: RobotModel, part: Segment) -> Start:
+    effort = part.effort.copy()
+    for fitted in held.effects:
+        if isinstance(fitted.effect, CoulombFriction):
+            at = held.joints.index(fitted.effect.joint)
+            effort[:, at] -= fitted.parameters[0] * np.sign(part.velocity[:, at])
+    time = np.arange(round(HORIZON / STEP)) * STEP
+    acted = [np.interp(time, part.time - part.time[0], column) for column in effort.T]
+    return Start(part.position[0], part.velocity[0], np.array(acted).T)
+
+
+def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
+    """Starts of rollouts in postures of a motion, under the efforts that would hold them there.
+
+    Args:
+        held: The model that an export holds.
+        motion: Samples.
+    """
+    still, order = np.zeros_like(motion.v[:_STARTS]), position_order(held)
+    effort = held.effort(Motion(motion.q[:_STARTS], still, still))
+    steps = round(HORIZON / STEP)
+    return [
+        Start(q[order], 0.1 * v, np.tile(u, (steps, 1)))
+        for q, v, u in zip(motion.q, motion.v, effort, strict=False)
+    ]

@@ -1,0 +1,81 @@
+"""A copy of the user's own model file with all that the format holds of a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.eigen_geometry import AngleAxis
+
+from geodrake.effects import GravityTilt
+from geodrake.model.export import export_bodies
+from geodrake.model.exporting.joint_numbers import (
+    changed_numbers,
+    joint_numbers,
+    stated_numbers,
+)
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
+from geodrake.robot.files.mjcf import turns_in_degrees
+from geodrake.robot.files.reading import model_text_of
+from geodrake.robot.files.references import with_references
+
+Array = NDArray[np.float64]
+
+
+def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]:
+    """The user's file with inertias, friction, rotors and springs of a model; the rest stays.
+
+    Args:
+        model: The model, of effects that the format of its file holds.
+        folder: Where the file will be: relative paths in it lead from there.
+
+    Returns:
+        The file, and notes on it.
+
+    Raises:
+        ModelError: The file cannot take the numbers.
+    """
+    exported = export_bodies(model)
+    data, path = exported.content, model.path
+    before = stated_numbers(model)
+    changes = {
+        name: changed_numbers(before[name], after) for name, after in joint_numbers(model).items()
+    }
+    text = model_text_of(path.read_bytes(), path)
+    if text.kind == "xml" and turns_in_degrees(text.root):
+        turning = {name for name, numbers in before.items() if numbers.turns}
+        changes = {
+            name: {**change, "rest": float(np.rad2deg(change["rest"]))}
+            if name in turning and "rest" in change
+            else change
+            for name, change in changes.items()
+        }
+    data = with_joint_numbers(data, path, changes)
+    if text.kind == "xml" and tilted(model):
+        data = with_gravity(data, path, tilted_gravity(model))
+    return with_references(data, path, folder), exported.notes
+
+
+def tilted(model: RobotModel) -> bool:
+    """Whether a model's base is turned against its file's."""
+    return any(isinstance(fitted.effect, GravityTilt) for fitted in model.effects)
+
+
+def tilted_gravity(model: RobotModel) -> Array:
+    """(3,) gravity in the frame of a model's base, as that is turned, m/s²."""
+    gravity = np.array(model.plant.gravity_field().gravity_vector())
+    return np.asarray(tilt_rotation(model).T @ gravity)
+
+
+def tilt_rotation(model: RobotModel) -> Array:
+    """(3, 3) rotation R(θ) by which a model's base is turned against its file's."""
+    turn = np.eye(3)
+    for fitted in model.effects:
+        if isinstance(fitted.effect, GravityTilt):
+            vector = np.array([*fitted.parameters, 0.0])
+            angle = float(np.linalg.norm(vector))
+            if angle:
+                turn = AngleAxis(angle, vector / angle).rotation() @ turn
+    return np.asarray(turn)

@@ -1,0 +1,203 @@
+"""`geodrake export`: files that simulators agree with, what they lack, and what is refused."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+from geodrake.control.export_proof import proof
+from geodrake.effects import (
+    CoulombFriction,
+    EffortDelay,
+    FittedEffect,
+    LoadDependentFriction,
+    RotorInertia,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.saved_model import load_model, save_model
+
+MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+PERIOD, DELAY = 0.01, 0.02
+
+
+def truth():
+    model = load_model(MODEL)
+    a, b = model.joints
+    effects = (
+        FittedEffect(ViscousFriction(a), np.array([0.1])),
+        FittedEffect(CoulombFriction(a), np.array([0.3])),
+        FittedEffect(CoulombFriction(b), np.array([0.2])),
+        FittedEffect(RotorInertia(b), np.array([0.01])),
+        FittedEffect(StribeckFriction(a, 0.3), np.array([0.2])),
+        FittedEffect(LoadDependentFriction(b), np.array([0.15])),
+        FittedEffect(EffortDelay(DELAY), np.zeros(0)),
+    )
+    return replace(model, effects=effects)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A saved model with its robot's file, and a log of it."""
+    here = tmp_path_factory.mktemp("export")
+    model, rng = truth(), np.random.default_rng(3)
+    time = np.arange(0.0, 16.0, PERIOD)
+    rates = 2 * np.pi * np.array([[0.31, 0.73, 1.13], [0.42, 0.59, 0.97]])
+    angle = rates * time[:, None, None] + rng.uniform(0, 2 * np.pi, rates.shape)
+    parts = (np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle))
+    moved = Motion(*(np.sum(0.4 * part, axis=-1) for part in parts))
+    effort = EffortDelay(DELAY).delayed(model.effort(moved), PERIOD)
+    effort += 0.01 * rng.normal(size=effort.shape)
+    write_log(JointLog("log", model.joints, time, moved.q, effort), here / "log.csv")
+    save_model(model, here / "model.yaml")
+    return here
+
+
+def export(*arguments):
+    return CliRunner().invoke(app, ["export", *(str(a) for a in arguments)])
+
+
+def refused(*arguments):
+    result = export(*arguments)
+    assert result.exit_code == 2, result.output
+    assert "Traceback" not in result.output
+    assert result.stdout == ""
+    assert len(result.stderr.splitlines()) == 1
+    return result.stderr
+
+
+@pytest.fixture(scope="module")
+def in_urdf(folder):
+    out, numbers = folder / "new" / "urdf", folder / "urdf.json"
+    result = export(
+        folder / "model.yaml", folder / "log.csv", "--to", "urdf", out, "--json", numbers
+    )
+    assert result.exit_code == 0, result.output
+    return result.stdout, json.loads(numbers.read_text())
+
+
+def test_simulators_agree_on_what_the_files_hold(in_urdf):
+    _, numbers = in_urdf
+    found = [(each["engine"].split()[0], each["what"]) for each in numbers["differences"]]
+    assert found == [("Drake", "effort"), ("Drake", "position"), ("Pinocchio", "effort")]
+    for each in numbers["differences"]:
+        assert each["largest"] < 1e-6
+        assert each["typical"] > 0.01
+    assert numbers["ignored"] == ["coulomb_friction"]
+
+
+def test_each_effect_that_is_lacking_has_its_price(in_urdf):
+    printed, numbers = in_urdf
+    lacks = {each["effect"]: each for each in numbers["lacks"]}
+    assert set(lacks) == {"stribeck_friction", "load_dependent_friction", "effort_delay"}
+    assert lacks["effort_delay"]["into"] == []
+    assert lacks["load_dependent_friction"]["where"] == ["elbow"]
+    into = lacks["load_dependent_friction"]["into"]
+    assert set(into) <= {"viscous_friction", "coulomb_friction"} and into
+    costs = [each["nrms"] for each in numbers["lacks"]]
+    assert costs == sorted(costs, reverse=True)
+    error = numbers["error"]
+    assert error["nrms"] < 0.01 < min(lacks["effort_delay"]["nrms"], error["held_nrms"])
+    assert error["nrms"] < lacks["load_dependent_friction"]["nrms"] < error["held_nrms"]
+    assert error["simulated_nrms"] > error["held_nrms"]
+    for name in lacks:
+        assert name in printed
+    assert "Drake does not act on coulomb_friction" in printed
+
+
+def test_the_price_is_that_of_the_file_compared_with_the_log(folder, in_urdf):
+    _, numbers = in_urdf
+    path = folder / "new" / "urdf" / MODEL.name
+    result = CliRunner().invoke(app, ["compare", str(path), str(folder / "log.csv"), "--json", "-"])
+    again = json.loads(result.stdout)["error"]["nrms"]
+    assert again == pytest.approx(numbers["error"]["held_nrms"], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("to", "files"),
+    [
+        ("drake", ["double_pendulum.dmd.yaml", "double_pendulum.urdf", "package.xml"]),
+        ("isaac", ["double_pendulum.actuators.json", "double_pendulum.urdf"]),
+    ],
+)
+def test_other_formats_without_a_log(to, files, folder, tmp_path):
+    out = tmp_path / to
+    result = export(folder / "model.yaml", "--to", to, out, "--json", "-")
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in out.iterdir()) == files
+    numbers = json.loads(result.stdout)
+    assert max(each["largest"] for each in numbers["differences"]) < 1e-6
+    assert numbers["error"] == {}
+    lacks = {each["effect"] for each in numbers["lacks"]}
+    assert ("effort_delay" in lacks) == (to == "drake")
+
+
+def test_mjcf(tmp_path):
+    mjcf = """<mujoco model="arm"><worldbody><body name="one"><joint name="a" axis="0 1 0"
+      damping="0.3" frictionloss="0.2" armature="0.1" stiffness="2" springref="20"/>
+      <inertial mass="1" pos="0 0 1" diaginertia="0.1 0.1 0.1"/></body></worldbody></mujoco>"""
+    path = tmp_path / "arm.xml"
+    path.write_text(mjcf)
+    result = export(path, "--to", "mjcf", tmp_path / "out", "--json", tmp_path / "out.json")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "arm.xml").read_text() == mjcf
+    numbers = json.loads((tmp_path / "out.json").read_text())
+    assert [each["what"] for each in numbers["differences"]] == ["effort", "position"]
+    assert f"MuJoCo {mujoco.__version__}" in result.stdout
+    assert max(each["largest"] for each in numbers["differences"]) < 1e-6
+    assert numbers["ignored"] == []
+
+
+def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatch):
+    kept = proof.without
+    monkeypatch.setattr(proof, "without", lambda model, kinds: kept(load_model(MODEL), kinds))
+    result = export(folder / "model.yaml", "--to", "urdf", tmp_path / "out")
+    assert result.exit_code == 0
+    assert "differs from geodrake by more than rounding" in " ".join(result.stdout.split())
+
+
+def test_simulators_that_are_not_there_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(proof, "engine", lambda name: None)
+    result = export(MODEL, "--to", "urdf", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert 'pip install "geodrake[proof]"' in result.stdout
+    assert (tmp_path / "out" / MODEL.name).is_file()
+
+
+def test_a_file_that_is_there_stays(tmp_path):
+    there = tmp_path / MODEL.name
+    there.write_text("mine")
+    assert "--force" in refused(MODEL, "--to", "urdf", tmp_path)
+    assert there.read_text() == "mine"
+    assert export(MODEL, "--to", "urdf", tmp_path, "--force").exit_code == 0
+    assert there.read_bytes() == MODEL.read_bytes()
+
+
+def test_bad_input_is_a_line_and_nothing_is_written(folder, tmp_path):
+    out = tmp_path / "out"
+    own = tmp_path / MODEL.name
+    own.write_bytes(MODEL.read_bytes())
+    assert "urdf, sdf, mjcf" in refused(MODEL, "--to", "usd", out)
+    assert "must be an MJCF" in refused(MODEL, "--to", "mjcf", out)
+    assert "is an input" in refused(own, "--to", "urdf", tmp_path, "--force")
+    assert "no folder" in refused(MODEL, "--to", "urdf", own)
+    assert "log" in refused(MODEL, tmp_path / "none.csv", "--to", "urdf", out)
+    assert "none" in refused(tmp_path / "none.urdf", "--to", "urdf", out)
+    directives = MODEL.with_name("cheetah.dmd.yaml")
+    assert "several model files" in refused(directives, "--to", "urdf", out)
+    target = tmp_path / "no" / "x.json"
+    assert "no folder" in refused(MODEL, "--to", "urdf", out, "--json", target)
+    assert not out.exists()
+    assert export(MODEL, out).exit_code == 2  # --to is missing
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert "file" in refused(MODEL, "--to", "urdf", tmp_path / "file" / "out")

@@ -1,0 +1,386 @@
+"""Friction, rotors, springs and tilts through files and back, by other engines and by geodrake."""
+
+import json
+import re
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake.effects import (
+    AsymmetricFriction,
+    CoulombFriction,
+    CoupledRotorInertia,
+    EffortDelay,
+    EffortOffset,
+    FittedEffect,
+    GravityTilt,
+    JointSpring,
+    LoadDependentFriction,
+    Payload,
+    RotorInertia,
+    StribeckFriction,
+    TorqueRipple,
+    ViscousFriction,
+)
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs.motion import Motion
+from geodrake.model.exporting.formats import FORMATS, export_format
+from geodrake.model.exporting.held import held_by
+from geodrake.model.saved_model import load_model
+
+URDF = """<?xml version="1.0"?>
+<!-- my arm -->
+<robot name="arm">
+  <link name="base"/>
+  <link name="one"><!-- weighed -->
+    <inertial><origin xyz="0 0.1 0.2"/><mass value="2"/>
+      <inertia ixx="0.05" iyy="0.05" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry><mesh filename="meshes/one.stl"/></geometry></visual>
+  </link>
+  <link name="two">
+    <inertial><origin xyz="0 0 0.2"/><mass value="1"/>
+      <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="2"/>
+    <dynamics damping="0.5"/></joint>
+  <joint name="b" type="prismatic"><parent link="one"/><child link="two"/><origin xyz="0 0 0.4"/>
+    <axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="10" velocity="2"/></joint>
+  <transmission name="t"><type>transmission_interface/SimpleTransmission</type>
+    <joint name="b"/><actuator name="m">
+    <drake:gear_ratio xmlns:drake="http://drake.mit.edu" value="10"/></actuator></transmission>
+</robot>
+"""
+
+SDF = """<sdf version="1.9"><model name="arm"><!-- my arm -->
+  <link name="one"><inertial><pose>0 0.1 0.2 0 0 0</pose><mass>2</mass>
+    <inertia><ixx>0.05</ixx><iyy>0.05</iyy><izz>0.03</izz></inertia></inertial>
+    <visual name="v"><geometry><mesh><uri>meshes/one.stl</uri></mesh></geometry></visual></link>
+  <link name="two"><pose relative_to="b"/><inertial><pose>0 0 0.2 0 0 0</pose><mass>1</mass>
+    <inertia><ixx>0.02</ixx><iyy>0.02</iyy><izz>0.01</izz></inertia></inertial></link>
+  <joint name="a" type="revolute"><parent>world</parent><child>one</child><axis><xyz>0 1 0</xyz>
+    <dynamics><damping>0.5</damping><!-- oil --></dynamics></axis></joint>
+  <joint name="b" type="prismatic"><pose relative_to="one">0 0 0.4 0 0 0</pose><parent>one</parent>
+    <child>two</child><axis><xyz>1 0 0</xyz></axis></joint>
+</model></sdf>
+"""
+
+MJCF = """<mujoco model="arm"><!-- my arm -->
+  <compiler {angle}/>
+  <default><joint frictionloss="0.9"/>
+    <default class="soft"><joint damping="0.5"/></default></default>
+  <worldbody>
+    <body name="one"><joint name="a" class="soft" axis="0 1 0"/>
+      <inertial pos="0 0.1 0.2" mass="2" diaginertia="0.05 0.05 0.03"/>
+      <body pos="0 0 0.4"><joint type="slide" axis="1 0 0"/>
+        <inertial pos="0 0 0.2" mass="1" diaginertia="0.02 0.02 0.01"/></body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+FILES = {
+    "urdf": ("arm.urdf", URDF),
+    "sdf": ("arm.sdf", SDF),
+    "mjcf": ("arm.xml", MJCF.format(angle="")),
+    "radian": ("arm.xml", MJCF.format(angle='angle="radian"')),
+}
+
+
+def loaded(folder, kind):
+    name, text = FILES[kind]
+    (folder / "own").mkdir()
+    path = folder / "own" / name
+    path.write_text(text)
+    return load_model(path)
+
+
+def fitted(model, *, springs):
+    """The model with friction, rotors, a payload, and springs at other values than the file's."""
+    a, b = model.joints
+    body = model.bodies[-1]
+    effects = [
+        FittedEffect(ViscousFriction(a), np.array([0.7])),
+        FittedEffect(ViscousFriction(b), np.array([1.1])),
+        FittedEffect(CoulombFriction(a), np.array([0.4])),
+        FittedEffect(RotorInertia(a), np.array([0.06])),
+        FittedEffect(RotorInertia(b), np.array([0.3])),
+        FittedEffect(
+            Payload(body), from_mass_com_inertia(0.8, np.array([0.1, 0, 0.3]), 0.01 * np.eye(3))
+        ),
+    ]
+    if springs:
+        effects += [
+            FittedEffect(JointSpring(a, center=0.2), np.array([3.0, 0.6])),
+            FittedEffect(JointSpring(b), np.array([5.0, 0.0])),
+            FittedEffect(EffortOffset(b), np.array([0.25])),
+        ]
+    return replace(model, effects=tuple(effects))
+
+
+def motion(model, count=60, seed=0):
+    q, v, vd = np.random.default_rng(seed).normal(size=(3, count, len(model.joints)))
+    return Motion(model.positions(q), v, vd)
+
+
+def exported(model, to, folder, motions=()):
+    """The files in a folder, and what they hold."""
+    form = export_format(to)
+    held = held_by(model, form.holding(model), motions)
+    folder.mkdir(exist_ok=True)
+    made = form.write(model, held, folder)
+    for name, content in made.files.items():
+        (folder / name).write_bytes(content)
+    return folder / next(iter(made.files)), held
+
+
+def drake_effort(path, moved):
+    """Inverse dynamics by Drake alone, free roots welded."""
+    plant = MultibodyPlant(time_step=0.0)
+    parser = Parser(plant)
+    parser.package_map().PopulateFromFolder(str(path.parent))
+    parser.AddModels(str(path))
+    if path.suffix == ".urdf":
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
+    plant.Finalize()
+    context, forces = plant.CreateDefaultContext(), MultibodyForces(plant)
+    found = []
+    for q, v, vd in zip(moved.q, moved.v, moved.vd, strict=True):
+        plant.SetPositions(context, q)
+        plant.SetVelocities(context, v)
+        plant.CalcForceElementsContribution(context, forces)
+        found.append(plant.CalcInverseDynamics(context, vd, forces))
+    return np.array(found)
+
+
+def dry(model, moved):
+    """Efforts of dry friction alone."""
+    effort = np.zeros_like(moved.v)
+    for each in model.effects:
+        if isinstance(each.effect, CoulombFriction):
+            at = model.joints.index(each.effect.joint)
+            effort[:, at] += each.parameters[0] * np.sign(moved.v[:, at])
+    return effort
+
+
+@pytest.mark.parametrize(
+    ("kind", "to"), [("urdf", "urdf"), ("urdf", "drake"), ("sdf", "sdf"), ("sdf", "drake")]
+)
+def test_drake_computes_the_same_from_the_files(kind, to, tmp_path):
+    springs = kind == "sdf"
+    model = fitted(loaded(tmp_path, kind), springs=springs)
+    path, held = exported(model, to, tmp_path / "out")
+    assert held.lost == ()
+    moved = motion(model)
+    ours = model.effort(moved)
+    np.testing.assert_allclose(drake_effort(path, moved), ours - dry(model, moved), atol=1e-10)
+    again = load_model(path)  # every effect counts once
+    np.testing.assert_allclose(again.effort(moved), ours, atol=1e-9)
+
+
+def test_mujoco_computes_the_same_from_the_file(tmp_path):
+    for kind in ("mjcf", "radian"):
+        (tmp_path / kind).mkdir()
+        model = fitted(loaded(tmp_path / kind, kind), springs=True)
+        tilt = GravityTilt(0.06, -0.03)
+        model = replace(
+            model, effects=(*model.effects, FittedEffect(tilt, np.array([0.06, -0.03])))
+        )
+        path, held = exported(model, "mjcf", tmp_path / kind / "out")
+        assert held.lost == ()
+        compiled = mujoco.MjModel.from_xml_path(str(path))
+        assert compiled.dof_frictionloss == pytest.approx([0.4, 0.0])
+        assert compiled.dof_damping.ravel()[:2] == pytest.approx([0.7, 1.1])
+        assert compiled.dof_armature == pytest.approx([0.06, 0.3])
+        compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        data, moved = mujoco.MjData(compiled), motion(model)
+        found = []
+        for q, v, vd in zip(moved.q, moved.v, moved.vd, strict=True):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q, v, vd
+            mujoco.mj_inverse(compiled, data)
+            found.append(data.qfrc_inverse.copy())
+        ours = model.effort(moved)
+        np.testing.assert_allclose(found, ours - dry(model, moved), atol=1e-9)
+        np.testing.assert_allclose(load_model(path).effort(moved), ours, atol=1e-9)
+
+
+def test_pinocchio_reads_the_inertias_damping_and_friction(tmp_path):
+    model = fitted(loaded(tmp_path, "urdf"), springs=False)
+    path, _ = exported(model, "urdf", tmp_path / "out")
+    read = pinocchio.buildModelFromUrdf(str(path))
+    assert read.damping == pytest.approx([0.7, 1.1])
+    read.damping[:] = 0.0
+    for name in ("friction", "lowerDryFrictionLimit", "upperDryFrictionLimit"):
+        if hasattr(read, name):
+            getattr(read, name)[:] = 0.0
+    data, moved = read.createData(), motion(model)
+    found = [
+        pinocchio.rnea(read, data, *each) for each in zip(moved.q, moved.v, moved.vd, strict=True)
+    ]
+    bodies = replace(model, effects=tuple(f for f in model.effects if f.effect.name == "payload"))
+    np.testing.assert_allclose(found, bodies.effort(moved), atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_nothing_else_in_the_file_changes(kind, tmp_path):
+    model = loaded(tmp_path, kind)
+    to = "mjcf" if kind == "radian" else kind
+    path, _ = exported(model, to, tmp_path / "own" / ".." / "own2")  # as it is, on the same level
+    there = path.read_text()
+    assert re.sub(r"\.\./own/", "", there) == model.path.read_text()
+
+
+def test_comments_stay_and_meshes_lead_to_where_they_were(tmp_path):
+    (tmp_path / "deep").mkdir()
+    for kind in ("urdf", "sdf"):
+        (tmp_path / kind).mkdir()
+        model = fitted(loaded(tmp_path / kind, kind), springs=False)
+        path, _ = exported(model, kind, tmp_path / "deep" / kind)
+        text = path.read_text()
+        assert "<!-- my arm -->" in text
+        assert f"../../{kind}/own/meshes/one.stl" in text
+
+
+def test_a_gear_ratio_of_the_file_stays(tmp_path):
+    path, _ = exported(fitted(loaded(tmp_path, "urdf"), springs=False), "urdf", tmp_path / "out")
+    plant = MultibodyPlant(time_step=0.0)
+    Parser(plant).AddModels(str(path))
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+    found = {actuator.joint().name(): actuator for actuator in actuators}
+    assert found["b"].default_gear_ratio() == 10.0
+    assert found["b"].default_rotor_inertia() == pytest.approx(0.003)
+    assert found["a"].default_rotor_inertia() == pytest.approx(0.06)
+
+
+def test_a_rotor_counts_though_the_effort_limit_is_zero(tmp_path):
+    (tmp_path / "own").mkdir()
+    path = tmp_path / "own" / "arm.urdf"
+    path.write_text(URDF.replace('effort="10"', 'effort="0"'))
+    model = fitted(load_model(path), springs=False)
+    out, _ = exported(model, "urdf", tmp_path / "out")
+    moved = motion(model)
+    np.testing.assert_allclose(load_model(out).effort(moved), model.effort(moved), atol=1e-9)
+
+
+def test_a_tilted_base_is_welded_as_it_stands(tmp_path):
+    model = fitted(loaded(tmp_path, "urdf"), springs=False)
+    tilt = FittedEffect(GravityTilt(0.1, 0.05), np.array([0.1, 0.05]))
+    model = replace(model, effects=(*model.effects, tilt))
+    path, held = exported(model, "drake", tmp_path / "out")
+    assert held.lost == ()
+    moved = motion(model)
+    ours = model.effort(moved)
+    np.testing.assert_allclose(drake_effort(path, moved), ours - dry(model, moved), atol=1e-9)
+    np.testing.assert_allclose(load_model(path).effort(moved), ours, atol=1e-9)
+    _, in_urdf = exported(model, "urdf", tmp_path / "plain")
+    assert [lost.effect for lost in in_urdf.lost] == ["gravity_tilt"]
+
+
+@pytest.mark.parametrize(
+    "missed",
+    [
+        lambda a, b: FittedEffect(StribeckFriction(a, 0.5), np.array([0.3])),
+        lambda a, b: FittedEffect(LoadDependentFriction(a), np.array([0.1])),
+        lambda a, b: FittedEffect(AsymmetricFriction(a), np.array([0.3, 0.5, 0.1, 0.2])),
+        lambda a, b: FittedEffect(CoupledRotorInertia((a, b)), np.array([0.04])),
+    ],
+)
+def test_what_a_format_lacks_is_fitted_into_what_it_holds(missed, tmp_path):
+    model = loaded(tmp_path, "urdf")
+    extra = missed(*model.joints)
+    whole = replace(model, effects=(*model.effects, extra))
+    moved = motion(whole, 400)
+    held = held_by(whole, FORMATS["urdf"].holding(whole), [moved])
+    (lost,) = held.lost
+    assert (lost.effect, lost.where) == (extra.effect.name, extra.effect.where)
+    truth = whole.effort(moved)
+
+    def error(other):
+        return np.sum((other.effort(moved) - truth) ** 2)
+
+    left_out = error(model)
+    if extra.effect.name == "coupled_rotor_inertia":  # goes with v̇ of the other joint alone
+        assert lost.into == ()
+        assert error(held.model) == left_out
+        return
+    assert lost.into == ("viscous_friction", "coulomb_friction")
+    assert error(held.model) < 0.4 * left_out
+    # No other damping and dry friction of the joint is nearer.
+    for k, each in enumerate(held.model.effects):
+        for factor in (0.95, 1.05):
+            effects = [*held.model.effects]
+            effects[k] = FittedEffect(each.effect, factor * each.parameters)
+            assert error(replace(held.model, effects=tuple(effects))) > error(held.model)
+
+
+def test_friction_stays_positive(tmp_path):
+    model = loaded(tmp_path, "urdf")
+    a, _ = model.joints
+    assisting = FittedEffect(AsymmetricFriction(a), np.array([-5.0, -5.0, -5.0, -5.0]))
+    whole = replace(model, effects=(*model.effects, assisting))
+    held = held_by(whole, FORMATS["urdf"].holding(whole), [motion(whole)])
+    assert all((each.parameters >= 0).all() for each in held.model.effects)
+
+
+def test_what_nothing_resembles_is_left_out(tmp_path):
+    model = fitted(loaded(tmp_path, "urdf"), springs=True)
+    a, _ = model.joints
+    more = [
+        FittedEffect(EffortDelay(0.01), np.zeros(0)),
+        FittedEffect(TorqueRipple(a, 6), np.array([0.2, 0.1])),
+    ]
+    whole = replace(model, effects=(*model.effects, *more))
+    held = held_by(whole, FORMATS["urdf"].holding(whole), [motion(whole)])
+    names = {lost.effect: lost.into for lost in held.lost}
+    assert names == dict.fromkeys(
+        ("joint_spring", "effort_offset", "effort_delay", "torque_ripple"), ()
+    )
+    assert "payload" in {each.effect.name for each in held.model.effects}
+
+
+def test_isaac_has_a_value_for_everything_that_it_would_read_elsewhere(tmp_path):
+    model = fitted(loaded(tmp_path, "urdf"), springs=False)
+    a, b = model.joints
+    more = [
+        FittedEffect(EffortDelay(0.012), np.zeros(0)),
+        FittedEffect(StribeckFriction(a, 0.3), np.array([0.2])),
+    ]
+    model = replace(model, effects=(*model.effects, *more))
+    exported(model, "isaac", tmp_path / "out", [motion(model)])
+    joints = json.loads((tmp_path / "out" / "arm.actuators.json").read_text())["joints"]
+    assert joints[b] == {
+        "effort_limit": 10.0,
+        "velocity_limit": 2.0,
+        "stiffness": 0.0,
+        "damping": 0.0,
+        "armature": pytest.approx(0.3),
+        "friction": 0.0,
+        "dynamic_friction": 0.0,
+        "viscous_friction": pytest.approx(1.1),
+        "delay": 0.012,
+    }
+    assert joints[a]["friction"] == pytest.approx(joints[a]["dynamic_friction"] + 0.2)
+
+
+def test_joints_of_included_files_are_refused(tmp_path):
+    (tmp_path / "own").mkdir()
+    inner = MJCF.format(angle="")
+    body = inner[inner.index("<body name") : inner.index("  </worldbody>")]
+    (tmp_path / "own" / "inner.xml").write_text(f"<mujoco>{body}</mujoco>")
+    path = tmp_path / "own" / "arm.xml"
+    path.write_text(inner.replace(body, '<include file="inner.xml"/>'))
+    model = load_model(path)
+    with pytest.raises(ModelError, match="is not in"):
+        exported(fitted(model, springs=False), "mjcf", tmp_path / "out")
+
+
+def test_unknown_formats_are_listed():
+    with pytest.raises(ArgumentError, match="urdf, sdf, mjcf, drake, isaac"):
+        export_format("usd")
