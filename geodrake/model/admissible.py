@@ -16,6 +16,7 @@ from geodrake.inertia import Array
 from geodrake.model.admissible_effect import ROUNDING, check_body, check_effect, place_of
 from geodrake.model.robot_model import RobotModel
 
+
 def check_model(model: RobotModel) -> None:
     """Refuses a model whose numbers no robot can have.
 

@@ -16,11 +16,11 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, real_array
-from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw
 from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw
 
 
 class EffectForce(LeafSystem):
