@@ -1563,6 +1563,20 @@ def _files(t):
             model.positions, {"by_joint": t.q}, {"by_joint": ("NaN at one place",)}, infinite=True
         ),
     )
+    yield (
+        "model.RobotModel.add_to_builder",
+        Call(
+            model.add_to_builder,
+            {
+                "builder": Fresh(DiagramBuilder),
+                "time_step": 0.001,
+                "scene_graph": Free(True),
+                "name": Free("arm"),
+                "sign_width": np.full(2, 0.01),
+                "log": Free("swing"),
+            },
+        ),
+    )
     yield "model.RobotModel.sign_widths", Call(model.sign_widths, {"least": np.full(2, 0.01)})
     n = model.phi.size + 2
     yield (
