@@ -245,6 +245,11 @@ class RobotModel:
         starts = self._single_joints[0]
         return tuple(self.joints[i] for i in starts if self._joint_type(i) == "prismatic")
 
+    @property
+    def position_places(self) -> dict[int, int]:
+        """Where in q the position of each velocity is that belongs to a single-degree joint."""
+        return dict(zip(*self._single_joints, strict=True))
+
     @cached_property
     def _single_joints(self) -> tuple[list[int], list[int]]:
         plant = self.plant
