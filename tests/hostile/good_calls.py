@@ -1505,6 +1505,18 @@ def _files(t):
         "save_model",
         Call(geodrake.save_model, {"model": t.model, "path": folder() / "saved.yaml"}),
     )
+    for name in ("python_source", "cpp_source"):
+        call = Call(
+            getattr(geodrake.model, name), {"model": t.model, "sign_width": 0.01 * np.ones(2)}
+        )
+        yield f"source.files.{name}", call
+    yield (
+        "source.files.source_files",
+        Call(
+            geodrake.model.source.source_files,
+            {"model": t.model, "folder": folder(), "language": "cpp"},
+        ),
+    )
     yield "export.export_model", Call(geodrake.model.export.export_model, {"model": t.model})
     yield (
         "export.save_export",

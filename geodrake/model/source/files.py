@@ -9,7 +9,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import file_path, instance
+from geodrake.boundary.arguments import file_path, instance, one_of
 from geodrake.boundary.escaping import identifier, printable, quoted
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source.effort_formula import EffortFormula, effort_formula
@@ -143,8 +143,12 @@ def source_files(model: RobotModel, folder: str | Path, *, language: str) -> Map
         model: The model.
         folder: Where it is to be.
         language: "python" or "cpp".
+
+    Raises:
+        ArgumentError: It is another language.
+        ModelError: An effect cannot be written as source code.
     """
-    kind = _KINDS[language]
+    kind = _KINDS[one_of(language, "language", _KINDS)]
     name = f"{_name(instance(model, 'model', RobotModel))}_effort{kind.suffix}"
     return {file_path(folder) / name: _source(model, kind, 0.0)}
 

@@ -33,9 +33,9 @@ def inverse_dynamics_formula(
         vd: (nv,) accelerations.
         phi: (nb, 10) inertial parameters.
     """
-    motions: list[_Motion] = []
+    motions: list[_MovedBody] = []
     for mobilizer in tree.mobilizers:
-        inboard = motions[mobilizer.parent] if mobilizer.parent >= 0 else _base(tree, mobilizer)
+        inboard = motions[mobilizer.parent] if mobilizer.parent >= 0 else _world(tree, mobilizer)
         motions.append(_moved(mobilizer, inboard, (q, v, vd)))
     effort = Symbols.of(np.zeros(tree.num_velocities))
     wrenches = [
@@ -54,14 +54,19 @@ def inverse_dynamics_formula(
 
 
 def cross(a: Any, b: Any) -> Formulas:
-    """The cross product of two vectors (3,)."""
+    """The cross product of two vectors.
+
+    Args:
+        a: (3,) the first one.
+        b: (3,) the second one.
+    """
     return Symbols.of(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
+class _MovedBody:
     """How a body B stands to P inboard of it; ω, α, and the acceleration of Bo, in B."""
 
     R_PB: Formulas
@@ -83,15 +88,15 @@ class _Motion:
         return Symbols.of(turning + cross(phi[1:4], self.a))
 
 
-def _base(tree: KinematicTree, mobilizer: Mobilizer) -> _Motion:
+def _world(tree: KinematicTree, mobilizer: Mobilizer) -> _MovedBody:
     """The world, which is accelerated against gravity."""
     still, unit = Symbols.of(np.zeros(3)), Symbols.of(np.eye(3))
-    return _Motion(unit, still, still, still, Symbols.of(-tree.gravity * mobilizer.gravity))
+    return _MovedBody(unit, still, still, still, Symbols.of(-tree.gravity * mobilizer.gravity))
 
 
 def _moved(
-    mobilizer: Mobilizer, inboard: _Motion, samples: tuple[Formulas, Formulas, Formulas]
-) -> _Motion:
+    mobilizer: Mobilizer, inboard: _MovedBody, samples: tuple[Formulas, Formulas, Formulas]
+) -> _MovedBody:
     q, v, vd = samples
     R, p = _pose(mobilizer, q)
     joint, own = mobilizer.motion, mobilizer.velocities
@@ -102,7 +107,7 @@ def _moved(
     a = a + cross(w_P, cross(w_P, p) + slide) + cross(w_P, slide)
     w, wd, a = R.T @ (w_P + turned), R.T @ wd, R.T @ a
     shift = mobilizer.p_MoBo_B
-    return _Motion(R, p, w, wd, a + cross(wd, shift) + cross(w, cross(w, shift)))
+    return _MovedBody(R, p, w, wd, a + cross(wd, shift) + cross(w, cross(w, shift)))
 
 
 def _pose(mobilizer: Mobilizer, q: Formulas) -> tuple[Formulas, Formulas]:
