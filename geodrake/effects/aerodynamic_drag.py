@@ -88,6 +88,26 @@ class AerodynamicDrag(BodyEffect):
         calc_drag_columns(parts, contiguous(motion.v), np.array(body.dofs), center, columns)
         return {motion.joints[dof]: columns[:, k] for k, dof in enumerate(body.dofs)}
 
+    def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The same, along the Jacobian of P."""
+        bodies = motion.body_motions(self.name)
+        body = bodies.motion(self.body)
+        J = body.jacobian_at(self.center(bodies.mass_center(self.body)))
+        v = motion.v[..., None]
+        u, w = (J @ v)[..., 0], (body.angular @ v)[..., 0]
+        speed = np.sqrt((u * u).sum(-1))[:, None]
+        along = u / np.maximum(speed, _LEAST_SPEED)
+        forces, moments = [speed * u], [np.zeros_like(u)]
+        for axis in range(3):
+            step = body.rotation[:, :, axis]
+            change = np.cross(w, step)
+            forces.append(speed * change + (u * change).sum(-1)[:, None] * along)
+            moments.append(np.cross(step, speed * u))
+        force, moment = (np.stack(some, -1) for some in (forces, moments))
+        turned = np.moveaxis(body.angular, 1, 2) @ moment
+        columns = np.moveaxis(J, 1, 2) @ force + turned
+        return {motion.joints[dof]: columns[:, dof] for dof in body.dofs}
+
 
 @compiled
 def calc_drag_columns(

@@ -145,6 +145,14 @@ class Effect(CheckedFields, abc.ABC):
             joint is columns @ parameters. Effects *add* to the effort needed.
         """
 
+    def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """`rows` by functions of NumPy's alone, for what records them (`geodrake.model.source`).
+
+        An effect whose `rows` run compiled code defines it, too. One that depends on the time or
+        on history is as if it had gone on for long.
+        """
+        return self.rows(motion)
+
     def regressor(self, motion: RobotMotion) -> Array:
         """The dense regressor Y_e, (N, nv, k)."""
         dense = np.zeros((len(motion.v), len(motion.joints), len(self.parameters)))
@@ -326,6 +334,14 @@ class JointEffect(Effect):
         """
         columns = self.columns(motion.joint(self.joint))
         return {self.joint: stacked(self, columns, self.joint, len(motion.v))}
+
+    def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The columns at the joint itself; see `Effect.formula_rows`."""
+        if type(self).rows is not JointEffect.rows and not self.depends_on & {"time", "history"}:
+            return self.rows(motion)
+        columns = self.columns(motion.joint(self.joint))
+        shaped = [np.broadcast_to(column, (len(motion.v),)) for column in columns]
+        return {self.joint: np.stack(shaped, -1)}
 
     def slopes(self, joint: JointMotion) -> Sequence[Mapping[str, ArrayLike]] | None:
         """Of each column, its derivatives by `JointMotion` field; fields left out have none.

@@ -23,7 +23,7 @@ class EffortDelay(Effect):
 
     It has no columns of its own but shifts those of everything else: `delayed` turns the needed
     efforts, or the regressor columns that they come from, into what the log shows. Shift before
-    filtering. In a simulation it is `geodrake.control.systems.DelayedEffort`.
+    filtering. In a simulation it is `geodrake.control.DelayedEffort`.
 
     Attributes:
         delay: δ, s; negative if the efforts are ahead.

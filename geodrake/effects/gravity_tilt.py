@@ -77,6 +77,19 @@ class GravityTilt(RobotEffect):
         columns = bodies.gravity_efforts(self._change(bodies.gravity))
         return {joint: columns[:, i] for i, joint in enumerate(motion.joints)}
 
+    def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
+        """The same, as the weights of all bodies along their Jacobians."""
+        bodies = motion.body_motions(self.name)
+        change = self._change(bodies.gravity)
+        columns: Array = np.zeros((len(motion.joints), 2))
+        for mobilizer in bodies.tree.mobilizers:
+            m, *h = bodies.phi[mobilizer.body, :4].tolist() if mobilizer.body >= 0 else (0.0,)
+            if m > 0.0 and mobilizer.gravity:
+                body = bodies.motion(bodies.tree.bodies[mobilizer.body])
+                J = body.jacobian_at(np.array(h) / m)[0]
+                columns = columns - m * (J.T @ change)
+        return {joint: columns[None, i] for i, joint in enumerate(motion.joints)}
+
     def _change(self, gravity: Array) -> Array:
         """(3, 2) change of gravity for each radian, m/s²."""
         about, axes = self._about, np.eye(3)[:2]

@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, DiagramBuilder
 
-from geodrake.boundary.arguments import instance, instances, one_or_each, real_array
+from geodrake.boundary.arguments import (
+    instance,
+    instances,
+    number,
+    one_or_each,
+    real_array,
+)
 from geodrake.boundary.showing import Short
 from geodrake.effects import JointSpring, RobotMotion, Role, catalogue
 from geodrake.effects.body_motion import RobotBodies
@@ -22,6 +29,12 @@ from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.model.simulation.robot_in_diagram import (
+    DiagramOptions,
+    FittedRobot,
+    RobotInDiagram,
+    add_robot,
+)
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
@@ -233,6 +246,11 @@ class RobotModel(Short):
         starts = self._single_joints[0]
         return tuple(self.joints[i] for i in starts if self._joint_type(i) == "prismatic")
 
+    @property
+    def position_places(self) -> dict[int, int]:
+        """Where in q the position of each velocity is that belongs to a single-degree joint."""
+        return dict(zip(*self._single_joints, strict=True))
+
     @cached_property
     def _single_joints(self) -> tuple[list[int], list[int]]:
         plant = self.plant
@@ -243,11 +261,62 @@ class RobotModel(Short):
     def create_context(self) -> Context:
         """A default Context of the plant with the model's inertial parameters, payloads included.
 
-        The plant itself keeps the inertias of its file; effects are for `geodrake.control.systems`.
+        The plant itself keeps the inertias of its file; effects are for `add_to_builder`.
         """
         context = self.plant.CreateDefaultContext()
         set_inertial_parameters(self.plant, context, self.total_phi)
         return context
+
+    def add_to_builder(
+        self,
+        builder: DiagramBuilder,
+        *,
+        time_step: float = 0.0,
+        scene_graph: SceneGraph | bool | None = None,
+        name: str = "plant",
+        sign_width: ArrayLike = 1e-2,
+        log: str | None = None,
+    ) -> RobotInDiagram:
+        """Adds the model to a Drake diagram: inertias, payloads, effects and delays, each once.
+
+            builder = DiagramBuilder()
+            robot = model.add_to_builder(builder)
+            builder.Connect(controller.get_output_port(), robot.effort)
+            builder.Connect(robot.state, controller.get_input_port())
+
+        The plant has the model's inertias by default, so any Context of the diagram does. Efforts
+        belong at the port `effort`, where effects see them, and not at the plant's own ports.
+        Delays shift `logged_effort`; a negative one, of efforts that are logged ahead, delays
+        those that act. Hidden states of effects start at zero
+        (`EffectForce.set_hidden_states`). Effects are computed in Python: the diagram is for
+        simulation with doubles.
+
+        Args:
+            builder: The diagram's builder.
+            time_step: That of the plant, s; 0 for a continuous one.
+            scene_graph: A SceneGraph of the builder that is to know the robot's visual geometry,
+                or True for a new one; a MeshcatVisualizer may be added to it.
+            name: Name of the plant; several robots in a diagram need different ones.
+            sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
+                velocities or (nv,). See `EffectForce` for what it means for steps.
+            log: Name of the log that is simulated, in which the model's contacts act.
+
+        Raises:
+            ArgumentError: An argument is none of these.
+            ModelError: The model's file is gone, or Drake refuses its inertial parameters.
+        """
+        instance(builder, "builder", DiagramBuilder)
+        if scene_graph is not None:
+            instance(scene_graph, "scene_graph", (SceneGraph, bool))
+        options = DiagramOptions(
+            number(time_step, "time_step", lower=0.0),
+            scene_graph,
+            instance(name, "name", str),
+            self.sign_widths(sign_width),
+            log,
+        )
+        robot = FittedRobot(self.path, self.floating, self.total_phi, self.effects)
+        return add_robot(builder, robot, options)
 
     def with_fit(
         self,

@@ -2,9 +2,10 @@
 
 # Drake reads the schema from the annotations themselves, so they must not be strings here.
 import dataclasses as dc
-import hashlib
 import os
 import re
+import shlex
+import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -20,8 +21,10 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import write_whole
 from geodrake.boundary.yaml_text import yaml_text
 from geodrake.effects import Effect, FittedEffect, effect_class, make_effect
-from geodrake.errors import ArgumentError, GeodrakeError, ModelError, OutputError
+from geodrake.effects.column_checks import of_geodrake
+from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.model.admissible import check_model
+from geodrake.model.base_file import digest, existing_base, find_base, is_file
 from geodrake.model.robot_model import RobotModel, load_description
 
 T = TypeVar("T")
@@ -32,9 +35,16 @@ _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 @dataclass
 class SavedEffect:
-    """One effect: its name, place, shape and parameters."""
+    """One effect: its name, place, shape and parameters; one of the user's own, its file and class.
+
+    Attributes:
+        file: Path of the Python file that defines it, relative to this one; empty for geodrake's.
+        class_name: Its class there.
+    """
 
     name: str = ""
+    file: str = ""
+    class_name: str = ""
     where: list[str] = dc.field(default_factory=list)
     shape: dict[str, float] = dc.field(default_factory=dict)
     parameters: list[float] = dc.field(default_factory=list)
@@ -47,7 +57,8 @@ class SavedModel:
 
     Attributes:
         format: Name and version of the format.
-        base_model: Path of the model file, relative to this one.
+        base_model: Path of the model file, relative to this one, so that both may move together.
+        base_absolute: Its absolute path when the model was saved, if only this file has moved.
         base_sha256: Digest of the model file when the model was saved.
         floating: Whether free roots float.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
@@ -61,6 +72,7 @@ class SavedModel:
 
     format: str = FORMAT
     base_model: str = ""
+    base_absolute: str = ""
     base_sha256: str = ""
     floating: bool = False
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
@@ -108,7 +120,8 @@ def save_model(model: RobotModel, path: str | Path) -> None:
 
     Args:
         model: The model.
-        path: Target, a YAML file; the base model's path is written relative to it.
+        path: Target, a YAML file. The base model's path is written relative to it, so that both can
+            be moved together; it is also looked for beside it, and where it was.
 
     Raises:
         OutputError: The target cannot be written.
@@ -127,15 +140,17 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
     Raises:
         OutputError: The model file is gone, or its path is none that YAML can hold.
     """
-    base = _base_of(instance(model, "model", RobotModel))
+    base = existing_base(instance(model, "model", RobotModel).path)
+    folder = Path(path).resolve().parent
     saved = SavedModel(
-        base_model=os.path.relpath(base, Path(path).resolve().parent),
-        base_sha256=hashlib.sha256(base.read_bytes()).hexdigest(),
+        base_model=os.path.relpath(base, folder),
+        base_absolute=str(base),
+        base_sha256=digest(base),
         floating=model.floating,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
-        effects=[_saved_effect(fitted) for fitted in model.effects],
+        effects=[_saved_effect(fitted, folder) for fitted in model.effects],
         effort_noise=_by_joint(model, model.effort_noise),
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
@@ -145,35 +160,30 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
     return str(yaml_dump_typed(saved, schema=SavedModel))
 
 
-def _base_of(model: RobotModel) -> Path:
-    """Path of the model file, which the saved model needs to be read again."""
-    base = model.path.resolve()
-    if not base.is_file():
-        raise OutputError(
-            f"Cannot save the model: its file {base} is gone.", advice="Put it back.", path=base
-        )
-    try:
-        str(base).encode()
-    except UnicodeEncodeError as error:
-        raise OutputError(
-            f"Cannot save the model: the path of its file {base} is not UTF-8.",
-            advice="Rename the file or its folder.",
-            path=base,
-        ) from error
-    return base
-
-
 def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
     return {} if values is None else dict(zip(model.joints, values.tolist(), strict=True))
 
 
-def _saved_effect(fitted: FittedEffect) -> SavedEffect:
-    effect = fitted.effect
+def _saved_effect(fitted: FittedEffect, folder: Path) -> SavedEffect:
+    effect, kind = fitted.effect, type(fitted.effect)
+    own = {} if of_geodrake(kind) else {"class_name": kind.__name__, "file": _file_of(kind, folder)}
     shape = {name: float(value) for name, value in effect.shape.items() if value is not None}
     deviations = [] if fitted.deviations is None else fitted.deviations.tolist()
     return SavedEffect(
-        effect.name, list(effect.where), shape, fitted.parameters.tolist(), deviations
+        name=effect.name,
+        where=list(effect.where),
+        shape=shape,
+        parameters=fitted.parameters.tolist(),
+        deviations=deviations,
+        **own,
     )
+
+
+def _file_of(kind: type[Effect], folder: Path) -> str:
+    """Path of the file that defines a class, from a folder; nothing if that cannot be told."""
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    relative = "" if file is None else os.path.relpath(Path(file).resolve(), folder)
+    return relative if relative.isprintable() else ""
 
 
 def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
@@ -213,13 +223,23 @@ def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]])
             effect_class(effect.name, extra)
         except ArgumentError as error:
             near = error.evidence.get("nearest")
+            own = f", of the class {effect.class_name}" if effect.class_name else ""
             raise ModelError(
-                f"{path} has the effect {effect.name!r}, which geodrake does not know.",
-                advice="If it is one of your own, give its file: --effects FILE.py (from Python: "
-                "load_model(path, extra=…))."
-                + (f" Or was {', '.join(near)} meant?" if near else ""),
+                f"{path} has the effect {effect.name!r}{own}, which geodrake does not know.",
+                advice=f"{_how_to_give(path, effect)} (from Python: load_model(path, extra=…))."
+                + (f" Or was {', '.join(near)} meant?" if near and not effect.file else ""),
                 path=path,
             ) from error
+
+
+def _how_to_give(path: Path, effect: SavedEffect) -> str:
+    """How to give the file of an effect of the user's own."""
+    if not effect.file:
+        return "If it is one of your own, give its file: --effects FILE.py"
+    file = path.parent / effect.file
+    if is_file(file):
+        return f"Give its file: --effects {shlex.quote(os.path.relpath(file))}"
+    return f"Give its file, which was {file.name!r}: --effects FILE.py"
 
 
 def _odd_field(text: str) -> str:
@@ -234,27 +254,19 @@ def _odd_field(text: str) -> str:
 
 
 def _base_of_saved(path: Path, saved: SavedModel) -> Path:
-    """The model file that a saved model is based on."""
-    base = path.resolve().parent / saved.base_model
-    try:
-        regular_file(base, "file", ModelError)
-    except ModelError as error:
-        raise ModelError(
-            f"{path} is based on {saved.base_model!r}, which cannot be read. {error.problem}",
-            advice="Move it back, or change base_model in the saved model.",
-            base=base,
-        ) from error
-    if is_saved_model(base):
-        raise ModelError(
-            f"{path} is based on {saved.base_model!r}, which is a saved model itself.",
-            advice="Change base_model to the URDF, SDF, MJCF or directives file.",
-            base=base,
-        )
+    """The model file that a saved model is based on, wherever it is now."""
     if not _DIGEST.fullmatch(saved.base_sha256):
         raise ModelError(
             f"{path} has base_sha256 = {saved.base_sha256[:80]!r}, which is no SHA-256 digest.",
             advice="Save the model again.",
             path=path,
+        )
+    base = find_base(path, saved.base_model, saved.base_absolute, saved.base_sha256)
+    if is_saved_model(base):
+        raise ModelError(
+            f"{path} is based on {saved.base_model!r}, which is a saved model itself.",
+            advice="Change base_model to the URDF, SDF, MJCF or directives file.",
+            base=base,
         )
     return base
 
@@ -273,7 +285,7 @@ def _with_parameters(
             raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
         information = np.array(rows)
     notes = model.notes
-    if hashlib.sha256(base.read_bytes()).hexdigest() != saved.base_sha256:
+    if digest(base) != saved.base_sha256:
         notes += (f"{base.name} has changed since the model was saved.",)
     return replace(
         model,

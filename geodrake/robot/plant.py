@@ -26,12 +26,19 @@ from pydrake.systems.framework import Context
 
 from geodrake.boundary.arguments import real_array
 from geodrake.errors import ModelError
-from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_spatial_inertia
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    Array,
+    inertial_parameters,
+    to_spatial_inertia,
+)
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.files import ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.repairs import Repair, repair_inertias
+
+_SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 
 
 @dataclass(frozen=True)
@@ -69,7 +76,13 @@ class LoadedPlant:
         }
 
 
-def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
+def load_plant(
+    path: str | Path,
+    *,
+    floating: bool = False,
+    phi: ArrayLike | None = None,
+    into: MultibodyPlant | None = None,
+) -> LoadedPlant:
     """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
@@ -79,16 +92,28 @@ def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
         path: The model file; the root element, not the suffix, decides between the XML formats.
         floating: Leave bodies free that the file does not attach to the world; otherwise each
             root is welded to the world where the file puts it.
+        phi: (nb, 10) inertial parameters in place of the file's; the representative of each lumped
+            body has all of it.
+        into: An empty plant to load the robot into, which is finalized; by default a new one,
+            continuous in time.
 
     Raises:
-        ModelError: The file cannot be read, is no robot description, or nothing moves in it.
+        ModelError: The file cannot be read, is no robot description, or nothing moves in it; or
+            Drake refuses the inertial parameters that are given.
     """
     path = Path(path)
     with drake_messages() as messages:
         description = read_description(path)
         draft = _build(description, floating=floating)
         repairs, repair_notes, changed = repair_inertias(description, draft.plant)
-        built = _build(description, floating=floating) if changed else draft
+        if phi is not None:
+            _write_inertias(description, draft.plant, phi)
+            changed = True
+        built = draft
+        if changed or into is not None:
+            built = _build(description, floating=floating, plant=into)
+        if phi is not None:
+            _check_inertias(built.plant, phi, path)
     notes = (*description.notes, *built.notes, *repair_notes, *_relevant(messages))
     return LoadedPlant(
         built.plant,
@@ -112,8 +137,10 @@ class _Built:
     springs: Array
 
 
-def _build(description: ModelDescription, *, floating: bool) -> _Built:
-    plant = MultibodyPlant(time_step=0.0)
+def _build(
+    description: ModelDescription, *, floating: bool, plant: MultibodyPlant | None = None
+) -> _Built:
+    plant = MultibodyPlant(time_step=0.0) if plant is None else plant
     description.add_to(plant)
     with drake_errors(description.path):
         notes = [*_root_notes(plant, floating=floating)]
@@ -160,6 +187,31 @@ def _build(description: ModelDescription, *, floating: bool) -> _Built:
         rotor_inertia=per_velocity(rotor),
         springs=np.array([per_velocity(values) for values in of_springs]),
     )
+
+
+def _write_inertias(description: ModelDescription, plant: MultibodyPlant, phi: ArrayLike) -> None:
+    """Writes inertial parameters (nb, 10) into a description whose plant is known."""
+    lumps = lumped_bodies(plant)
+    phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
+    for body, parameters in zip(lumps, phi, strict=True):
+        for member in body.members:
+            own = parameters if member.index == body.body_index else None
+            description.set_inertia(plant.get_body(member.index).scoped_name().get_full(), own)
+
+
+def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
+    """Refuses a plant that has other inertial parameters than were written: no text took them."""
+    there, wanted = inertial_parameters(plant), np.asarray(phi, float)
+    size = np.abs(wanted).max(axis=1)
+    wrong = np.flatnonzero(np.abs(there - wanted).max(axis=1) > _SAME * size)
+    if len(wrong):
+        body = lumped_bodies(plant)[wrong[0]].name
+        raise ModelError(
+            f"A plant of {path} cannot have the inertial parameters of {body!r} by default: they "
+            f"are {wanted[wrong[0]].tolist()}, of which Drake makes {there[wrong[0]].tolist()}.",
+            advice="Use the model's plant, and its create_context() in a simulation.",
+            body=body,
+        )
 
 
 def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:

@@ -1510,6 +1510,18 @@ def _files(t):
         "save_model",
         Call(geodrake.save_model, {"model": t.model, "path": folder() / "saved.yaml"}),
     )
+    for name in ("python_source", "cpp_source"):
+        call = Call(
+            getattr(geodrake.model, name), {"model": t.model, "sign_width": 0.01 * np.ones(2)}
+        )
+        yield f"source.files.{name}", call
+    yield (
+        "source.files.source_files",
+        Call(
+            geodrake.model.source.source_files,
+            {"model": t.model, "folder": folder(), "language": "cpp"},
+        ),
+    )
     yield "export.export_model", Call(geodrake.model.export.export_model, {"model": t.model})
     yield (
         "export.save_export",
@@ -1575,6 +1587,20 @@ def _files(t):
         "model.RobotModel.positions",
         Call(
             model.positions, {"by_joint": t.q}, {"by_joint": ("NaN at one place",)}, infinite=True
+        ),
+    )
+    yield (
+        "model.RobotModel.add_to_builder",
+        Call(
+            model.add_to_builder,
+            {
+                "builder": Fresh(DiagramBuilder),
+                "time_step": 0.001,
+                "scene_graph": Free(True),
+                "name": Free("arm"),
+                "sign_width": np.full(2, 0.01),
+                "log": Free("swing"),
+            },
         ),
     )
     yield "model.RobotModel.sign_widths", Call(model.sign_widths, {"least": np.full(2, 0.01)})

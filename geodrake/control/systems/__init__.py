@@ -7,8 +7,6 @@ from geodrake.control.systems.adaptive_computed_torque_controller import (
 )
 from geodrake.control.systems.adaptive_controller import AdaptiveController
 from geodrake.control.systems.bregman_projection_estimator import BregmanProjectionEstimator
-from geodrake.control.systems.delayed_effort import DelayedEffort
-from geodrake.control.systems.effect_force import EffectForce
 from geodrake.control.systems.log_source import LogSource
 from geodrake.control.systems.model_residual import ModelResidual
 from geodrake.control.systems.passivity_based_adaptive_controller import (
@@ -18,6 +16,8 @@ from geodrake.control.systems.passivity_based_adaptive_controller import (
 )
 from geodrake.control.systems.safeguards import Safeguards
 from geodrake.control.systems.tracking import add_tracking_drives
+from geodrake.model.simulation.delayed_effort import DelayedEffort
+from geodrake.model.simulation.effect_force import EffectForce
 
 __all__ = [
     "AdaptiveComputedTorqueController",

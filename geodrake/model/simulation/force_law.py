@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -22,7 +22,7 @@ from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.inertia.bodies import Member, check_plant, lumped_bodies
-from geodrake.model.admissible import check_effect
+from geodrake.model.admissible_effect import check_effect
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import joint_names, set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics_regressor
@@ -31,6 +31,9 @@ _LOAD_ITERATIONS = 200
 _LOAD_TOLERANCE = 1e-10
 
 _Pairs = list[tuple[Effect, Array]]
+
+EffectWithValues = FittedEffect | tuple[Effect, ArrayLike]
+"""An effect with its linear parameters μ, as a model has it or as a pair."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,28 +121,41 @@ class ForceLaw:
             for member in body.members
         }
 
-    def set_inertial_parameters(self, phi: ArrayLike) -> None:
-        """Inertial parameters (nb, 10) instead of the default ones."""
-        set_inertial_parameters(self._plant, self._context, phi)
-        self._phi = real_array(phi, "phi")
-
     @cached_property
     def _tree(self) -> KinematicTree:
         return KinematicTree.from_plant(self._plant)
 
-    def sort(self, effects: Sequence[tuple[Effect, ArrayLike]]) -> SortedEffects:
-        """Checks effects, and sorts them by what they depend on."""
+    def sort(
+        self, effects: Iterable[EffectWithValues], phi: ArrayLike | None = None
+    ) -> SortedEffects:
+        """Checks effects, and sorts them by what they depend on.
+
+        Args:
+            effects: The effects with their parameters.
+            phi: (nb, 10) inertial parameters of the plant instead of its default ones.
+        """
+        if phi is not None:
+            set_inertial_parameters(self._plant, self._context, phi)
+            self._phi = real_array(phi, "phi")
         direct, accelerated, loaded = _Pairs(), _Pairs(), _Pairs()
         gain, still = np.ones(len(self._joints)), self._trial(*np.zeros((3, 1, len(self._joints))))
         for effect, values in _pairs(effects):
             if effect.role is Role.DELAY:
                 raise ArgumentError(
-                    "A delay is not a force.", advice="Use geodrake.control.systems.DelayedEffort."
+                    "A delay is not a force.",
+                    advice="Use geodrake.control.DelayedEffort, or RobotModel.add_to_builder, "
+                    "which does.",
                 )
             if effect.role is Role.DEFLECTION:
                 raise ArgumentError(
                     f"{effect.name} is no force on a robot whose state is that of its links.",
                     advice="Leave it out, or put a motor's body and a spring into the plant.",
+                )
+            if effect.role is Role.BODY and phi is not None:
+                raise ArgumentError(
+                    f"The payload of {effect.place} would count twice, in phi and as an effect.",
+                    advice="Leave it out of the effects where phi is model.total_phi, or let "
+                    "RobotModel.add_to_builder put the model together.",
                 )
             mu = _admissible(effect, values)
             if effect.role is Role.SCALE:
@@ -332,9 +348,12 @@ def _admissible(effect: Effect, values: ArrayLike) -> Array:
     return fitted.parameters
 
 
-def _pairs(effects: Sequence[tuple[Effect, ArrayLike]]) -> tuple[tuple[Effect, ArrayLike], ...]:
-    """Effects with what belongs to them, as pairs."""
-    for pair in (given := instances(effects, "effects", tuple)):
+def _pairs(effects: Iterable[EffectWithValues]) -> list[tuple[Effect, ArrayLike]]:
+    """Effects with their parameters, as pairs."""
+    pairs = []
+    for given in instances(effects, "effects", (tuple, FittedEffect)):
+        pair = (given.effect, given.parameters) if isinstance(given, FittedEffect) else given
         if len(pair) != 2 or not isinstance(pair[0], Effect):
-            raise ArgumentError(f"effects must be pairs of an Effect and its μ; got {pair!r}.")
-    return given
+            raise ArgumentError(f"effects must be pairs of an Effect and its μ; got {given!r}.")
+        pairs.append(pair)
+    return pairs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +16,11 @@ from pydrake.systems.framework import (
 )
 
 from geodrake.boundary.arguments import instance, real_array
-from geodrake.control.systems.force_law import ForceLaw
 from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw
 
 
 class EffectForce(LeafSystem):
@@ -71,7 +71,7 @@ class EffectForce(LeafSystem):
     def __init__(
         self,
         plant: MultibodyPlant,
-        effects: Sequence[tuple[Effect, ArrayLike]],
+        effects: Iterable[EffectWithValues],
         *,
         sign_width: ArrayLike = 1e-2,
         phi: ArrayLike | None = None,
@@ -81,25 +81,26 @@ class EffectForce(LeafSystem):
 
         Args:
             plant: A finalized plant, with the joints and bodies that the effects name.
-            effects: Effects and their linear parameters μ, in SI units.
+            effects: Effects with their linear parameters μ, in SI units: such as those of a model,
+                or pairs of an effect and μ.
             sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
                 has those of a fitted model); one for all velocities
                 or (nv,).
             phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
-                than the default ones; such as `model.total_phi`.
+                than the default ones; such as `model.total_phi`, which has the payloads: these are
+                then no effects.
             log: Name of the log that is simulated; None for none.
 
         Raises:
-            ArgumentError: An effect does not fit the plant, or parameters are not on the manifold
-                of their effect, as negative friction is not.
+            ArgumentError: An effect does not fit the plant, parameters are not on the manifold
+                of their effect, as negative friction is not, or a payload is among the effects
+                although `phi` is given.
         """
         LeafSystem.__init__(self)
         self._law = ForceLaw(
             plant, sign_width, 0 if log is None else log_number(instance(log, "log", str))
         )
-        if phi is not None:
-            self._law.set_inertial_parameters(phi)
-        self._effects = self._law.sort(effects)
+        self._effects = self._law.sort(effects, phi)
         nq, nv = plant.num_positions(), plant.num_velocities()
         self._nq = nq
         self._state_port = self.DeclareVectorInputPort("state", BasicVector(nq + nv))
@@ -120,12 +121,15 @@ class EffectForce(LeafSystem):
     def AddToBuilder(
         builder: DiagramBuilder,
         plant: MultibodyPlant,
-        effects: Sequence[tuple[Effect, ArrayLike]],
+        effects: Iterable[EffectWithValues],
         *,
         sign_width: ArrayLike = 1e-2,
+        phi: ArrayLike | None = None,
         log: str | None = None,
     ) -> EffectForce:
         """Adds the system and connects it to a plant's state and generalized force ports.
+
+        `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
 
         `applied_effort` is left to be connected. If other generalized forces act on the plant, sum
         them in an Adder and use the constructor instead.
@@ -133,16 +137,19 @@ class EffectForce(LeafSystem):
         Args:
             builder: The diagram's builder.
             plant: A finalized plant that was added to it.
-            effects: Effects with their parameters.
+            effects: Effects with their parameters, as for the constructor.
             sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
                 or (nv,).
+            phi: As for the constructor.
             log: Name of the log that is simulated; None for none.
 
         Returns:
             The system.
         """
         instance(builder, "builder", DiagramBuilder)
-        system = builder.AddSystem(EffectForce(plant, effects, sign_width=sign_width, log=log))
+        system = builder.AddSystem(
+            EffectForce(plant, effects, sign_width=sign_width, phi=phi, log=log)
+        )
         builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
         builder.Connect(
             system.GetOutputPort("generalized_force"),

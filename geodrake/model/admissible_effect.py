@@ -1,0 +1,89 @@
+"""What the parameters of a body and of an effect must be: those that exist.
+
+Fits end at bounds and at the edge of the cone of physical inertias, so bounds themselves are
+admitted, and what rounding and the tolerance of solvers put beyond them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geodrake.boundary.arguments.arrays import LARGEST
+from geodrake.effects import FittedEffect
+from geodrake.errors import ModelError
+from geodrake.inertia import PARAMETER_NAMES, Array, is_physical, pseudo_inertia
+from geodrake.manifolds import Interval, PhysicalInertia
+
+ROUNDING = 1e-6
+"""Of the largest eigenvalue, entry or parameter beside it: what may be beyond an edge."""
+
+_LEAST = 1e-9  # of a parameter beyond a bound, in its unit
+
+
+def check_body(what: str, phi: Array) -> None:
+    """Refuses inertial parameters (10,) of no body.
+
+    Args:
+        what: What they are, for the message.
+        phi: The parameters.
+
+    Raises:
+        ModelError: The message has the values.
+    """
+    _check_finite(what, PARAMETER_NAMES, phi)
+    if phi[0] < 1.0 / LARGEST:
+        raise ModelError(f"{what} have a mass of {phi[0]:g} kg.")
+    if not is_physical(phi, tolerance=-ROUNDING):
+        least, *_, most = np.linalg.eigvalsh(pseudo_inertia(phi))
+        raise ModelError(
+            f"{what} are those of no body: the pseudo inertia P(φ) must be positive definite, and "
+            f"has eigenvalues from {least:.3g} to {most:.3g}."
+        )
+
+
+def check_effect(fitted: FittedEffect) -> None:
+    """Refuses parameters beyond the manifold of their effect, as negative friction is.
+
+    Raises:
+        ModelError: The message has the parameter and the value.
+    """
+    effect, what = fitted.effect, f"parameters of {place_of(fitted)}"
+    names = [parameter.name for parameter in effect.parameters]
+    for key, value in effect.shape.items():
+        if isinstance(value, float) and not abs(value) <= LARGEST:
+            raise ModelError(f"shape of {place_of(fitted)} has {key} = {value:g}.")
+    _check_finite(what, names, fitted.parameters)
+    manifold, values = effect.manifold, fitted.parameters
+    if isinstance(manifold, Interval):
+        margin = _LEAST + ROUNDING * np.abs(values).max(initial=0.0)
+        for name, value, low, high in zip(
+            names, values, manifold.lower, manifold.upper, strict=True
+        ):
+            if not low - margin <= value <= high + margin:
+                raise ModelError(f"{what} have {name} = {value:g}, outside [{low:g}, {high:g}].")
+    elif isinstance(manifold, PhysicalInertia):
+        check_body(what, values)
+    elif not manifold.contains(values):
+        raise ModelError(f"{what} are {values.tolist()}, outside of what the effect allows.")
+    for name, value in zip(names, _none_as_empty(fitted.deviations), strict=False):
+        if not value >= 0.0:
+            raise ModelError(
+                f"deviations of {place_of(fitted)} have {name} = {value:g}, which is less than 0."
+            )
+
+
+def _check_finite(what: str, names: Sequence[str], values: Array) -> None:
+    for name, value in zip(names, values, strict=True):
+        if not abs(value) <= LARGEST:
+            raise ModelError(f"{what} have {name} = {value:g}.")
+
+
+def _none_as_empty(values: Array | None) -> Array:
+    return np.zeros(0) if values is None else values
+
+
+def place_of(fitted: FittedEffect) -> str:
+    """An effect and where it is, in words."""
+    return f"{fitted.effect.name} at {fitted.effect.place}"

@@ -1,0 +1,81 @@
+"""The model file that a saved model is based on: named when it is saved, found when it is read."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from geodrake.boundary.input_files import regular_file
+from geodrake.errors import ModelError, OutputError
+
+
+def existing_base(path: Path) -> Path:
+    """Absolute path of the model file, which a saved model needs to be read again.
+
+    Raises:
+        OutputError: The file is gone, or its path is none that YAML can hold.
+    """
+    base = path.resolve()
+    if not base.is_file():
+        raise OutputError(
+            f"Cannot save the model: its file {base} is gone.", advice="Put it back.", path=base
+        )
+    try:
+        str(base).encode()
+    except UnicodeEncodeError as error:
+        raise OutputError(
+            f"Cannot save the model: the path of its file {base} is not UTF-8.",
+            advice="Rename the file or its folder.",
+            path=base,
+        ) from error
+    return base
+
+
+def find_base(path: Path, relative: str, absolute: str, sha256: str) -> Path:
+    """The model file that a saved model is based on, wherever both are now.
+
+    Both may have moved together, or into one folder, or the model file stayed where it was. Where
+    there are several files, it is the one that is as it was when the model was saved.
+
+    Args:
+        path: The saved model.
+        relative: Path of the model file from there when it was saved.
+        absolute: Its absolute path then; empty if that is not known.
+        sha256: Its digest then.
+
+    Raises:
+        ModelError: There is no such file.
+    """
+    folder = path.resolve().parent
+    places = [folder / relative, folder / Path(relative).name]
+    if absolute:
+        places.append(Path(absolute))
+    there = [place for place in places if is_file(place)] or places[:1]
+    base = there[0]
+    if there[1:]:
+        base = next((place for place in there if digest(place) == sha256), base)
+    try:
+        return regular_file(base, "file", ModelError)
+    except ModelError as error:
+        raise ModelError(
+            f"{path} is based on {relative!r}, which cannot be read. {error.problem}",
+            advice="Move it back or beside the saved model, or change base_model there.",
+            base=base,
+        ) from error
+
+
+def is_file(path: Path) -> bool:
+    """Whether there is a file; no name that no file can have is an error."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file; nothing if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""

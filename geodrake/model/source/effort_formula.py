@@ -1,0 +1,125 @@
+"""The effort that a model needs, as formulas of q, v and v̇."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from geodrake.effects import FittedEffect, RobotMotion, Role
+from geodrake.effects.column_checks import line_of
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import Array
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.source.rigid_bodies import BodyFormulas, inverse_dynamics_formula
+from geodrake.model.source.symbols import Formulas, Operand, Symbols
+
+_NOT_INCLUDED = {
+    Role.DELAY: "logged efforts lag behind what is needed by it",
+    Role.DEFLECTION: "it depends on how the motion goes on",
+    Role.EPISODE: "it belongs to one log",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class EffortFormula:
+    """Efforts as formulas, and what they are without.
+
+    Attributes:
+        efforts: (nv) formulas of the entries of q, v and vd, or numbers.
+        included: The effects that they have, in words.
+        left_out: The effects that they have not, or not as they are, with the reason.
+    """
+
+    efforts: tuple[Operand, ...]
+    included: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
+    """The effort that a model needs for a motion.
+
+    Args:
+        model: The model.
+        sign_width: Speed below which dry friction fades, at least; see `RobotModel.sign_widths`.
+
+    Raises:
+        ModelError: An effect cannot be written.
+    """
+    nv = len(model.joints)
+    q = Symbols.inputs("q", model.plant.num_positions())
+    v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
+    load = inverse_dynamics_formula(model.tree, q, v, vd, model.total_phi)
+    seen = RobotMotion(
+        model.joints,
+        _by_joint(model, q),
+        v[None],
+        vd[None],
+        load[None],
+        model.sign_widths(sign_width),
+        _no_columns,
+        BodyFormulas(model.tree, q[None], model.total_phi),
+    )
+    effort, scales = load.copy(), []
+    included, left_out = [], []
+    for fitted in model.effects:
+        effect, what = fitted.effect, _words(fitted)
+        if effect.role in _NOT_INCLUDED:
+            left_out.append(f"{what}: {_NOT_INCLUDED[effect.role]}")
+            continue
+        if effect.role is Role.SCALE:
+            scales.append(fitted)
+        elif effect.role is not Role.BODY:
+            _add(effort, fitted, seen)
+        included.append(what)
+        if effect.depends_on & {"time", "history"}:
+            left_out.append(f"the history of {what}: it is as if the motion had gone on for long")
+    total = effort.copy()
+    for fitted in scales:
+        at = seen.index(fitted.effect.where[0])
+        total[at] = total[at] + float(fitted.parameters[0]) * effort[at]
+    return EffortFormula(tuple(total.tolist()), tuple(included), tuple(left_out))
+
+
+def _words(fitted: FittedEffect) -> str:
+    effect = fitted.effect
+    values, _ = effect.reported(fitted.parameters, np.full(len(fitted.parameters), np.nan))
+    listed = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
+    place = effect.place if effect.where else "the robot"
+    return f"{effect.name} of {place}{f' ({listed})' if listed else ''}"
+
+
+def _by_joint(model: RobotModel, q: Symbols) -> Symbols:
+    """(1, nv) position belonging to each velocity, NaN for joints of several degrees."""
+    found = Symbols.of(np.full((1, len(model.joints)), np.nan))
+    places = model.position_places
+    for velocity, position in places.items():
+        found[0, velocity] = q[position]
+    return found
+
+
+def _no_columns(body: str) -> Array:
+    raise ArgumentError(
+        f"The inertial columns of {body!r} are not known here.",
+        advice="Use motion.body_motions, or a payload.",
+    )
+
+
+def _add(effort: Formulas, fitted: FittedEffect, seen: RobotMotion) -> None:
+    """Adds what an effect needs to efforts (nv,)."""
+    effect = fitted.effect
+    try:
+        for joint, columns in effect.formula_rows(seen).items():
+            column: Any = np.asarray(columns, object).reshape(len(fitted.parameters))
+            at = seen.index(joint)
+            effort[at] = effort[at] + column @ fitted.parameters.astype(object)
+    except Exception as error:  # whatever NumPy says of symbols
+        line = line_of(type(effect), "columns", "rows", "formula_rows")
+        problem = error.problem if isinstance(error, ArgumentError) else str(error)
+        raise ModelError(
+            f"{effect.name} of {effect.place} cannot be written as source code{line}: {problem}",
+            advice=getattr(error, "advice", None)
+            or "Let it use functions of NumPy's on whole arrays.",
+        ) from error

@@ -1,0 +1,203 @@
+"""A model's effort as a function without dependencies, in Python or C++, for a controller."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from numpy.typing import ArrayLike
+
+from geodrake.boundary.arguments import file_path, instance, one_of
+from geodrake.boundary.escaping import identifier, printable, quoted
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.source.effort_formula import EffortFormula, effort_formula
+from geodrake.model.source.languages import CPP, PYTHON, Language
+from geodrake.model.source.straight_line import StraightLine, straight_line
+
+_WIDTH = 96
+
+_PYTHON = '''{comment}
+
+import math
+
+JOINTS = (
+{joints}
+)
+
+
+def effort(q, v, vd):
+    """Effort that a motion needs at the joints, N·m or N, in the order of JOINTS.
+
+    q are {nq} positions, v and vd {nv} velocities and accelerations, in SI units.
+    """
+{statements}
+    return [
+{results}
+    ]
+
+
+def sign(x):
+    """-1, 0 or 1."""
+    return (x > 0.0) - (x < 0.0)
+'''
+
+_CPP = """{comment}
+
+#pragma once
+
+#include <array>
+#include <cmath>
+
+namespace {name} {{
+
+inline constexpr int kPositions = {nq};
+inline constexpr int kJoints = {nv};
+
+inline constexpr std::array<const char*, kJoints> kJointNames = {{
+{joints}
+}};
+
+inline double sign(double x) {{ return double(x > 0.0) - double(x < 0.0); }}
+
+inline double floored_remainder(double x, double y) {{ return x - y * std::floor(x / y); }}
+
+// Effort that a motion needs at the joints, N·m or N, in the order of kJointNames:
+// positions q, velocities v and accelerations vd in SI units.
+inline std::array<double, kJoints> effort(
+    [[maybe_unused]] const std::array<double, kPositions>& q,
+    [[maybe_unused]] const std::array<double, kJoints>& v,
+    [[maybe_unused]] const std::array<double, kJoints>& vd) {{
+{statements}
+  return {{
+{results}
+  }};
+}}
+
+}}  // namespace {name}
+"""
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """What a file in a language is made of."""
+
+    language: Language
+    suffix: str
+    template: str
+    comment: str
+    statement: str
+    result: str
+    string: Callable[[str], str]
+
+
+_KINDS = {
+    "python": _Kind(PYTHON, ".py", _PYTHON, "# ", "    {} = {}", "        {},", quoted),
+    "cpp": _Kind(
+        CPP,
+        ".hpp",
+        _CPP,
+        "// ",
+        "  const double {} = {};",
+        "      {},",
+        lambda name: quoted(printable(name)),
+    ),
+}
+
+
+def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
+    """A Python module with a function effort(q, v, vd); it imports `math` alone.
+
+    The function has the rigid bodies, payloads and effects of the model. What needs the history of
+    the motion is named in the comment at its head.
+
+    Args:
+        model: The model.
+        sign_width: Speed below which dry friction fades, rad/s or m/s, at least; one for all
+            velocities or (nv,). At 0, the sign of a velocity jumps where the model's does.
+
+    Raises:
+        ModelError: An effect cannot be written as source code.
+    """
+    return _source(model, _KINDS["python"], sign_width)
+
+
+def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
+    """A C++17 header with a function effort(q, v, vd); it includes the standard library alone.
+
+    Args:
+        model: The model.
+        sign_width: As for `python_source`.
+
+    Raises:
+        ModelError: An effect cannot be written as source code.
+    """
+    return _source(model, _KINDS["cpp"], sign_width)
+
+
+def source_files(model: RobotModel, folder: str | Path, *, language: str) -> Mapping[Path, str]:
+    """The file of a model's effort in a language, as `write_together` takes it.
+
+    Args:
+        model: The model.
+        folder: Where it is to be.
+        language: "python" or "cpp".
+
+    Raises:
+        ArgumentError: It is another language.
+        ModelError: An effect cannot be written as source code.
+    """
+    kind = _KINDS[one_of(language, "language", _KINDS)]
+    name = f"{_name(instance(model, 'model', RobotModel))}_effort{kind.suffix}"
+    return {file_path(folder) / name: _source(model, kind, 0.0)}
+
+
+def _source(model: RobotModel, kind: _Kind, sign_width: ArrayLike) -> str:
+    formula = effort_formula(instance(model, "model", RobotModel), sign_width)
+    line = straight_line(formula.efforts, kind.language.operation, kind.language.number)
+    return kind.template.format(
+        comment=_comment(model, formula, kind.comment),
+        name=f"{_name(model)}_model",
+        nq=model.plant.num_positions(),
+        nv=len(model.joints),
+        joints="\n".join(f"    {kind.string(joint)}," for joint in model.joints),
+        statements=_statements(line, kind),
+        results="\n".join(kind.result.format(_bare(x)) for x in line.results),
+    )
+
+
+def _statements(line: StraightLine, kind: _Kind) -> str:
+    return "\n".join(kind.statement.format(name, _bare(x)) for name, x in line.statements)
+
+
+def _bare(expression: str) -> str:
+    """An expression without brackets around all of it."""
+    depth = 0
+    for place, letter in enumerate(expression):
+        depth += (letter == "(") - (letter == ")")
+        if depth == 0 and place < len(expression) - 1:
+            return expression
+    return expression[1:-1]
+
+
+def _name(model: RobotModel) -> str:
+    """An ASCII identifier for the robot, of its file's name."""
+    plain = "".join(c if c.isascii() else " " for c in model.path.name.partition(".")[0])
+    return identifier(plain)
+
+
+def _comment(model: RobotModel, formula: EffortFormula, mark: str) -> str:
+    """What the file is, line by line; names are quoted, as they may hold anything."""
+    paragraphs = [
+        f"Effort that {quoted(model.path.name)} needs for a motion, written by geodrake.",
+        f"Rigid bodies, payloads included, and: {'; '.join(formula.included) or 'no effect'}.",
+        *(f"Not included: {one}." for one in formula.left_out),
+    ]
+    lines = [line for p in paragraphs for line in textwrap.wrap(printable(p), _WIDTH)]
+    return "\n".join(f"{mark}{line}{_ended(line)}" for line in lines)
+
+
+def _ended(line: str) -> str:
+    """What ends a line of a comment, as C++ goes on in the next one after a backslash."""
+    return "." if line.endswith("\\") else ""

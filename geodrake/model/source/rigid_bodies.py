@@ -1,0 +1,184 @@
+"""The rigid bodies of a robot as formulas: inverse dynamics, poses and Jacobians.
+
+The same equations as the compiled ones of `geodrake.robot.recursion`, where the reference motion is
+the motion itself, in arrays of symbols (Newton and Euler).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from geodrake.effects.body_motion import BodyMotion, RobotBodies
+from geodrake.inertia import Array
+from geodrake.model.source.symbols import Formulas, Symbols
+from geodrake.robot.joints import Features
+from geodrake.robot.kinematics import KinematicTree, Mobilizer
+
+_DIGITS = 15  # of a rotation, whose zeros and ones come out with rounding errors
+
+
+def inverse_dynamics_formula(
+    tree: KinematicTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
+) -> Formulas:
+    """Effort (nv,) that the rigid bodies need.
+
+    Args:
+        tree: The robot's kinematics.
+        q: (nq,) positions.
+        v: (nv,) velocities.
+        vd: (nv,) accelerations.
+        phi: (nb, 10) inertial parameters.
+    """
+    motions: list[_MovedBody] = []
+    for mobilizer in tree.mobilizers:
+        inboard = motions[mobilizer.parent] if mobilizer.parent >= 0 else _world(tree, mobilizer)
+        motions.append(_moved(mobilizer, inboard, (q, v, vd)))
+    effort = Symbols.of(np.zeros(tree.num_velocities))
+    wrenches = [
+        (m.force(own), m.moment(own)) for m, own in zip(motions, _phis(tree, phi), strict=True)
+    ]
+    for index in range(len(motions) - 1, -1, -1):
+        mobilizer, motion, (f, n) = tree.mobilizers[index], motions[index], wrenches[index]
+        n = n + cross(mobilizer.p_MoBo_B, f)
+        f, n = motion.R_PB @ f, motion.R_PB @ n
+        joint = mobilizer.motion
+        effort[mobilizer.velocities] = joint.angular.T @ n + joint.linear.T @ f
+        if mobilizer.parent >= 0:
+            f_P, n_P = wrenches[mobilizer.parent]
+            wrenches[mobilizer.parent] = f_P + f, n_P + n + cross(motion.p_PMo, f)
+    return effort
+
+
+def cross(a: Any, b: Any) -> Formulas:
+    """The cross product of two vectors.
+
+    Args:
+        a: (3,) the first one.
+        b: (3,) the second one.
+    """
+    return Symbols.of(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _MovedBody:
+    """How a body B stands to P inboard of it; ω, α, and the acceleration of Bo, in B."""
+
+    R_PB: Formulas
+    p_PMo: Formulas  # noqa: N815
+    w: Formulas
+    wd: Formulas
+    a: Formulas
+
+    def force(self, phi: Array) -> Formulas:
+        """The force m a + α × h + ω × (ω × h), in B."""
+        h = phi[1:4]
+        return phi[0] * self.a + cross(self.wd, h) + cross(self.w, cross(self.w, h))
+
+    def moment(self, phi: Array) -> Formulas:
+        """The moment I α + ω × I ω + h × a about Bo, in B."""
+        xx, yy, zz, xy, yz, zx = phi[4:]
+        inertia = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+        turning = inertia @ self.wd + cross(self.w, inertia @ self.w)
+        return Symbols.of(turning + cross(phi[1:4], self.a))
+
+
+def _world(tree: KinematicTree, mobilizer: Mobilizer) -> _MovedBody:
+    """The world, which is accelerated against gravity."""
+    still, unit = Symbols.of(np.zeros(3)), Symbols.of(np.eye(3))
+    return _MovedBody(unit, still, still, still, Symbols.of(-tree.gravity * mobilizer.gravity))
+
+
+def _moved(
+    mobilizer: Mobilizer, inboard: _MovedBody, samples: tuple[Formulas, Formulas, Formulas]
+) -> _MovedBody:
+    q, v, vd = samples
+    R, p = _pose(mobilizer, q)
+    joint, own = mobilizer.motion, mobilizer.velocities
+    w_P, wd_P, a_P = inboard.w, inboard.wd, inboard.a
+    turned, slide = joint.angular @ v[own], joint.linear @ v[own]
+    wd = wd_P + joint.angular @ vd[own] + cross(w_P, turned)
+    a = a_P + joint.linear @ vd[own] + cross(wd_P, p)
+    a = a + cross(w_P, cross(w_P, p) + slide) + cross(w_P, slide)
+    w, wd, a = R.T @ (w_P + turned), R.T @ wd, R.T @ a
+    shift = mobilizer.p_MoBo_B
+    return _MovedBody(R, p, w, wd, a + cross(wd, shift) + cross(w, cross(w, shift)))
+
+
+def _pose(mobilizer: Mobilizer, q: Formulas) -> tuple[Formulas, Formulas]:
+    """R_PB (3, 3) and the position of Mo in P (3,)."""
+    joint, own = mobilizer.motion, q[mobilizer.positions]
+    C = np.round(joint.rotation, _DIGITS) + 0.0
+    R = (C @ _features(joint.features, own)).reshape(3, 3)
+    return R, joint.offset + joint.translation @ own
+
+
+def _features(kind: Features, q: Formulas) -> Formulas:
+    """The functions of a joint's positions that its rotation is linear in."""
+    if kind is Features.CONSTANT:
+        return Symbols.of([1.0])
+    if kind is Features.ANGLE:
+        return Symbols.of([1.0, np.cos(q[-1]), np.sin(q[-1])])
+    if kind is Features.RPY:
+        (sr, sp, sy), (cr, cp, cy) = np.sin(q[:3]), np.cos(q[:3])
+        rows = (
+            (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+            (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+            (-sp, cp * sr, cp * cr),
+        )
+        return Symbols.of(rows).ravel()
+    w, x, y, z = q[:4] * np.sqrt(2.0 / (q[:4] @ q[:4]))
+    rows = (
+        (1.0 - y * y - z * z, x * y - w * z, x * z + w * y),
+        (x * y + w * z, 1.0 - x * x - z * z, y * z - w * x),
+        (x * z - w * y, y * z + w * x, 1.0 - x * x - y * y),
+    )
+    return Symbols.of(rows).ravel()
+
+
+def _phis(tree: KinematicTree, phi: Array) -> list[Array]:
+    """Inertial parameters (10,) of each mobilizer's body; zero for a frame within a joint."""
+    return [phi[m.body] if m.body >= 0 else np.zeros(phi.shape[1]) for m in tree.mobilizers]
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFormulas(RobotBodies):
+    """The bodies of a robot in one configuration of symbols; `q` is (1, nq)."""
+
+    @cached_property
+    def _motions(self) -> dict[str, BodyMotion]:
+        """Poses and Jacobians from the world outwards."""
+        found: list[BodyMotion] = []
+        for mobilizer in self.tree.mobilizers:
+            inboard = found[mobilizer.parent] if mobilizer.parent >= 0 else self._world()
+            found.append(_carried(mobilizer, inboard, Symbols.of(self.q)[0]))
+        bodies = self.tree.bodies
+        both = zip(self.tree.mobilizers, found, strict=True)
+        return {bodies[m.body]: motion for m, motion in both if m.body >= 0}
+
+    def _world(self) -> BodyMotion:
+        zero = Symbols.of(np.zeros((1, 3, self.tree.num_velocities)))
+        rotation, position = Symbols.of(np.eye(3)[None]), Symbols.of(np.zeros((1, 3)))
+        return BodyMotion(rotation, position, zero, zero, ())
+
+
+def _carried(mobilizer: Mobilizer, inboard: BodyMotion, q: Formulas) -> BodyMotion:
+    """The motion of the body outboard of a joint."""
+    R, p = _pose(mobilizer, q)
+    R_WP, joint = inboard.rotation[0], mobilizer.motion
+    R_WB, arm = R_WP @ R, R_WP @ p
+    angular, linear = inboard.angular[0].copy(), inboard.linear[0].copy()
+    for k in inboard.dofs:
+        linear[:, k] = linear[:, k] + cross(angular[:, k], arm)
+    angular[:, mobilizer.velocities] = R_WP @ joint.angular
+    linear[:, mobilizer.velocities] = R_WP @ joint.linear
+    shift = R_WB @ mobilizer.p_MoBo_B
+    for k in mobilizer.dofs:
+        linear[:, k] = linear[:, k] + cross(angular[:, k], shift)
+    position = inboard.position[0] + arm + shift
+    return BodyMotion(R_WB[None], position[None], angular[None], linear[None], mobilizer.dofs)

@@ -1,0 +1,103 @@
+"""Formulas as a straight line of statements: what is needed twice is computed once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from geodrake.model.source.symbols import Operand, Symbol
+
+_MOST_OPERATIONS = 12  # in a line
+_COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")
+
+Key = tuple[Any, ...]
+"""What tells an operation from others, or a number."""
+
+Term = Callable[[str, tuple[str, ...]], str]
+"""Writes an operation on operands that are written already."""
+
+
+@dataclass(frozen=True)
+class StraightLine:
+    """Statements in their order.
+
+    Attributes:
+        statements: Names of numbers, and expressions of inputs and earlier ones.
+        results: Expressions of the results.
+    """
+
+    statements: tuple[tuple[str, str], ...]
+    results: tuple[str, ...]
+
+
+def straight_line(
+    results: Sequence[Operand], write: Term, number: Callable[[float], str]
+) -> StraightLine:
+    """Formulas as statements in some language.
+
+    Args:
+        results: The formulas.
+        write: Writes an operation; of an input, its operands are its name and place.
+        number: Writes a number.
+    """
+    operations, found = _operations(results)
+    uses = Counter(key for _, keys in operations.values() for key in keys if key in operations)
+    uses.update(key for key in found if key in operations)
+    written: dict[Key, str] = {}
+    sizes: dict[Key, int] = {}
+    statements: list[tuple[str, str]] = []
+
+    def text(key: Key) -> str:
+        return written[key] if key in written else number(key[0])
+
+    for key, (name, operands) in operations.items():
+        if name == "input":
+            written[key], sizes[key] = write(name, tuple(map(str, operands))), 0
+            continue
+        expression = write(name, tuple(text(x) for x in operands))
+        size = 1 + sum(sizes.get(x, 0) for x in operands)
+        repeated = uses[key] > 1 and name != "negative"
+        if repeated or size > _MOST_OPERATIONS:
+            statements.append((f"x{len(statements)}", expression))
+            expression, size = statements[-1][0], 0
+        written[key], sizes[key] = expression, size
+    return StraightLine(tuple(statements), tuple(text(key) for key in found))
+
+
+def _operations(results: Sequence[Operand]) -> tuple[dict[Key, tuple[str, Key]], list[Key]]:
+    """All operations, each after its operands and once; and which of them are the results.
+
+    An operation is known by its name and by its operands, of which numbers are known by
+    themselves.
+    """
+    operations: dict[Key, tuple[str, Key]] = {}
+    keys: dict[Symbol, Key] = {}
+
+    def key_of(x: Operand) -> Key:
+        return keys[x] if isinstance(x, Symbol) else (float(x),)
+
+    pending = [x for x in reversed(results) if isinstance(x, Symbol)]
+    numbers: dict[Key, int] = {}
+    while pending:
+        symbol = pending[-1]
+        if symbol in keys:
+            pending.pop()
+            continue
+        if symbol.operation == "input":
+            operands: Key = symbol.operands
+        else:
+            waiting = [x for x in symbol.operands if isinstance(x, Symbol) and x not in keys]
+            if waiting:
+                pending.extend(waiting)
+                continue
+            operands = tuple(map(key_of, symbol.operands))
+            if symbol.operation in _COMMUTING:
+                operands = tuple(sorted(operands, key=str))
+        identity = (symbol.operation, operands)
+        key = ("operation", numbers.setdefault(identity, len(numbers)))
+        keys[symbol] = key
+        operations.setdefault(key, (symbol.operation, operands))
+        pending.pop()
+    return operations, [key_of(x) for x in results]

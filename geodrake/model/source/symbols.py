@@ -1,0 +1,249 @@
+"""Numbers that are not known yet: NumPy's functions of them are recorded instead of computed.
+
+An effect's columns, and the efforts of rigid bodies, are formulas in NumPy's functions. Given
+arrays of symbols instead of numbers, the same code says which formula it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import ArgumentError
+
+Operand = Any
+"""A `Symbol`, or a number."""
+
+Formulas = NDArray[Any]
+"""An array of symbols and numbers."""
+
+_SAME = {  # other names of NumPy's for the same operation
+    "true_divide": "divide",
+    "float_power": "power",
+    "fabs": "absolute",
+    "fmax": "maximum",
+    "fmin": "minimum",
+    "bitwise_and": "logical_and",
+    "bitwise_or": "logical_or",
+    "invert": "logical_not",
+    "mod": "remainder",
+}
+_UNARY = (
+    *("negative", "absolute", "sign", "sqrt", "cbrt", "exp", "expm1", "log", "log1p", "log10"),
+    *("sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh"),
+    *("arcsinh", "arccosh", "arctanh", "floor", "ceil", "logical_not"),
+)
+_BINARY = (
+    *("add", "subtract", "multiply", "divide", "power", "remainder", "fmod", "arctan2", "hypot"),
+    *("maximum", "minimum", "greater", "greater_equal", "less", "less_equal", "equal"),
+    *("not_equal", "logical_and", "logical_or"),
+)
+OPERATIONS = frozenset((*_UNARY, *_BINARY, "where"))
+"""What can be recorded; `where` takes a condition and both values."""
+
+_MADE_OF: dict[str, Callable[..., Operand]] = {  # what is written by other operations
+    "square": lambda x: x * x,
+    "reciprocal": lambda x: 1.0 / x,
+    "positive": lambda x: x,
+    "conjugate": lambda x: x,
+    "exp2": lambda x: record("power", 2.0, x),
+    "deg2rad": lambda x: x * (np.pi / 180.0),
+    "radians": lambda x: x * (np.pi / 180.0),
+    "rad2deg": lambda x: x * (180.0 / np.pi),
+    "degrees": lambda x: x * (180.0 / np.pi),
+    "clip": lambda x, low, high: record("minimum", record("maximum", x, low), high),
+    "heaviside": lambda x, at: record(
+        "where", record("equal", x, 0.0), at, record("where", record("greater", x, 0.0), 1.0, 0.0)
+    ),
+}
+
+
+def record(name: str, *operands: Operand) -> Operand:
+    """An operation on symbols and numbers; a number where none of them is a symbol.
+
+    Args:
+        name: NumPy's name of the operation.
+        *operands: What it is of.
+
+    Raises:
+        ArgumentError: It is none of those that can be written.
+    """
+    name = _SAME.get(name, name)
+    if name in _MADE_OF:
+        return _MADE_OF[name](*operands)
+    if name not in OPERATIONS:
+        raise ArgumentError(
+            f"numpy.{name} cannot be written as source code.",
+            advice=f"Use {', '.join(sorted(OPERATIONS))}.",
+        )
+    if not any(isinstance(x, Symbol) for x in operands):
+        return getattr(np, name)(*operands).item()
+    operands = tuple(x if isinstance(x, Symbol) else float(x) for x in operands)
+    found = _simplified(name, operands)
+    return Symbol(name, operands) if found is None else found
+
+
+def _simplified(name: str, operands: tuple[Operand, ...]) -> Operand | None:
+    """What an operation comes to where one of its operands is 0 or 1; None for no less."""
+    first, last = operands[0], operands[-1]
+    found = None
+    match name, *operands:
+        case ("add" | "subtract", _, 0.0) | ("multiply" | "divide" | "power", _, 1.0):
+            found = first
+        case ("add", 0.0, _) | ("multiply", 1.0, _):
+            found = last
+        case ("multiply", 0.0, _) | ("multiply", _, 0.0) | ("divide", 0.0, _):
+            found = 0.0
+        case ("subtract", 0.0, _) | ("multiply", -1.0, _):
+            found = record("negative", last)
+        case ("multiply" | "divide", _, -1.0):
+            found = record("negative", first)
+        case ("power", _, 2.0):
+            found = first * first
+        case ("power", _, 3.0):
+            found = first * first * first
+        case ("where", float(), _, _):
+            found = operands[1] if first else last
+        case ("negative", Symbol(operation="negative")):
+            found = first.operands[0]
+        case ("add" | "subtract", _, Symbol(operation="negative")):
+            found = record("subtract" if name == "add" else "add", first, last.operands[0])
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Symbol:
+    """A number that is not known yet.
+
+    Attributes:
+        operation: NumPy's name of the operation that gives it; "input" for what is given.
+        operands: What that is of, symbols and floats; of an input its name and place.
+    """
+
+    operation: str
+    operands: tuple[Operand, ...]
+
+    __hash__ = object.__hash__
+
+    def __array_ufunc__(
+        self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
+    ) -> Operand:
+        """Records a function of NumPy's."""
+        return _recorded(ufunc, method, inputs, options)
+
+    def __getattr__(self, name: str) -> Callable[[], Operand]:
+        """What NumPy calls for a function of an array that it knows for one of objects."""
+        if name in _UNARY or name in _MADE_OF:
+            return lambda: record(name, self)
+        raise AttributeError(name)
+
+    def __repr__(self) -> str:
+        """In short: operands may be thousands."""
+        return f"<{self.operation}>"
+
+    def __bool__(self) -> bool:
+        raise ArgumentError(
+            "It decides by a value that is not known while source code is written, as `if`, "
+            "`max` or a boolean index do.",
+            advice="Let it use functions of NumPy's on whole arrays, such as np.where.",
+        )
+
+    def __float__(self) -> float:
+        raise ArgumentError(
+            "It needs the value of what is not known while source code is written.",
+            advice="Let it use functions of NumPy's on whole arrays, not those of `math`.",
+        )
+
+    # fmt: off
+    def __add__(self, x: Operand) -> Operand: return record("add", self, x)
+    def __radd__(self, x: Operand) -> Operand: return record("add", x, self)
+    def __sub__(self, x: Operand) -> Operand: return record("subtract", self, x)
+    def __rsub__(self, x: Operand) -> Operand: return record("subtract", x, self)
+    def __mul__(self, x: Operand) -> Operand: return record("multiply", self, x)
+    def __rmul__(self, x: Operand) -> Operand: return record("multiply", x, self)
+    def __truediv__(self, x: Operand) -> Operand: return record("divide", self, x)
+    def __rtruediv__(self, x: Operand) -> Operand: return record("divide", x, self)
+    def __pow__(self, x: Operand) -> Operand: return record("power", self, x)
+    def __rpow__(self, x: Operand) -> Operand: return record("power", x, self)
+    def __mod__(self, x: Operand) -> Operand: return record("remainder", self, x)
+    def __neg__(self) -> Operand: return record("negative", self)
+    def __abs__(self) -> Operand: return record("absolute", self)
+    def __lt__(self, x: Operand) -> Operand: return record("less", self, x)
+    def __le__(self, x: Operand) -> Operand: return record("less_equal", self, x)
+    def __gt__(self, x: Operand) -> Operand: return record("greater", self, x)
+    def __ge__(self, x: Operand) -> Operand: return record("greater_equal", self, x)
+    # fmt: on
+
+
+class Symbols(np.ndarray):
+    """An array of symbols and numbers; what NumPy does with it is recorded."""
+
+    @classmethod
+    def of(cls, values: Any) -> Symbols:
+        """An array of symbols and numbers in nested sequences or an array."""
+        return np.array(values, object).view(cls)
+
+    @classmethod
+    def inputs(cls, name: str, count: int) -> Symbols:
+        """(count,) inputs of a function: entries of an array of a name.
+
+        Args:
+            name: The array's name.
+            count: Its length.
+        """
+        return cls.of([Symbol("input", (name, k)) for k in range(count)])
+
+    def __array_ufunc__(
+        self, ufunc: np.ufunc, method: str, *inputs: Operand, **options: Any
+    ) -> Operand:
+        """Records a function of NumPy's, entry by entry."""
+        return _recorded(ufunc, method, inputs, options)
+
+    def __array_function__(
+        self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any
+    ) -> Any:
+        """NumPy's other functions do as they do; a choice is recorded."""
+        if func is np.where and len(args) == 3:
+            return _entrywise("where", args)
+        found = super().__array_function__(func, types, args, kwargs)
+        return _as_symbols(found)
+
+
+def _recorded(
+    ufunc: np.ufunc, method: str, inputs: Sequence[Operand], options: dict[str, Any]
+) -> Operand:
+    out = options.pop("out", None)
+    if method == "__call__" and ufunc.signature is None:
+        found = _entrywise(ufunc.__name__, inputs)
+    else:  # sums and products of matrices, which come back for their entries
+        plain = [np.asarray(x, object) if isinstance(x, np.ndarray) else x for x in inputs]
+        found = _as_symbols(getattr(ufunc, method)(*plain, **options))
+    if out is None:
+        return found
+    out[0][...] = found
+    return out[0]
+
+
+def _entrywise(name: str, inputs: Sequence[Operand]) -> Operand:
+    function = np.frompyfunc(lambda *x: record(name, *x), len(inputs), 1)
+    boxed = [_boxed(x) for x in inputs]
+    return _as_symbols(function(*boxed))
+
+
+def _boxed(x: Operand) -> Any:
+    """An operand in a plain array, which NumPy asks nothing."""
+    box = np.empty((), object)
+    if isinstance(x, Symbol):
+        box[()] = x
+        return box
+    return np.asarray(np.asarray(x), object)
+
+
+def _as_symbols(found: Any) -> Any:
+    if isinstance(found, np.ndarray) and found.dtype == object:
+        return found.view(Symbols)
+    return found

@@ -1,0 +1,324 @@
+"""A model in a Drake diagram in one call: against Pinocchio, rollouts and closed forms."""
+
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake import effects, load_model
+from geodrake.control import EffectForce, roll_out
+from geodrake.effects import FittedEffect
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import inertial_parameters
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.logs.motion import JointLog, Motion
+
+DEMO = files("geodrake") / "demo" / "demo.urdf"
+
+WELDED = """<robot name="r">
+  <link name="base"/>
+  <link name="arm"><inertial><mass value="2"/><origin xyz="0 0 0.2"/>
+    <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="tool"><inertial><mass value="1"/>
+    <inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial>
+    <visual><geometry>SHAPE</geometry></visual></link>
+  <joint name="elbow" type="continuous"><parent link="base"/><child link="arm"/>
+    <axis xyz="0 1 0"/></joint>
+  <joint name="flange" type="fixed"><parent link="arm"/><child link="tool"/>
+    <origin xyz="0.1 0 0.4" rpy="0.3 0 0"/></joint>
+</robot>"""
+
+TWO_JOINTS = """<mujoco model="m"><worldbody><body name="arm">
+  <joint name="a" axis="0 1 0"/><joint name="b" axis="1 0 0"/>
+  <inertial pos="0 0 .2" mass="2" diaginertia=".1 .1 .1"/>
+  <body name="hand" pos="0 0 .5"><inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>
+    <geom type="box" size=".1 .1 .1"/></body>
+</body></worldbody></mujoco>"""
+
+DIRECTIVES = """directives:
+- add_model: {name: left, file: ROBOT}
+- add_model: {name: right, file: ROBOT}
+"""
+
+
+def fitted(effect, *parameters):
+    return FittedEffect(effect, np.array(parameters))
+
+
+def rigid():
+    """The demo's arm with other inertias and a payload, and Pinocchio's model of it."""
+    model = load_model(DEMO)
+    payload = fitted(effects.Payload(model.bodies[-1]), *(1.5 * model.phi[-1]))
+    model = replace(model, phi=1.2 * model.phi, effects=(payload,))
+    other = pin.buildModelFromUrdf(str(DEMO))
+    for at in range(1, other.njoints):
+        m, *h = model.phi[at - 1, :4] + (at == other.njoints - 1) * payload.parameters[:4]
+        xx, yy, zz, xy, yz, zx = (
+            model.phi[at - 1, 4:] + (at == other.njoints - 1) * payload.parameters[4:]
+        )
+        about_origin = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+        com = np.array(h) / m
+        shift = m * (com @ com * np.eye(3) - np.outer(com, com))
+        other.inertias[at] = pin.Inertia(m, com, about_origin - shift)
+    return model, other
+
+
+def acceleration(model, q, v, u, **options):
+    """v̇ in a diagram, from the port of its plant."""
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder, **options)
+    builder.ExportInput(robot.effort, "effort")
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    robot.set_state(root, q, v)
+    diagram.GetInputPort("effort").FixValue(root, u)
+    port = robot.plant.get_generalized_acceleration_output_port()
+    return port.Eval(robot.plant.GetMyContextFromRoot(root))
+
+
+class TestAgainstPinocchio:
+    def test_inertias_and_a_payload_once(self):
+        model, other = rigid()
+        q, v, u = np.random.default_rng(1).normal(size=(3, 6))
+        expected = pin.aba(other, other.createData(), q, v, 10 * u)
+        np.testing.assert_allclose(acceleration(model, q, v, 10 * u), expected, rtol=1e-9)
+
+    def test_rotors_and_damping(self):
+        model, other = rigid()
+        q, v, u = np.random.default_rng(2).normal(size=(3, 6))
+        other.armature[:] = np.linspace(0.1, 0.6, 6)
+        damping = np.linspace(1.0, 2.0, 6)
+        own = [
+            fitted(kind(joint), value)
+            for kind, values in (
+                (effects.RotorInertia, other.armature),
+                (effects.ViscousFriction, damping),
+            )
+            for joint, value in zip(model.joints, values, strict=True)
+        ]
+        model = replace(model, effects=(*model.effects, *own))
+        expected = pin.aba(other, other.createData(), q, v, u - damping * v)
+        np.testing.assert_allclose(acceleration(model, q, v, u), expected, rtol=1e-9)
+
+    def test_a_wrong_gain(self):
+        """The joint feels u / (1 + ε) of what is commanded in units of the log."""
+        model, other = rigid()
+        q, v, u = np.random.default_rng(3).normal(size=(3, 6))
+        model = replace(
+            model, effects=(*model.effects, fitted(effects.EffortScale("elbow_pitch"), 0.25))
+        )
+        u_there = u.copy()
+        u_there[model.joints.index("elbow_pitch")] /= 1.25
+        expected = pin.aba(other, other.createData(), q, v, u_there)
+        np.testing.assert_allclose(acceleration(model, q, v, u), expected, rtol=1e-9)
+
+
+def with_effects(delay):
+    """The demo's arm with everything that `EffectForce` and the plant carry, and a delay."""
+    model = load_model(DEMO)
+    shoulder, elbow, wrist = "shoulder_pitch", "elbow_pitch", model.joints[-1]
+    return replace(
+        model,
+        phi=1.1 * model.phi,
+        effects=(
+            fitted(effects.Payload(model.bodies[-1]), *model.phi[-1]),
+            fitted(effects.CoulombFriction(shoulder), 2.0),
+            fitted(effects.ViscousFriction(elbow), 3.0),
+            fitted(effects.RotorInertia(wrist), 0.2),
+            fitted(effects.EffortDelay(delay)),
+        ),
+    )
+
+
+def simulated_log(model, seconds=1.5, period=2e-3):
+    """Needed efforts of some motion, and what the diagram makes of them, as a log has it."""
+    time = np.arange(0.0, seconds + period / 2, period)
+    phase = np.outer(time, np.linspace(2.0, 4.0, 6))
+    rates = np.linspace(2.0, 4.0, 6)
+    q, v, vd = 0.4 * np.sin(phase), 0.4 * rates * np.cos(phase), -0.4 * rates**2 * np.sin(phase)
+    needed = model.effort(Motion(q, v, vd), sign_width=0.05)
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder, sign_width=0.05)
+    hold = PiecewisePolynomial.FirstOrderHold(time, needed.T)
+    source = builder.AddSystem(TrajectorySource(hold))
+    builder.Connect(source.get_output_port(), robot.effort)
+    states, efforts = (
+        LogVectorOutput(port, builder, period) for port in (robot.state, robot.logged_effort)
+    )
+    simulator = Simulator(builder.Build())
+    simulator.get_mutable_integrator().set_maximum_step_size(period)
+    robot.set_state(simulator.get_mutable_context(), q[0], v[0])
+    simulator.AdvanceTo(time[-1])
+    root = simulator.get_context()
+    state, effort = (sink.FindLog(root).data().T for sink in (states, efforts))
+    return time, q, needed, state, effort
+
+
+@pytest.fixture(scope="module")
+def run():
+    model = with_effects(0.02)
+    return model, *simulated_log(model)
+
+
+class TestMotion:
+    def test_needed_efforts_make_the_motion(self, run):
+        _, _, q, _, state, _ = run
+        assert np.abs(state[:, :6] - q).max() < 5e-3
+
+    def test_a_delay_is_in_the_logged_effort_alone(self, run):
+        _, time, _, needed, _, effort = run
+        late = np.array([np.interp(time - 0.02, time, own) for own in needed.T]).T
+        np.testing.assert_allclose(effort[1:], late[1:], atol=1e-2 * np.abs(needed).max())
+
+    def test_rollouts_agree(self, run):
+        model, time, _, _, state, effort = run
+        log = JointLog("swing", model.joints, time, state[:, :6], effort, state[:, 6:])
+        found = roll_out(model, [log], horizon=0.25, most=2, bandwidth=20.0)
+        assert found.relative < 1e-4
+        twice = replace(model, effects=(*model.effects, fitted(effects.EffortDelay(0.02, None))))
+        assert roll_out(twice, [log], horizon=0.25, most=2, bandwidth=20.0).relative > 0.05
+
+    def test_efforts_that_are_logged_ahead_act_late(self):
+        model = replace(load_model(DEMO), effects=(fitted(effects.EffortDelay(-0.1)),))
+        builder = DiagramBuilder()
+        robot = model.add_to_builder(builder)
+        step = PiecewisePolynomial.ZeroOrderHold([0.0, 0.05, 1.0], np.outer(np.ones(6), [0, 1, 1]))
+        source = builder.AddSystem(TrajectorySource(step))
+        builder.Connect(source.get_output_port(), robot.effort)
+        simulator = Simulator(builder.Build())
+        root = simulator.get_mutable_context()
+        port = robot.plant.get_applied_generalized_force_input_port()
+        context = robot.plant.GetMyContextFromRoot(root)
+        simulator.AdvanceTo(0.12)
+        assert port.Eval(context).tolist() == [0.0] * 6
+        simulator.AdvanceTo(0.2)
+        np.testing.assert_allclose(port.Eval(context), np.ones(6))
+
+
+class TestNaturalAttempts:
+    def test_effects_as_a_model_has_them(self):
+        """List, tuple, generator and pairs are one; so is a payload on a plant of the file."""
+        model = replace(with_effects(0.0), phi=load_model(DEMO).phi)
+        some = tuple(f for f in model.effects if not isinstance(f.effect, effects.EffortDelay))
+        pairs = [(f.effect, f.parameters) for f in some]
+        q, v, u = np.random.default_rng(4).normal(size=(3, 6))
+        expected = acceleration(replace(model, effects=some), q, v, u)
+        for given in (list(some), some, (f for f in some), pairs):
+            builder = DiagramBuilder()
+            plant = builder.AddSystem(load_model(DEMO).plant)
+            force = EffectForce.AddToBuilder(builder, plant, given)
+            builder.ExportInput(force.GetInputPort("applied_effort"), "effort")
+            builder.ConnectInput("effort", plant.get_actuation_input_port())
+            diagram = builder.Build()
+            root = diagram.CreateDefaultContext()
+            diagram.get_input_port(0).FixValue(root, u)
+            context = plant.GetMyContextFromRoot(root)
+            plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+            port = plant.get_generalized_acceleration_output_port()
+            np.testing.assert_allclose(port.Eval(context), expected, rtol=1e-8)
+
+    def test_a_payload_beside_phi_is_refused(self):
+        model = with_effects(0.0)
+        with pytest.raises(ArgumentError, match=r"payload of .* would count twice"):
+            EffectForce(model.plant, model.effects[:1], phi=model.total_phi)
+
+    def test_a_delay_names_the_way(self):
+        model = with_effects(0.01)
+        with pytest.raises(ArgumentError, match="add_to_builder"):
+            EffectForce(model.plant, model.effects)
+
+    def test_what_is_no_force_is_left_out_and_named(self):
+        model = load_model(DEMO)
+        soft = effects.JointElasticity(model.joints[0])
+        robot = replace(model, effects=(fitted(soft, 1e-4),)).add_to_builder(DiagramBuilder())
+        assert robot.left_out == (soft,)
+        assert robot.effect_force is None
+
+    def test_hysteresis_keeps_its_state(self):
+        model = load_model(DEMO)
+        bristles = fitted(effects.Hysteresis(model.joints[0], 0.02), 3.0)
+        builder = DiagramBuilder()
+        robot = replace(model, effects=(bristles,)).add_to_builder(builder)
+        root = builder.Build().CreateDefaultContext()
+        context = robot.effect_force.GetMyMutableContextFromRoot(root)
+        robot.effect_force.set_hidden_states(context, {bristles.effect: [0.5]})
+        assert robot.effect_force.get_output_port().Eval(context)[0] == pytest.approx(-1.5)
+
+
+class TestFiles:
+    def test_welded_links(self, tmp_path):
+        (tmp_path / "r.urdf").write_text(WELDED.replace("SHAPE", '<sphere radius="0.1"/>'))
+        self.has_its_inertias(tmp_path / "r.urdf")
+
+    def test_several_joints_of_one_body(self, tmp_path):
+        (tmp_path / "r.xml").write_text(TWO_JOINTS)
+        self.has_its_inertias(tmp_path / "r.xml")
+
+    def test_directives(self, tmp_path):
+        (tmp_path / "r.urdf").write_text(WELDED.replace("SHAPE", '<sphere radius="0.1"/>'))
+        path = (tmp_path / "r.urdf").as_uri()
+        (tmp_path / "two.dmd.yaml").write_text(DIRECTIVES.replace("ROBOT", path))
+        self.has_its_inertias(tmp_path / "two.dmd.yaml")
+
+    def has_its_inertias(self, path):
+        model = load_model(path)
+        model = replace(model, phi=1.3 * model.phi)
+        plant = model.add_to_builder(DiagramBuilder(), time_step=1e-3).plant
+        assert plant.time_step() == 1e-3
+        np.testing.assert_allclose(inertial_parameters(plant), model.phi, rtol=1e-12, atol=1e-15)
+        assert [body.name for body in lumped_bodies(plant)] == list(model.bodies)
+
+    def test_shapes_are_shown(self, tmp_path):
+        path = tmp_path / "r.urdf"
+        path.write_text(WELDED.replace("SHAPE", '<sphere radius="0.1"/>'))
+        builder = DiagramBuilder()
+        robots = [load_model(path).add_to_builder(builder, scene_graph=True, name="one")]
+        scene_graph = robots[0].scene_graph
+        robots += [load_model(path).add_to_builder(builder, scene_graph=scene_graph, name="two")]
+        inspector = scene_graph.model_inspector()
+        assert inspector.num_geometries() == 2
+        names = {inspector.GetName(inspector.GetFrameId(g)) for g in inspector.GetAllGeometryIds()}
+        assert names == {"r::tool"}
+        assert [robot.notes for robot in robots] == [(), ()]
+        builder.Build().CreateDefaultContext()
+
+    def test_missing_meshes_are_told(self, tmp_path):
+        path = tmp_path / "r.urdf"
+        path.write_text(WELDED.replace("SHAPE", '<mesh filename="package://no/where.obj"/>'))
+        (note,) = load_model(path).add_to_builder(DiagramBuilder(), scene_graph=True).notes
+        assert note.startswith("The robot has no shapes: ")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"time_step": -1e-3}, "time_step"),
+        ({"scene_graph": "yes"}, "scene_graph"),
+        ({"name": 3}, "name"),
+        ({"sign_width": [0.1]}, "sign width"),
+        ({"log": 3}, "log"),
+    ],
+)
+def test_wrong_options(options, message):
+    model = with_effects(0.0)
+    with pytest.raises(ArgumentError, match=message):
+        model.add_to_builder(DiagramBuilder(), **options)
+
+
+def test_a_wrong_builder():
+    with pytest.raises(ArgumentError, match="builder"):
+        load_model(DEMO).add_to_builder("builder")
+
+
+def test_bodies_that_cannot_be(tmp_path):
+    model = load_model(DEMO)
+    phi = model.phi.copy()
+    phi[2, 4:7] *= -1.0
+    with pytest.raises(ModelError, match="inertial parameters"):
+        replace(model, phi=phi).add_to_builder(DiagramBuilder())

@@ -1,0 +1,327 @@
+"""Efforts as source code: run without geodrake, compiled, and against other engines."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from geodrake import effects, load_model
+from geodrake.effects import FittedEffect, JointEffect, Parameter, load_effect_file
+from geodrake.errors import ModelError
+from geodrake.logs.motion import Motion
+from geodrake.model.source import cpp_source, python_source, source_files
+
+DEMO = files("geodrake") / "demo" / "demo.urdf"
+MODELS = Path(__file__).parents[2] / "models"
+PENDULUM = """<robot name="r">
+  <link name="base"/>
+  <link name="arm"><inertial><mass value="2"/><origin xyz="0.1 0 0.2"/>
+    <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="elbow" type="continuous"><parent link="base"/><child link="arm"/>
+    <axis xyz="0 1 0"/></joint>
+</robot>"""
+CLOSE = {"rtol": 1e-10, "atol": 1e-11}
+
+EFFECTS = [
+    (effects.ViscousFriction("base_yaw"), [2.0]),
+    (effects.CoulombFriction("shoulder_pitch"), [3.0]),
+    (effects.AsymmetricFriction("wrist_spin"), [1.0, 2.0, 3.0, 4.0]),
+    (effects.StribeckFriction("shoulder_pitch", 0.3, 2.0), [1.0]),
+    (effects.NonlinearViscousFriction("elbow_pitch", 1.5), [2.0]),
+    (effects.LoadDependentFriction("shoulder_pitch"), [0.1]),
+    (effects.CoupledFriction(("wrist_pitch", "wrist_spin"), -1), [1.0, 2.0]),
+    (effects.FrictionDrift("base_yaw", 30.0), [1.0, 1.0]),
+    (effects.Hysteresis("wrist_roll", 0.02), [1.0]),
+    (effects.EffortOffset("wrist_roll"), [1.0]),
+    (effects.EffortScale("elbow_pitch"), [0.1]),
+    (effects.JointSpring("elbow_pitch", 3, 0.2), [2.0, 1.0]),
+    (effects.GravityCompensator("shoulder_pitch"), [2.0, 3.0]),
+    (effects.TorqueRipple("base_yaw", 12.5), [0.1, 0.2]),
+    (effects.RotorInertia("wrist_spin"), [0.3]),
+    (effects.CoupledRotorInertia(("base_yaw", "wrist_roll")), [0.2]),
+    (effects.GravityTilt(0.1, 0.05), [0.11, 0.04]),
+    (effects.AerodynamicDrag("wrist"), [0.4, 0.1, 0.2, 0.3]),
+    (effects.AerodynamicDrag("flange", 0.1, 0.2, 0.3), [0.4, 0.1, 0.2, 0.3]),
+    (effects.Payload("flange"), [1.0, 0.1, 0.0, 0.05, 0.05, 0.06, 0.07, 0.0, 0.0, 0.001]),
+]
+LEFT_OUT = [
+    (effects.EffortDelay(0.01), []),
+    (effects.JointElasticity("base_yaw"), [1e-4]),
+    (effects.Backlash("elbow_pitch", 1e-3), [1.0]),
+    (effects.Contact("flange", 1.0, 2.0), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+]
+
+
+def fitted(pairs):
+    return tuple(FittedEffect(effect, np.array(values, float)) for effect, values in pairs)
+
+
+def with_effects(pairs, path=DEMO):
+    return replace(load_model(path), effects=fitted(pairs))
+
+
+def motion_of(model, count=4, seed=0):
+    rng = np.random.default_rng(seed)
+    q = rng.normal(size=(count, model.plant.num_positions()))
+    return Motion(q, *rng.normal(size=(2, count, len(model.joints))))
+
+
+def ran(source, motion):
+    """Efforts (N, nv) by a Python source, in this process."""
+    names = {}
+    exec(compile(source, "effort.py", "exec"), names)
+    samples = zip(motion.q.tolist(), motion.v.tolist(), motion.vd.tolist(), strict=True)
+    return np.array([names["effort"](*sample) for sample in samples])
+
+
+def compiled_efforts(source, motion, folder):
+    """Efforts (N, nv) by a C++ header, compiled with all warnings as errors."""
+    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("there is no C++ compiler")
+    name = source.split("namespace ")[1].split(" ")[0]
+    (folder / "effort.hpp").write_text(source, encoding="utf-8")
+    main = f"""#include "effort.hpp"
+#include <cstdio>
+int main() {{
+  std::array<double, {name}::kPositions> q;
+  std::array<double, {name}::kJoints> v, vd;
+  for (;;) {{
+    for (double& x : q) if (std::scanf("%lf", &x) != 1) return 0;
+    for (double& x : v) if (std::scanf("%lf", &x) != 1) return 1;
+    for (double& x : vd) if (std::scanf("%lf", &x) != 1) return 1;
+    for (double x : {name}::effort(q, v, vd)) std::printf("%.17g ", x);
+    std::printf("\\n");
+  }}
+}}
+"""
+    (folder / "main.cpp").write_text(main)
+    options = ["-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "main.cpp", "-o", "main"]
+    built = subprocess.run(
+        [compiler, *options], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 0, built.stderr
+    rows = np.hstack([motion.q, motion.v, motion.vd])
+    given = "\n".join(" ".join(map(repr, row)) for row in rows.tolist())
+    done = subprocess.run(
+        [folder / "main"], input=given, capture_output=True, text=True, check=True
+    )
+    return np.array([line.split() for line in done.stdout.splitlines()], float)
+
+
+class TestAllEffects:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def model(cls):
+        return with_effects([*EFFECTS, LEFT_OUT[0], LEFT_OUT[3]])
+
+    def test_python_needs_nothing(self, model, tmp_path):
+        motion = motion_of(model)
+        (path, text), *_ = source_files(model, tmp_path, language="python").items()
+        assert path == tmp_path / "demo_effort.py"
+        path.write_text(text, encoding="utf-8")
+        code = (
+            "import json, sys; sys.path.insert(0, sys.argv[1]); before = set(sys.modules)\n"
+            "from demo_effort import JOINTS, effort\n"
+            "added = sorted(set(sys.modules) - before)\n"
+            "print(json.dumps([added, JOINTS, [effort(*x) for x in json.load(sys.stdin)]]))"
+        )
+        samples = [x.tolist() for x in (motion.q, motion.v, motion.vd)]
+        done = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", code, str(tmp_path)],
+            input=json.dumps(list(zip(*samples, strict=True))),
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        added, joints, efforts = json.loads(done.stdout)
+        assert set(added) <= {"demo_effort", "math"}
+        assert tuple(joints) == model.joints
+        np.testing.assert_allclose(efforts, model.effort(motion), **CLOSE)
+
+    def test_cpp_compiles(self, model, tmp_path):
+        motion = motion_of(model)
+        (path, text), *_ = source_files(model, tmp_path, language="cpp").items()
+        assert path.name == "demo_effort.hpp"
+        efforts = compiled_efforts(text, motion, tmp_path)
+        np.testing.assert_allclose(efforts, model.effort(motion), **CLOSE)
+
+    def test_directions_fade_as_the_models(self, model):
+        motion = motion_of(model)
+        efforts = ran(python_source(model, sign_width=0.3), motion)
+        np.testing.assert_allclose(efforts, model.effort(motion, sign_width=0.3), **CLOSE)
+        assert np.abs(efforts - model.effort(motion)).max() > 0.1
+
+
+@pytest.mark.parametrize("pair", EFFECTS, ids=lambda pair: pair[0].name)
+def test_each_effect(pair):
+    model = with_effects([pair])
+    motion = motion_of(model)
+    expected = model.effort(motion)
+    np.testing.assert_allclose(ran(python_source(model), motion), expected, **CLOSE)
+    if not pair[0].depends_on & {"time"}:
+        assert np.abs(expected - load_model(DEMO).effort(motion)).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["arm7", "ambidex_like", "double_pendulum"])
+def test_rigid_bodies_are_pinocchios(name):
+    path = MODELS / f"{name}.urdf"
+    model = replace(load_model(path), effects=())
+    other = pin.buildModelFromUrdf(str(path))
+    motion = motion_of(model)
+    order = [other.joints[other.getJointId(joint)].idx_v for joint in model.joints]
+    expected = []
+    for sample in zip(motion.q, motion.v, motion.vd, strict=True):
+        theirs = np.zeros((3, other.nv))
+        theirs[:, order] = sample
+        expected.append(pin.rnea(other, other.createData(), *theirs)[order])
+    np.testing.assert_allclose(ran(python_source(model), motion), expected, **CLOSE)
+
+
+def test_a_floating_base():
+    model = load_model(MODELS / "cheetah.dmd.yaml", floating=True)
+    motion = motion_of(model)
+    expected = model.effort(motion)
+    np.testing.assert_allclose(ran(python_source(model), motion), expected, **CLOSE)
+
+
+def test_what_is_left_out_is_named():
+    source = python_source(with_effects([*LEFT_OUT, EFFECTS[8]]))
+    words = " ".join(line.removeprefix("# ") for line in source.splitlines())
+    for what in (
+        "effort_delay of the robot (delay 0.01): logged efforts lag",
+        "joint_elasticity of base_yaw (compliance 0.0001): it depends on how the motion goes on",
+        "backlash of elbow_pitch",
+        "contact of flange",
+        "the history of hysteresis of wrist_roll",
+    ):
+        assert f"Not included: {what}" in words
+    assert python_source(load_model(DEMO)).startswith('# Effort that "demo.urdf" needs')
+
+
+OWN = """
+from dataclasses import dataclass
+import numpy as np
+from geodrake.effects import BodyEffect, JointEffect, Parameter
+
+
+@dataclass(frozen=True)
+class Stop(JointEffect):
+    name = "stop"
+    parameters = (Parameter("stiffness", "N·m/rad"), Parameter("step", "N·m"), Parameter("x", "1"))
+
+    def columns(self, joint):
+        beyond = np.clip(joint.q, 0.2, None) - 0.2
+        step = np.where((joint.q > 0.0) & (joint.v < 0.5), np.sign(joint.v), 0.1 * joint.q**2)
+        return [beyond, step, np.sinc(joint.q) + np.arctan2(joint.v, 2.0) % 0.7 + (joint.q > 1)]
+
+
+@dataclass(frozen=True)
+class Rope(BodyEffect):
+    name = "rope"
+    parameters = (Parameter("pull", "N"),)
+
+    def rows(self, motion):
+        body = motion.body_motions(self.name).motion(self.body)
+        J = body.jacobian_at([0.0, 0.1, 0.2])
+        away = body.position - np.array([1.0, 0.0, 2.0])
+        along = away / np.linalg.norm(away, axis=1)[:, None]
+        efforts = (J * along[:, :, None]).sum(1)
+        return {joint: efforts[:, i, None] for i, joint in enumerate(motion.joints)}
+
+
+@dataclass(frozen=True)
+class Decided(JointEffect):
+    name = "decided"
+    parameters = (Parameter("x", "N·m"),)
+
+    def columns(self, joint):
+        return [joint.q if joint.q[0] > 0 else joint.v]
+
+
+@dataclass(frozen=True)
+class Sampled(JointEffect):
+    name = "sampled"
+    parameters = (Parameter("x", "N·m"),)
+
+    def columns(self, joint):
+        return [np.interp(joint.q, [-1.0, 1.0], [0.0, 1.0])]
+"""
+
+
+class TestOwnEffects:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def own(cls, tmp_path_factory):
+        path = tmp_path_factory.mktemp("own") / "own.py"
+        path.write_text(OWN, encoding="utf-8")
+        return {effect.name: effect for effect in load_effect_file(path)}
+
+    def test_formulas_are_recorded(self, own, tmp_path):
+        pairs = [(own["stop"]("elbow_pitch"), [1.0, 2.0, 3.0]), (own["rope"]("wrist"), [5.0])]
+        model = with_effects(pairs)
+        motion = motion_of(model, 12)
+        expected = model.effort(motion)
+        np.testing.assert_allclose(ran(python_source(model), motion), expected, **CLOSE)
+        efforts = compiled_efforts(cpp_source(model), motion, tmp_path)
+        np.testing.assert_allclose(efforts, expected, **CLOSE)
+
+    @pytest.mark.parametrize("name", ["decided", "sampled"])
+    def test_what_is_no_formula_is_refused(self, own, name):
+        model = with_effects([(own[name]("elbow_pitch"), [1.0])])
+        message = (
+            rf"{name} of elbow_pitch cannot be written as source code \(line \d+ of .*own.py\)"
+        )
+        with pytest.raises(ModelError, match=message) as caught:
+            python_source(model)
+        assert "NumPy" in caught.value.advice
+
+
+def test_numbers_that_are_none():
+    @dataclass(frozen=True)
+    class Nothing(JointEffect):
+        name = "nothing"
+        parameters = (Parameter("x", "N·m"),)
+
+        def columns(self, joint):
+            return [np.full_like(joint.q, np.nan)]
+
+    with pytest.raises(ModelError, match="has nan in it"):
+        python_source(with_effects([(Nothing("elbow_pitch"), [1.0])]))
+
+
+@pytest.mark.parametrize(
+    "joint",
+    [
+        'x""" + __import__("os").abort() + """',
+        "x\\",
+        "upper\nlower",
+        "\x9b31mred\x85",
+        '"; #error "',
+        "*/ #error ",
+    ],
+)
+def test_joints_of_any_name(joint, tmp_path):
+    path = tmp_path / "1 class.urdf"
+    name = quoteattr(joint, {"\n": "&#10;"})
+    path.write_text(PENDULUM.replace('"elbow"', name), encoding="utf-8")
+    own = load_model(path).joints
+    pairs = [(effects.CoulombFriction(joint), [1.0]), (effects.EffortDelay(0.1, joint), [])]
+    model = with_effects(pairs, path)
+    motion = motion_of(model)
+    expected = model.effort(motion)
+    names = {}
+    exec(python_source(model), names)
+    assert names["JOINTS"] == own == (joint,)
+    np.testing.assert_allclose(ran(python_source(model), motion), expected, **CLOSE)
+    if joint.endswith(("\\", "error ")):
+        efforts = compiled_efforts(cpp_source(model), motion, tmp_path)
+        np.testing.assert_allclose(efforts, expected, **CLOSE)
