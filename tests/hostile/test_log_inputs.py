@@ -15,8 +15,8 @@ from hostile import HEADER, Row, table, write_log
 from numpy.lib import format as npy
 
 from geodrake.errors import LogError
-from geodrake.logs.files import recording as columns
 from geodrake.logs.files import read_log
+from geodrake.logs.files import recording as columns
 
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"

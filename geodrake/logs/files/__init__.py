@@ -8,9 +8,10 @@ understood as well, by `recognition`, or by what the user says of them, a `Readi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.boundary.input_files import regular_file
@@ -18,6 +19,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_names import HEADER_ADVICE, Columns
 from geodrake.logs.files.csv_file import read_csv
 from geodrake.logs.files.joined_files import joined_table, parts_of
+from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.npz_file import read_npz
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recording import Recording
@@ -26,16 +28,38 @@ from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.files.writing import log_content, write_log
 from geodrake.logs.motion import JointLog
 
-__all__ = ["Reading", "log_content", "log_of", "parts_of", "read_log", "understand", "write_log"]
+__all__ = [
+    "Reading",
+    "log_content",
+    "log_of",
+    "parts_of",
+    "read_log",
+    "read_mapping",
+    "understand",
+    "write_log",
+]
 
-Reader = Callable[[Path, Sequence[str] | None, Reading], tuple[JointLog, Columns]]
+
+class Reader(Protocol):
+    """What reads files of a format."""
+
+    def __call__(
+        self, path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
+    ) -> tuple[JointLog, Columns]:
+        """The log in a file, and what its columns were taken for."""
+
+
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
 READERS: Mapping[str, Reader] = {**dict.fromkeys(_TEXT, read_csv), ".npz": read_npz}
 """Suffix -> what reads such a file."""
 
 
 def read_log(
-    path: str | Path, *, joints: Sequence[str] | None = None, reading: Reading | None = None
+    path: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
 ) -> JointLog:
     """Read a log.
 
@@ -45,6 +69,8 @@ def read_log(
             names, and others are ignored and noted. Empty cells and `nan` become NaN. Several
             files with `+` between them, as in `positions.csv+efforts.csv`, are joined by time.
         joints: Names of a model's joints, if the log must have the same and in their order.
+        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
+            still then are `JointLog.standing`.
         reading: How the file is to be read, where its names do not say it.
 
     Returns:
@@ -56,11 +82,15 @@ def read_log(
             fit into memory, or if its time does not increase. Where names of columns are not
             understood, `evidence["proposal"]` is the text of a mapping to be edited.
     """
-    return understand(path, joints=joints, reading=reading)[0]
+    return understand(path, joints=joints, partial=partial, reading=reading)[0]
 
 
 def understand(
-    path: str | Path, *, joints: Sequence[str] | None = None, reading: Reading | None = None
+    path: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
 ) -> tuple[JointLog, Columns]:
     """A log, and what its columns were taken for; see `read_log`."""
     path = file_path(path)
@@ -71,8 +101,8 @@ def understand(
         regular_file(part, "log", LogError)
     try:
         if len(parts) > 1:
-            return _understood(joined_table(parts, reading), joints, reading)
-        return _reader(path)(path, joints, reading)
+            return _understood(joined_table(parts, reading), joints, reading, partial=partial)
+        return _reader(path)(path, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
             f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
@@ -86,25 +116,33 @@ def understand(
 
 
 def log_of(
-    table: LogTable, *, joints: Sequence[str] | None = None, reading: Reading | None = None
+    table: LogTable,
+    *,
+    joints: Sequence[str] | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
 ) -> JointLog:
     """The log that a table of columns is, whatever they are called; see `read_log`.
 
     Args:
         table: The columns.
         joints: Names of a model's joints, if the log must have the same and in their order.
+        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
+            still then are `JointLog.standing`.
         reading: What the user said of the table.
 
     Raises:
         LogError: A needed column or joint is missing or there twice, or time does not increase.
     """
-    return _understood(table, joints, reading or Reading())[0]
+    return _understood(table, joints, reading or Reading(), partial=partial)[0]
 
 
 def _understood(
-    table: LogTable, joints: Sequence[str] | None, reading: Reading
+    table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
-    columns = columns_of(table.path, list(table.columns), joints, reading, table.units)
+    columns = columns_of(
+        table.path, list(table.columns), joints, reading, table.units, partial=partial
+    )
     recording = Recording(columns, len(table))
     recording.put(slice(0, len(table)), table.columns)
     log = recording.log(len(table))

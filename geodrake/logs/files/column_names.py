@@ -50,6 +50,7 @@ class Columns:
             rate says it.
         rate: Rows a second, Hz, where there is no column of time.
         reading: How the user said that the file is to be read.
+        standing: Further joints, of which there is the position alone.
     """
 
     path: Path
@@ -59,6 +60,7 @@ class Columns:
     sources: Mapping[str, Source]
     rate: float | None = None
     reading: Reading = field(default_factory=Reading)
+    standing: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -66,6 +68,7 @@ class Columns:
         return (
             "time",
             *(f"{joint}.{quantity}" for quantity in self.quantities for joint in self.joints),
+            *(f"{joint}.position" for joint in self.standing),
         )
 
     @property

@@ -29,7 +29,7 @@ _LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
 
 
 def read_csv(
-    path: Path, joints: Sequence[str] | None, reading: Reading
+    path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
     """Read a log from a table of text, and what its columns are; see `read_log`.
 
@@ -37,11 +37,12 @@ def read_csv(
         path: The file.
         joints: Names of the model's joints, if the log must have them.
         reading: What the user said of the file.
+        partial: Whether the log may lack some of the joints.
     """
     most = 1 + _count_lines(path)
     with path.open(encoding="utf-8-sig", newline="") as file:
         layout, lines = csv_layout(path, file, reading, joints)
-        columns = columns_of(path, layout.names, joints, reading)
+        columns = columns_of(path, layout.names, joints, reading, partial=partial)
         recording = Recording(columns, most)
         rows = 0
         for table in csv_blocks(path, layout, lines, columns.files, recording.torn):

@@ -25,7 +25,7 @@ _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0
 
 
 def read_npz(
-    path: Path, joints: Sequence[str] | None, reading: Reading
+    path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
 ) -> tuple[JointLog, Columns]:
     """Read a log from an NPZ file, and what its columns are; see `read_log`.
 
@@ -33,11 +33,12 @@ def read_npz(
         path: The file.
         joints: Names of the model's joints, if the log must have them.
         reading: What the user said of the file.
+        partial: Whether the log may lack some of the joints.
     """
     with _reading(path), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         names = [entry.filename.removesuffix(".npy").strip() for entry in entries]
-        columns = columns_of(path, names, joints, reading)
+        columns = columns_of(path, names, joints, reading, partial=partial)
         members = {name: entries[names.index(name)] for name in columns.files}
         lengths = {name: _length(path, archive, name, entry) for name, entry in members.items()}
         rows = _common(path, lengths)

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
 _LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _EPOCH = {1e-9: 1e17, 1e-6: 1e14, 1e-3: 1e11}  # factor to s of stamps that are larger than this
 
 
@@ -46,6 +47,7 @@ class Recording:
         self._start: float | None = None
         self._places = {joint: place for place, joint in enumerate(columns.joints)}
         shape = (rows, len(columns.joints))
+        self._standing = {joint: np.empty(rows) for joint in columns.standing}
         self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
 
     def put(self, rows: slice, numbers: Mapping[str, Array]) -> None:
@@ -66,6 +68,8 @@ class Recording:
         if name == "time":
             return self.time
         joint, quantity = name.rsplit(".", 1)
+        if joint in self._standing:
+            return self._standing[joint]
         return self.values[quantity][:, self._places[joint]]
 
     def _converted(self, source: Source, numbers: Mapping[str, Array]) -> Array:
@@ -105,7 +109,15 @@ class Recording:
             values.get("velocity"),
             values.get("acceleration"),
             (*self.columns.notes, *notes, *torn),
+            standing={joint: self._place(joint, rows) for joint in self._standing},
         )
+
+    def _place(self, joint: str, rows: int) -> float:
+        """Where a joint stands whose effort is not there; NaN if it moves."""
+        numbers = self._standing[joint][:rows]
+        numbers = numbers[np.isfinite(numbers)]
+        still = len(numbers) and np.ptp(numbers) <= _STILL
+        return float(numbers.mean()) if still else np.nan
 
     def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
         """Time stamps in s, where they are of an epoch in ms, µs or ns, and a note of that."""

@@ -34,6 +34,8 @@ def columns_of(
     joints: Sequence[str] | None,
     reading: Reading | None = None,
     units: Mapping[str, str] | None = None,
+    *,
+    partial: bool = False,
 ) -> Columns:
     """The columns of a file with these names, joints in the order given if any is.
 
@@ -44,6 +46,7 @@ def columns_of(
             have them in; None for the order of the file.
         reading: What the user said of the file.
         units: Units of columns, where the file states them.
+        partial: Whether the log may lack some of the model's joints, or their efforts.
 
     Raises:
         LogError: Time, or a joint's position or effort, is missing, or the joints are others.
@@ -52,13 +55,13 @@ def columns_of(
     check_text(path, names)
     if reading.mapping is not None:
         understood = _Understood.by_mapping(path, names, reading, reading.mapping)
-        return understood.columns(understood.joints(joints))
+        return understood.columns(*understood.joints(joints, partial=partial))
     understood = _Understood.by_names(path, names, joints, reading, units or {})
     try:
-        own = understood.joints(joints)
+        own, standing = understood.joints(joints, partial=partial)
     except LogError as error:
         raise with_proposal(error, proposed_mapping(path, names, joints)) from error
-    return understood.columns(own)
+    return understood.columns(own, standing)
 
 
 @dataclass(frozen=True)
@@ -137,11 +140,14 @@ class _Understood:
             places.pop(("", "time"), None)
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
 
-    def joints(self, wanted: Sequence[str] | None) -> tuple[str, ...]:
-        """Joints of the log to be, in their order, once there is what each of them needs.
+    def joints(
+        self, wanted: Sequence[str] | None, *, partial: bool
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Joints of the log to be, in their order, and those of which there is the position alone.
 
         Args:
             wanted: The model's joints, if the log must have them.
+            partial: Whether it may lack some of them, or their efforts.
 
         Raises:
             LogError: Time, a position, an effort or a joint is missing.
@@ -162,22 +168,26 @@ class _Understood:
                 advice="A log without effort says nothing about dynamics. "
                 f"{HEADER_ADVICE} {_MAPPING_ADVICE}",
             )
-        needed = [j for j in silent if j in self.own or j in (wanted or ())]
-        if needed:
+        standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
+        if standing and not partial:
             raise LogError(
-                f"Log {str(self.path)!r} is a log without effort of {', '.join(needed)}: the "
+                f"Log {str(self.path)!r} is a log without effort of {', '.join(standing)}: the "
                 "position is there, the effort is not.",
                 advice="Log that joint's effort too, or leave its columns out.",
-                joints=needed,
+                joints=standing,
             )
         own = tuple(joint for joint in moved if joint in heard)
         if wanted is None:
-            return own
-        check_joints(self.path.stem, own, wanted)
-        return tuple(wanted)
+            return own, standing
+        check_joints(self.path.stem, [*own, *standing], wanted, partial=partial)
+        return tuple(joint for joint in wanted if joint in own), standing
 
-    def columns(self, joints: Sequence[str]) -> Columns:
+    def columns(self, joints: Sequence[str], standing: Sequence[str]) -> Columns:
         """What is read for these joints.
+
+        Args:
+            joints: Joints with position and effort.
+            standing: Joints with positions alone.
 
         Raises:
             LogError: A column that is needed is there twice, or a gain is of no joint.
@@ -195,13 +205,15 @@ class _Understood:
         sources = {
             f"{joint}.{quantity}" if joint else quantity: self._scaled(joint, quantity)
             for joint, quantity in self.places
-            if quantity == "time" or (joint in joints and quantity in quantities)
+            if quantity == "time"
+            or (joint in joints and quantity in quantities)
+            or (joint in standing and quantity == "position")
         }
         notes += unit_words(sources, self.reading)
         kept = {
             c
             for (j, _), source in self.places.items()
-            if j in ("", *joints)
+            if j in ("", *joints, *standing)
             for c in source.columns
         }
         others = [name for name in self.names if name not in kept]
@@ -214,6 +226,7 @@ class _Understood:
             sources,
             self.rate,
             self.reading,
+            tuple(standing),
         )
 
     def _having(self, quantity: str) -> list[str]:
