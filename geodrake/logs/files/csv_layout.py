@@ -96,7 +96,7 @@ def csv_layout(
     names = names or _names_in_comment(cells, comment)
     if names is None and not (numbered or reading.mapping):
         proposal = proposed_mapping(path, cells, joints, headed=False)
-        raise with_proposal(_no_header(path, cells), proposal)
+        raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
     return CsvLayout(tuple(names), separator, decimal, count), chain([first], rest)
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from geodrake.boundary.yaml_text import yaml_text
-from geodrake.errors import ArgumentError, GeodrakeError, LogError, ModelError
+from geodrake.errors import ArgumentError, LogError, ModelError
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.reading import (
     QUANTITIES,
@@ -159,12 +159,15 @@ def _word(text: str) -> str:
     return str(yaml.safe_dump([text], default_flow_style=True, width=1e9).strip()[1:-1])
 
 
-def with_proposal(error: LogError, proposal: str | None) -> GeodrakeError:
+def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:
     """The error of a failed reading with a proposed mapping as evidence, where there is one.
 
     Args:
         error: What went wrong.
+        path: The log.
         proposal: Text of the mapping.
     """
-    evidence = error.evidence if proposal is None else {**error.evidence, "proposal": proposal}
+    if proposal is None:
+        return error
+    evidence = {**error.evidence, "path": path, "proposal": proposal}
     return LogError(error.problem, advice=error.advice, **evidence)

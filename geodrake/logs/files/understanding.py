@@ -60,7 +60,7 @@ def columns_of(
     try:
         own, standing = understood.joints(joints, partial=partial)
     except LogError as error:
-        raise with_proposal(error, proposed_mapping(path, names, joints)) from error
+        raise with_proposal(error, path, proposed_mapping(path, names, joints)) from error
     return understood.columns(own, standing)
 
 
