@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
+from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
 from geodrake.cli.reading_options import ReadingOptions
 
@@ -54,7 +55,7 @@ EffectNames = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions(ReadingOptions):
+class LogOptions(ReadingOptions, AxisOptions):
     """Options of all commands on a model and logs."""
 
     model: ModelFile

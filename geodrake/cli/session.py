@@ -12,6 +12,7 @@ from rich.console import Console
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
+from geodrake.cli.axis_model import written_axis
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Update, progress
@@ -94,7 +95,7 @@ def run(command: Command[R], options: LogOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    with proposing(options.logs):
+    with proposing(options.logs), written_axis(options):
         _run(command, options)
 
 

@@ -29,16 +29,18 @@ def matched(
     for meaning in meanings:
         styles[meaning.style].append(meaning)
     found: dict[str, str] = {}
-    notes: list[str] = []
+    spans: list[str] = []
     for style in styles.values():
         names, by_order = _match_style(style, joints)
         own = _by_their_own_words(style)
         kept = own if style[0].style[0] == "own" or not names else {}
         found |= kept | names
         if by_order:
-            first, last = style[0].column, style[-1].column
-            notes.append(f"columns {first} … {last} are taken for the joints in their order")
-    return found, tuple(notes)
+            spans.append(f"{style[0].column} … {style[-1].column}")
+    if not spans:
+        return found, ()
+    order = f"in the model's order, from {joints[0]} to {joints[-1]}"
+    return found, (f"columns {', '.join(spans)} have numbers alone: taken for joints {order}",)
 
 
 def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:

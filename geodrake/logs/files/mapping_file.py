@@ -22,6 +22,7 @@ from geodrake.logs.files.recognition import Meaning, meaning_of
 from geodrake.logs.files.units import UNITS, unit_of
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
+_ASKED = ("position", "velocity", "effort")
 _FORM = (
     "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` and "
     "the name or number of a column, or {column: NAME, unit: deg, gain: 1.0}."
@@ -129,18 +130,36 @@ def proposed_mapping(
     found, _ = matched(of_joints, joints)
     places = {(found[m.column], m.quantity): m for m in reversed(of_joints) if m.column in found}
     own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
+    guessed = {} if meanings else _guess(names, own, headed=headed)
     lines = [f"# How geodrake is to read {path.name!r}: edit this, and give it by --mapping."]
     lines += ["# Columns are given by name, or by number from 1 on. Its columns are:"]
     lines += [f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1)]
     units = (f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
     lines += [f"# Units: {'; '.join(units)}."]
     lines += ["# gain: such as torque constant times gear ratio, for motor currents.", ""]
-    lines += [f"time: {_filled(time)}", "# rate: 500  # Hz, in place of time", "joints:"]
+    if guessed:
+        lines += ["# A guess by the count of the columns, to be checked:"]
+    timed = guessed.get(("", "time"), _filled(time))
+    lines += [f"time: {timed}", "# rate: 500  # Hz, in place of time", "joints:"]
     for joint in own:
         lines.append(f"  {_word(joint)}:")
-        for quantity in ("position", "velocity", "effort"):
-            lines.append(f"    {quantity}: {_filled_column(places.get((joint, quantity)))}")
+        for quantity in _ASKED:
+            column = guessed.get((joint, quantity), _filled_column(places.get((joint, quantity))))
+            lines.append(f"    {quantity}: {column}")
     return "\n".join(lines) + "\n"
+
+
+def _guess(
+    names: Sequence[str], joints: Sequence[str], *, headed: bool
+) -> dict[tuple[str, str], str]:
+    """(joint, quantity) -> column, if there are as many as time and quantities of all joints."""
+    for timed in (True, False):
+        for quantities in (_ASKED, ("position", "effort")):
+            if len(names) == timed + len(joints) * len(quantities):
+                order = [("", "time")] * timed + [(j, q) for q in quantities for j in joints]
+                columns = [_word(n) if headed else str(k) for k, n in enumerate(names, 1)]
+                return dict(zip(order, columns, strict=True))
+    return {}
 
 
 def _filled_column(meaning: Meaning | None) -> str:

@@ -19,6 +19,7 @@ Words = tuple[str | int, ...]
 
 QUANTITY_WORDS: Mapping[str, str] = {
     **dict.fromkeys(["position", "positions", "pos", "q", "angle", "angles", "theta"], "position"),
+    **dict.fromkeys(["qm", "qg", "qj"], "position"),
     **dict.fromkeys(["velocity", "velocities", "vel", "qd", "dq", "qdot", "speed"], "velocity"),
     **dict.fromkeys(["omega", "dtheta", "v"], "velocity"),
     **dict.fromkeys(
@@ -37,7 +38,7 @@ MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
 ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["measured", "meas", "msr", "actual", "act", "present", "feedback"], MEASURED),
     **dict.fromkeys(["fbk", "ai", "ma", "state", "sensed", "observed"], MEASURED),
-    **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor"], MOTOR),
+    **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor", "qm"], MOTOR),
     **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd"], DESIRED),
     **dict.fromkeys(["target", "tgt", "reference", "ref", "goal", "setpoint", "set", "d"], DESIRED),
     **dict.fromkeys(["ipo", "as", "nominal", "planned", "action"], DESIRED),

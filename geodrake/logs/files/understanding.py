@@ -112,7 +112,7 @@ class _Understood:
         if reading.rate is None:
             places |= _time(path, names, meanings, reading, units)
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
-        notes = (*dict.fromkeys(notes), *choice_words(best))
+        notes = (*notes, *choice_words(best))
         return cls(path, names, reading, places, notes, reading.rate, own)
 
     @classmethod
@@ -123,8 +123,9 @@ class _Understood:
         places = {}
         for name, mapped in mapping:
             column, (joint, _, quantity) = mapped.column, name.rpartition(".")
-            if isinstance(column, int) and str(column) not in names:
-                column = names[column - 1] if 0 < column <= len(names) else column
+            if isinstance(column, int):  # by number, unless that is a name
+                by_number = names[column - 1] if 0 < column <= len(names) else str(column)
+                column = str(column) if str(column) in names else by_number
             if column not in names:
                 raise LogError(
                     f"Log {str(path)!r} has no column {column!r}, which {mapping.source} names for "
@@ -134,7 +135,7 @@ class _Understood:
             text = mapped.unit or reading.units.get(quantity)
             unit = unit_of(text, quantity) if text else None
             factor = mapped.gain * (unit.factor if unit else 1.0)
-            places[joint, quantity] = Source(str(column), factor, unit)
+            places[joint, quantity] = Source(column, factor, unit)
         rate = reading.rate or mapping.rate
         if rate is not None:
             places.pop(("", "time"), None)
