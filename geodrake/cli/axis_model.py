@@ -6,16 +6,15 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from pathlib import Path
+from typing import Annotated
 from xml.sax.saxutils import quoteattr
 
 import typer
 
 from geodrake.boundary.whole_files import write_whole
+from geodrake.cli.reading_options import ReadingOptions
 from geodrake.errors import ArgumentError, OutputError
-
-if TYPE_CHECKING:
-    from geodrake.cli.options import LogOptions
 
 _KINDS = ("prismatic", "revolute")
 _RADIUS = 0.1  # m, of gyration of what turns: a guess, as is the mass
@@ -39,7 +38,7 @@ _URDF = """<?xml version="1.0"?>
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxisOptions:
+class AxisOptions(ReadingOptions):
     """A single axis in place of a model file."""
 
     axis: Annotated[
@@ -57,11 +56,13 @@ class AxisOptions:
 
 
 @contextmanager
-def written_axis(options: LogOptions) -> Iterator[None]:
+def written_axis(options: AxisOptions, model: Path, log: Path) -> Iterator[None]:
     """MODEL is there, written if options ask for an axis; what fails takes it away again.
 
     Args:
-        options: Options of a command on a model and logs.
+        options: Options of a command.
+        model: Its MODEL.
+        log: Its first log.
 
     Raises:
         GeodrakeError: MODEL is there already, the options do not fit together, or the log has
@@ -72,16 +73,15 @@ def written_axis(options: LogOptions) -> Iterator[None]:
             raise ArgumentError("--mass is for --axis.", advice="Add --axis prismatic.")
         yield
         return
-    text = _text(options)
-    write_whole(options.model, text)
+    write_whole(model, _text(options, model, log))
     try:
         yield
     except BaseException:
-        options.model.unlink(missing_ok=True)
+        model.unlink(missing_ok=True)
         raise
 
 
-def _text(options: LogOptions) -> str:
+def _text(options: AxisOptions, model: Path, log: Path) -> str:
     """The URDF, its joint named as that of the first log.
 
     Raises:
@@ -89,7 +89,7 @@ def _text(options: LogOptions) -> str:
     """
     from geodrake.logs.files import read_log
 
-    kind, mass, model = options.axis, options.mass, options.model
+    kind, mass = options.axis, options.mass
     if kind not in _KINDS:
         raise ArgumentError(f"--axis is {kind!r}.", advice=f"It is {' or '.join(_KINDS)}.")
     if mass is None or not (math.isfinite(mass) and mass > 0):
@@ -107,10 +107,10 @@ def _text(options: LogOptions) -> str:
             f"--axis writes MODEL, and {model} does not end in .urdf.",
             advice=f"Name it {model.stem or 'axis'}.urdf.",
         )
-    joints = read_log(options.logs[0], reading=options.reading).joints
+    joints = read_log(log, reading=options.reading).joints
     if len(joints) > 1:
         raise ArgumentError(
-            f"--axis is for one joint; {options.logs[0]} has {len(joints)}: {', '.join(joints)}.",
+            f"--axis is for one joint; {log} has {len(joints)}: {', '.join(joints)}.",
             advice="Give a model file.",
         )
     inertia = mass * _RADIUS**2

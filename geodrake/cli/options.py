@@ -55,7 +55,7 @@ EffectNames = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions(ReadingOptions, AxisOptions):
+class LogOptions(AxisOptions):
     """Options of all commands on a model and logs."""
 
     model: ModelFile

@@ -95,7 +95,7 @@ def run(command: Command[R], options: LogOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
-    with proposing(options.logs), written_axis(options):
+    with proposing(options.logs), written_axis(options, options.model, options.logs[0]):
         _run(command, options)
 
 

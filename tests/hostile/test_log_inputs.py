@@ -270,7 +270,8 @@ TABLES = [
     Row("text that turns round in a cell", CSV, (NO_NUMBER,), cell("\u202e")),
     Row("a cell of 200 kB", CSV, ("Row 6",), cell("z" * 200_000)),
     Row("a cell of 9 kB", CSV, ("Row 6", NO_NUMBER), cell("z" * 9000)),
-    Row("comments", CSV, (), text("# robot\n" + BODY.replace("\n0.05,", "\n# here\n0.05,")), code=0),
+    Row("comments", CSV, (), text(
+        "# robot\n" + BODY.replace("\n0.05,", "\n# here\n0.05,")), code=0),
     Row("comments alone", CSV, ("no header",), text("# robot\n" * 20)),
     Row("a column twice", CSV, ("more than once: elbow.effort",), header(
         HEADER.replace("shoulder.effort", "elbow.effort"))),

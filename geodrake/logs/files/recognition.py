@@ -60,7 +60,8 @@ _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "f
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
 _BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
 _INDEX = re.compile(r"\[(\d+)\]")
-_LONGEST_NAME = 200  # letters that are looked at
+_LONGEST_NAME = 200  # letters of a name of words
+_SAMPLES = ("actual", "measured", "feedback", "state", "desired", "target", "command", "reference")
 
 
 @dataclass(frozen=True)
@@ -101,10 +102,10 @@ class Meaning:
 
 def meaning_of(name: str) -> Meaning | None:
     """What a column of that name is; None if it is none of a joint, and no time."""
-    short = name[:_LONGEST_NAME]
-    found = (rule(short) for rule in RULES)
-    meaning = next((each for each in found if each is not None), None)
-    return meaning if short == name else None
+    own = _own(name)
+    if own is not None or len(name) > _LONGEST_NAME:
+        return own
+    return next((found for rule in RULES if (found := rule(name)) is not None), None)
 
 
 def quantity_of(text: str) -> str | None:
@@ -143,21 +144,9 @@ def _own(name: str) -> Meaning | None:
     joint, dot, quantity = name.rpartition(".")
     if not dot or quantity not in QUANTITIES:
         return None
-    if "/" in joint or (joint.lower().split(".")[-1] in _PARTS):
-        return None
+    if joint.rpartition(".")[2] in _SAMPLES and "." in joint:
+        return None  # of states and references of one joint
     return Meaning(name, quantity, joint, words_of(joint), MEASURED, style=("own", quantity))
-
-
-_PARTS = {
-    "state",
-    "states",
-    "joint_state",
-    "joint_states",
-    "actual",
-    "desired",
-    "error",
-    "feedback",
-}
 
 
 def _time(name: str) -> Meaning | None:
@@ -208,8 +197,8 @@ def _joint(column: str) -> Meaning | None:
     return Meaning(column, quantity, joint if named else "", words, role, unit, style)
 
 
-RULES: tuple[Callable[[str], Meaning | None], ...] = (_own, _time, _joint)
-"""What is asked of a name, from the most certain on."""
+RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint)
+"""What is asked of a name that is none of geodrake's own, from the most certain on."""
 
 
 def _quantity(words: Words) -> str | None:
