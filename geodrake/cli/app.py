@@ -18,6 +18,7 @@ from geodrake.cli.options import (
     DemoOptions,
     ExplainOptions,
     IdentifyOptions,
+    LogCommandOptions,
     Options,
     PlayOptions,
     RolloutOptions,
@@ -209,17 +210,26 @@ def export(options: ExportOptions) -> None:
 
 
 @app.command()
+@taking(LogCommandOptions)
+def log(options: LogCommandOptions) -> None:
+    """What is understood of logs: joints, columns, units, rates, gaps, rest; no model needed."""
+    from geodrake.cli.log import run_log
+
+    run_log(options)
+
+
+@app.command()
 @taking(DemoOptions)
 def demo(options: DemoOptions) -> None:
     """Explain a log that comes with the package, made with an effect that its model lacks."""
     from geodrake.cli.explaining import run_explaining
 
     folder = files("geodrake") / "demo"
-    with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as log:
+    with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as data:
         run_explaining(
             Options(
                 model=model,
-                logs=[log],
+                logs=[data],
                 json=options.json,
                 report=options.report,
                 quiet=options.quiet,

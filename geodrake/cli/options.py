@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
+from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
+from geodrake.cli.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -27,7 +29,8 @@ LogFiles = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG...",
-        help="CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units.",
+        help="CSV or NPZ with time, position and effort of each joint, under the names that "
+        "loggers give them; a.csv+b.csv are joined by time.",
     ),
 ]
 JsonFile = Annotated[
@@ -62,7 +65,7 @@ EffectNames = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions:
+class LogOptions(AxisOptions):
     """Options of all commands on a model and logs."""
 
     model: ModelFile
@@ -310,6 +313,31 @@ class IdentifyOptions(Options):
         Path | None,
         typer.Option(metavar="FILE.html", help="The same as a page to turn around in a browser."),
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogCommandOptions(ReadingOptions):
+    """Options of log."""
+
+    logs: LogFiles
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="A model, whose joints the columns are matched with."),
+    ] = None
+    convert: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv|.npz",
+            help="Write the log in SI units under geodrake's own names, without what sensors did "
+            "wrong.",
+        ),
+    ] = None
+    figure: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Draw positions and efforts over time."),
+    ] = None
+    json: JsonFile = None
+    debug: Debug = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,10 +13,12 @@ from rich.console import Console
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
+from geodrake.cli.axis_model import written_axis
 from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Activity, progress
+from geodrake.cli.reading_options import proposing
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
@@ -24,6 +26,7 @@ from geodrake.cli.version import version
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.files import parts_of
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
@@ -99,10 +102,16 @@ def run(command: Command[R], options: LogOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
+    with proposing(options.logs), written_axis(options, options.model, options.logs[0]):
+        _run(command, options)
+
+
+def _run(command: Command[R], options: LogOptions) -> None:
     more = {**command.more, "series": options.series_target}
     targets = Targets(options.model_target, options.json, options.report, more)
-    read = [options.model, *options.logs, *(options.effects or ())]
-    check_logs(options.logs)
+    files = [part for log in options.logs for part in parts_of(log)]
+    read = [options.model, *files, *filter(None, [options.mapping]), *(options.effects or ())]
+    check_logs(files)
     targets.check(read)
     if options.series_target is not None:
         check_series(options.series_target)
@@ -114,8 +123,9 @@ def run(command: Command[R], options: LogOptions) -> None:
         targets.check([*read, model.path])  # a saved model reads another one
         command.check(model)
         update(command.working)
-        logs = with_known_payloads(options.logs, options.known_payload or (), model)
-        logs = with_facts(logs, options.log_facts, model)
+        carried, reading = options.known_payload or (), options.reading
+        logs = with_known_payloads(options.logs, carried, model, reading)
+        logs = with_facts(logs, options.log_facts, model, reading)
         result = command.work(Input(model, logs, extra, options.settings, update))
         fitted = getattr(result, "model", model)
         update("Writing")

@@ -12,7 +12,7 @@ import numpy as np
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import OutputError
-from geodrake.logs.files.column_names import QUANTITIES
+from geodrake.logs.files.reading import QUANTITIES
 from geodrake.logs.motion import JointLog
 
 _ROWS = 50_000  # that are written at once
