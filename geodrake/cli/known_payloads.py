@@ -21,7 +21,7 @@ _FORM = (
 
 
 def with_known_payloads(
-    logs: Sequence[Path], given: Sequence[str], model: RobotModel
+    logs: Sequence[Path], given: Sequence[str], model: RobotModel, selection: Mapping[str, Any]
 ) -> tuple[JointLog | Path, ...]:
     """The logs, those read of which a known payload is given.
 
@@ -30,6 +30,7 @@ def with_known_payloads(
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
         model: The robot.
+        selection: Which parts of files are the logs, as keyword arguments of `read_log`.
 
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
@@ -42,7 +43,7 @@ def with_known_payloads(
     for payloads in carried.values():
         carried_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
     return tuple(
-        replace(read_log(log, joints=model.joints), payloads=tuple(carried[log]))
+        replace(read_log(log, joints=model.joints, **selection), payloads=tuple(carried[log]))
         if log in carried
         else log
         for log in logs
@@ -50,19 +51,25 @@ def with_known_payloads(
 
 
 def with_facts(
-    logs: Sequence[JointLog | Path], facts: Mapping[str, Any], model: RobotModel
+    logs: Sequence[JointLog | Path],
+    facts: Mapping[str, Any],
+    model: RobotModel,
+    selection: Mapping[str, Any],
 ) -> tuple[JointLog | Path, ...]:
     """The logs with what is known of all of them.
 
     Args:
         logs: Logs or their files.
-        facts: Fields of `JointLog` by name; files are only read if there are some.
+        facts: Fields of `JointLog` by name.
         model: The robot.
+        selection: Which parts of files are the logs; files are only read if this or facts say more
+            than they do.
     """
-    if not facts:
+    if not facts and not selection:
         return tuple(logs)
     read = (
-        log if isinstance(log, JointLog) else read_log(log, joints=model.joints) for log in logs
+        log if isinstance(log, JointLog) else read_log(log, joints=model.joints, **selection)
+        for log in logs
     )
     return tuple(replace(log, **facts) for log in read)
 

@@ -27,7 +27,8 @@ LogFiles = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG...",
-        help="CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units.",
+        help="CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units; a "
+        "rosbag2 folder, .mcap or .bag; Parquet, LeRobot, LCM or .mat.",
     ),
 ]
 JsonFile = Annotated[
@@ -81,7 +82,25 @@ class LogOptions:
             "Repeatable.",
         ),
     ] = None
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Topic of a bag, or channel of an LCM log, where several have joints; such as x "
+            "lists them.",
+        ),
+    ] = None
+    episode: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Episode of a LeRobot dataset, from 0 on; all if absent."),
+    ] = None
     debug: Debug = False
+
+    @property
+    def selection(self) -> dict[str, Any]:
+        """Which parts of files are the logs, as keyword arguments of `read_log`."""
+        given = {"topic": self.topic, "episode": self.episode}
+        return {name: value for name, value in given.items() if value is not None}
 
     @property
     def settings(self) -> dict[str, Any]:

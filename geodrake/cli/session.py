@@ -10,7 +10,6 @@ from typing import Any, Generic, TypeVar
 
 from rich.console import Console
 
-from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
@@ -21,7 +20,8 @@ from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError, LogError
+from geodrake.errors import ArgumentError
+from geodrake.logs.files import check_log
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
@@ -104,8 +104,9 @@ def run(command: Command[R], options: LogOptions) -> None:
         targets.check([*read, model.path])  # a saved model reads another one
         command.check(model)
         update(command.working)
-        logs = with_known_payloads(options.logs, options.known_payload or (), model)
-        logs = with_facts(logs, options.log_facts, model)
+        carried, selection = options.known_payload or (), options.selection
+        logs = with_known_payloads(options.logs, carried, model, selection)
+        logs = with_facts(logs, options.log_facts, model, selection)
         result = command.work(Input(model, logs, extra, options.settings, update))
         fitted = getattr(result, "model", model)
         update("Writing")
@@ -153,7 +154,7 @@ def _check_logs(logs: Sequence[Path]) -> None:
     """Refuse what is no file, and a file that is there twice, by whatever path or link."""
     seen: set[tuple[int, int]] = set()
     for log in logs:
-        status = regular_file(log, "log", LogError).stat()
+        status = check_log(log).stat()
         if (status.st_dev, status.st_ino) in seen:
             raise ArgumentError(
                 f"Log {log} is given twice, so it would be validated against itself.",

@@ -1,4 +1,4 @@
-"""Readers and writers of joint logs, as CSV and NPZ.
+"""Readers and writers of joint logs: CSV and NPZ here, others by `formats`.
 
 The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
 `<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. What
@@ -11,45 +11,52 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from geodrake.boundary.arguments import file_path, instances
-from geodrake.boundary.input_files import regular_file
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import HEADER_ADVICE
 from geodrake.logs.files.csv_file import read_csv
+from geodrake.logs.files.formats import check_log, read_table
 from geodrake.logs.files.npz_file import read_npz
+from geodrake.logs.files.table_log import log_of_table
 from geodrake.logs.files.writing import log_content, write_log
 from geodrake.logs.motion import JointLog
 
-__all__ = ["log_content", "read_log", "write_log"]
+__all__ = ["check_log", "log_content", "read_log", "read_table", "write_log"]
 
 
-def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointLog:
+def read_log(
+    path: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    topic: str | None = None,
+    episode: int | None = None,
+) -> JointLog:
     """Read a log.
 
     Args:
         path: A `.csv` (or `.txt`) file with a header, or an `.npz` file of 1-D arrays of the same
             names. Columns may come in any order; others than those of the format are ignored and
-            noted. Empty cells and `nan` become NaN.
+            noted. Empty cells and `nan` become NaN. Or a file or folder of `formats`: a bag of ROS,
+            MCAP, Parquet, Feather, a LeRobot dataset, an LCM log, MATLAB's .mat.
         joints: Names of a model's joints, if the log must have the same and in their order.
+        topic: Topic of a bag or channel of an LCM log, where several fit.
+        episode: Episode of a dataset; None for all, one after the other.
 
     Returns:
         The log, its joints in the order given or of their position columns, named after the file.
 
     Raises:
-        LogError: If the file is no regular one or cannot be read, lacks a needed column or joint,
-            has one twice, has cells that are not numbers, has fewer than ten rows or more than
-            fit into memory, or if its time does not increase.
+        LogError: If the file is no regular one or cannot be read, a package for it is not
+            installed, it lacks a needed column or joint, has one twice, has cells that are not
+            numbers, has fewer than ten rows or more than fit into memory, or if its time does not
+            increase.
     """
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
-    readers = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}
-    regular_file(path, "log", LogError)
-    if path.suffix.lower() not in readers:
-        raise LogError(
-            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-            advice=f"Convert it to .csv or .npz. {HEADER_ADVICE}",
-        )
+    text = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}.get(path.suffix.lower())
+    check_log(path)
     try:
-        return readers[path.suffix.lower()](path, joints)
+        if text is None:
+            return log_of_table(read_table(path, topic=topic, episode=episode), joints)
+        return text(path, joints)
     except UnicodeDecodeError as error:
         raise LogError(
             f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",

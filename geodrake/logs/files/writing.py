@@ -12,7 +12,6 @@ import numpy as np
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import OutputError
-from geodrake.logs.files.column_names import QUANTITIES
 from geodrake.logs.motion import JointLog
 
 _ROWS = 50_000  # that are written at once
@@ -40,12 +39,7 @@ def log_content(log: JointLog, path: str | Path) -> Content:
     instance(log, "log", JointLog)
     if path.suffix.lower() not in (".csv", ".txt", ".npz"):
         raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
-    columns: dict[str, Any] = {"time": log.time}
-    for quantity in QUANTITIES:
-        values = getattr(log, quantity)
-        if values is not None:
-            names = (f"{joint}.{quantity}" for joint in log.joints)
-            columns.update(zip(names, values.T, strict=True))
+    columns: dict[str, Any] = log.columns()
     if path.suffix.lower() == ".npz":
         return lambda file: np.savez_compressed(file, **columns)
     return lambda file: _write_csv(file, columns)
