@@ -47,8 +47,8 @@ def write_rosbag2(folder, topics, store, *, storage="MCAP"):
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as writer:
-        for topic, messages in topics.items():
-            messages = list(messages)
+        for topic, each in topics.items():
+            messages = list(each)
             kind = messages[0][1].__msgtype__ if messages else "sensor_msgs/msg/JointState"
             connection = writer.add_connection(topic, kind, typestore=store)
             for ns, message in messages:
@@ -217,6 +217,51 @@ def lcm_log(folder, log):
         events.write_event(status.utime + 301, "STATE", lcmt_robot_state().encode())
     events.close()
     return path
+
+
+def simulated_iiwa():
+    """Status messages of Drake's driver of an arm that it holds, and the actuation at the end."""
+    from drake import lcmt_iiwa_command
+    from pydrake.lcm import DrakeLcm
+    from pydrake.manipulation import BuildIiwaControl, IiwaDriver
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+    from pydrake.systems.analysis import Simulator
+    from pydrake.systems.framework import DiagramBuilder
+
+    links = "".join(
+        f"""<link name="l{k}"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+        <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j{k}" type="revolute"><origin xyz="0.2 0 0"/><parent link="l{k - 1}"/>
+        <child link="l{k}"/><axis xyz="0 1 0"/><limit effort="999" velocity="9" lower="-3"
+        upper="3"/></joint><transmission name="t{k}"><type>SimpleTransmission</type>
+        <joint name="j{k}"/><actuator name="m{k}"/></transmission>"""
+        for k in range(1, 8)
+    )
+    urdf = f'<robot name="arm"><link name="l0"/>{links}</robot>'
+
+    def arm(plant):
+        (instance,) = Parser(plant).AddModelsFromString(urdf, "urdf")
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("l0"))
+        plant.Finalize()
+        return instance
+
+    builder, lcm, statuses = DiagramBuilder(), DrakeLcm("memq://"), []
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 1e-3)
+    own = MultibodyPlant(1e-3)
+    instance, _ = arm(plant), arm(own)
+    BuildIiwaControl(builder, lcm, plant, instance, IiwaDriver(), own)
+    lcm.Subscribe("IIWA_STATUS", statuses.append)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    command = lcmt_iiwa_command()
+    command.num_joints, command.joint_position = 7, [0.0] * 7
+    lcm.Publish("IIWA_COMMAND", command.encode())
+    for _ in range(40):
+        simulator.AdvanceTo(simulator.get_context().get_time() + 0.005)
+        lcm.HandleSubscriptions(0)
+    context = plant.GetMyContextFromRoot(simulator.get_context())
+    return statuses, plant.get_net_actuation_output_port(instance).Eval(context)
 
 
 def mat_v7(folder, log):
