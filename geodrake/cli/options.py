@@ -30,7 +30,8 @@ LogFiles = Annotated[
     typer.Argument(
         metavar="LOG...",
         help="CSV or NPZ with time, position and effort of each joint, under the names that "
-        "loggers give them; a.csv+b.csv are joined by time.",
+        "loggers give them; a.csv+b.csv are joined by time. A rosbag2 folder, .mcap or .bag; "
+        "Parquet, LeRobot, LCM or .mat.",
     ),
 ]
 JsonFile = Annotated[

@@ -73,6 +73,24 @@ class ReadingOptions:
         ),
     ] = False
 
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Topic of a bag, or channel of an LCM log, where several have joints; such as x "
+            "lists them.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Episode of a LeRobot dataset, from 0 on; all if absent.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+
     @property
     def reading(self) -> Reading:
         """How logs are to be read.
@@ -93,6 +111,8 @@ class ReadingOptions:
             units=dict(_pairs("--units", [self.units or ""], "position=deg,time=ms")),
             gains={joint: _number(joint, text) for joint, text in self._gains},
             skip_bad_rows=self.skip_bad_rows,
+            topic=self.topic,
+            episode=self.episode,
         )
 
     @property

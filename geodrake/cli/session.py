@@ -11,7 +11,6 @@ from typing import Any, Generic, TypeVar
 import typer
 from rich.console import Console
 
-from geodrake.boundary.input_files import regular_file
 from geodrake.boundary.whole_files import Content
 from geodrake.cli.axis_model import written_axis
 from geodrake.cli.guard import INTERRUPTED
@@ -25,8 +24,8 @@ from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
-from geodrake.errors import ArgumentError, LogError
-from geodrake.logs.files import parts_of
+from geodrake.errors import ArgumentError
+from geodrake.logs.files import check_log, parts_of
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
@@ -183,7 +182,7 @@ def check_logs(logs: Sequence[Path]) -> None:
     """Refuse what is no file, and a file that is there twice, by whatever path or link."""
     seen: set[tuple[int, int]] = set()
     for log in logs:
-        status = regular_file(log, "log", LogError).stat()
+        status = check_log(log).stat()
         if (status.st_dev, status.st_ino) in seen:
             raise ArgumentError(
                 f"Log {log} is given twice, so it would be validated against itself.",

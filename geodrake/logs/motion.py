@@ -6,11 +6,13 @@ import difflib
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances, number, real_array
+from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import ZeroPhaseFilter
@@ -92,6 +94,24 @@ class JointLog(Short):
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def columns(self) -> dict[str, Array]:
+        """What was measured, (N,) each, by the names that log files have for it."""
+        columns = {"time": self.time}
+        for quantity in ("position", "velocity", "acceleration", "effort"):
+            if (values := getattr(self, quantity)) is not None:
+                names = (f"{joint}.{quantity}" for joint in self.joints)
+                columns.update(zip(names, values.T, strict=True))
+        return columns
+
+    def to_dataframe(self) -> Any:
+        """A DataFrame of pandas with the columns of a log file, `time` first.
+
+        Raises:
+            LogError: pandas is not installed.
+        """
+        pandas = optional_package("pandas", "pandas", "data frames", LogError)
+        return pandas.DataFrame(self.columns())
 
     @property
     def fingerprint(self) -> str:

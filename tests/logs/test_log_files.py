@@ -119,8 +119,8 @@ def test_unreadable_files(tmp_path):
         read_log(tmp_path / "missing.csv")
     with pytest.raises(LogError, match="is a folder"):
         read_log(tmp_path)
-    with pytest.raises(LogError, match=r"'\.bag'"):
-        read_log(_write(tmp_path, name="log.bag"))
+    with pytest.raises(LogError, match=r"'\.xlsx'"):
+        read_log(_write(tmp_path, name="log.xlsx"))
     binary = tmp_path / "log.csv"
     binary.write_bytes(bytes(range(256)) * 10)
     with pytest.raises(LogError, match="no text in UTF-8"):

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Protocol
 
 from geodrake.boundary.arguments import file_path, instance, instances
-from geodrake.boundary.input_files import regular_file
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import HEADER_ADVICE, Columns
+from geodrake.logs.files.column_names import Columns
 from geodrake.logs.files.csv_file import read_csv
+from geodrake.logs.files.formats import check_log, read_table
 from geodrake.logs.files.joined_files import joined_table, parts_of
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.npz_file import read_npz
@@ -30,11 +30,13 @@ from geodrake.logs.motion import JointLog
 
 __all__ = [
     "Reading",
+    "check_log",
     "log_content",
     "log_of",
     "parts_of",
     "read_log",
     "read_mapping",
+    "read_table",
     "understand",
     "write_log",
 ]
@@ -51,7 +53,7 @@ class Reader(Protocol):
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
 READERS: Mapping[str, Reader] = {**dict.fromkeys(_TEXT, read_csv), ".npz": read_npz}
-"""Suffix -> what reads such a file."""
+"""Suffix -> what reads such a file; those of `formats` are read as tables."""
 
 
 def read_log(
@@ -64,7 +66,8 @@ def read_log(
     """Read a log.
 
     Args:
-        path: A table of text (`.csv`, `.txt`, `.tsv`, `.dat`) or an `.npz` file of 1-D arrays.
+        path: A table of text (`.csv`, `.txt`, `.tsv`, `.dat`), an `.npz` file of 1-D arrays, or a
+            file or folder of `formats`: bags of ROS, MCAP, Parquet, LeRobot, LCM, MATLAB's .mat.
             Columns may come in any order; which joint and quantity they are of is told by their
             names, and others are ignored and noted. Empty cells and `nan` become NaN. Several
             files with `+` between them, as in `positions.csv+efforts.csv`, are joined by time.
@@ -98,11 +101,13 @@ def understand(
     reading = Reading() if reading is None else instance(reading, "reading", Reading)
     parts = parts_of(path)
     for part in parts:
-        regular_file(part, "log", LogError)
+        check_log(part)
     try:
         if len(parts) > 1:
             return _understood(joined_table(parts, reading), joints, reading, partial=partial)
-        return _reader(path)(path, joints, reading, partial=partial)
+        if reader := READERS.get(path.suffix.lower()):
+            return reader(path, joints, reading, partial=partial)
+        return _understood(read_table(path, reading), joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
             f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
@@ -147,14 +152,3 @@ def _understood(
     recording.put(slice(0, len(table)), table.columns)
     log = recording.log(len(table))
     return replace(log, notes=(*table.notes, *log.notes)), columns
-
-
-def _reader(path: Path) -> Reader:
-    """What reads files of this suffix: the place where further formats come in."""
-    suffix = path.suffix.lower()
-    if suffix not in READERS:
-        raise LogError(
-            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
-            advice=f"Convert it to .csv or .npz. {HEADER_ADVICE}",
-        )
-    return READERS[suffix]

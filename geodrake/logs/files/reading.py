@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from geodrake.boundary.arguments import instance, instances
+from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 
@@ -64,6 +64,8 @@ class Reading:
         units: Quantity (time, position, velocity, acceleration or effort) -> its unit.
         gains: Joint -> what its efforts are multiplied by, such as current · constant · ratio.
         skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
+        topic: Topic of a bag or channel of an LCM log; None for the only one that fits.
+        episode: Episode of a dataset; None for all of them, one after the other.
 
     Raises:
         ArgumentError: A rate or gain is no such number, or a unit is not known.
@@ -75,12 +77,18 @@ class Reading:
     units: Mapping[str, str] = field(default_factory=dict)
     gains: Mapping[str, float] = field(default_factory=dict)
     skip_bad_rows: bool = False
+    topic: str | None = None
+    episode: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))
         instance(self.units, "units", Mapping)
         instance(self.gains, "gains", Mapping)
         check_rate(self.rate, "A log's rate")
+        if self.topic is not None:
+            instance(self.topic, "topic", str)
+        if self.episode is not None:
+            integer(self.episode, "episode", lower=0)
         for quantity, unit in self.units.items():
             unit_of(unit, quantity)
         for joint, gain in self.gains.items():

@@ -1,0 +1,33 @@
+"""Packages that geodrake needs for some files only, imported where they are used."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from geodrake.errors import GeodrakeError
+
+
+def optional_package(module: str, extra: str, what: str, error: type[GeodrakeError]) -> Any:
+    """Import a module of a package that may not be installed.
+
+    Args:
+        module: The module, such as "pyarrow.parquet".
+        extra: The extra of geodrake that installs its package, such as "parquet".
+        what: What it is needed for, such as "Parquet files".
+        error: The kind of the error.
+
+    Raises:
+        GeodrakeError: Of the kind `error`: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as missing:
+        package = module.partition(".")[0]
+        if missing.name is not None and missing.name.split(".")[0] != package:
+            package = f"{package} ({missing.name})"
+        raise error(
+            f"The package {package} is needed for {what}, and is not installed.",
+            advice=f'Install it: pip install "geodrake[{extra}]".',
+            extra=extra,
+        ) from missing

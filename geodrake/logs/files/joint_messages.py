@@ -1,0 +1,202 @@
+"""Messages about joints, in ROS as in LCM: which fields they have, and rows that grow with them."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.files.joint_series import JointKey, JointSeries
+
+Array = NDArray[np.float64]
+
+_NAMES = ("name", "names", "joint_name", "joint_names")
+_PLACES = ((), ("feedback",), ("actual",))  # of the arrays in a message
+_OUTPUT = ("output", "effort")  # of a controller, where nobody measures
+_ARRAYS = {
+    "position": (
+        "position",
+        "positions",
+        "joint_position",
+        "joint_positions",
+        "joint_position_measured",
+        "measured_joint_position",
+        "q",
+    ),
+    "velocity": (
+        "velocity",
+        "velocities",
+        "joint_velocity",
+        "joint_velocities",
+        "joint_velocity_estimated",
+        "dq",
+    ),
+    "acceleration": ("acceleration", "accelerations"),
+    "effort": (
+        "effort",
+        "efforts",
+        "torque",
+        "torques",
+        "joint_effort",
+        "joint_torque",
+        "joint_torques",
+        "joint_torque_measured",
+        "measured_torque",
+        "tau",
+        "tau_J",
+        "tau_j",
+    ),
+}
+
+
+@dataclass(frozen=True)
+class JointFields:
+    """Where messages of a type have the names of joints and what is measured at them.
+
+    Attributes:
+        names: The field with the names, if there is one.
+        arrays: Quantity -> where its array may be; the first that is not empty counts.
+    """
+
+    names: str | None
+    arrays: Mapping[str, tuple[tuple[str, ...], ...]]
+
+    @classmethod
+    def of(cls, message: Any) -> JointFields | None:
+        """The fields of messages such as this one; None if it has no arrays of positions."""
+        names = next(
+            (n for n in _NAMES if isinstance(getattr(message, n, None), list | tuple)), None
+        )
+        arrays = {
+            quantity: tuple(
+                (*place, word)
+                for place in _PLACES
+                for word in words
+                if np.ndim(_at(message, (*place, word))) == 1
+            )
+            for quantity, words in _ARRAYS.items()
+        }
+        if _at(message, _OUTPUT) is not None:
+            arrays["effort"] += (_OUTPUT,)
+        return cls(names, arrays) if arrays["position"] and arrays["effort"] else None
+
+    def sample(self, message: Any) -> tuple[tuple[JointKey, ...], dict[str, Any], bool]:
+        """Joints and arrays of a message, and whether efforts are those of a controller.
+
+        Joints without names are numbers from 0 on.
+        """
+        found, output = {}, False
+        for quantity, paths in self.arrays.items():
+            for path in paths:
+                values = _at(message, path)
+                if values is not None and len(values):
+                    found[quantity] = values
+                    output |= path == _OUTPUT
+                    break
+        if self.names is not None:
+            return tuple(getattr(message, self.names)), found, output
+        return tuple(range(len(found.get("position", ())))), found, output
+
+
+@dataclass
+class MessageRows:
+    """Numbers of messages of one topic. They grow; no message is kept.
+
+    Attributes:
+        topic: What messages for the user call the topic.
+        fields: Where messages have what.
+        count: How many messages there were.
+        from_controller: Whether efforts are what a controller puts out.
+    """
+
+    topic: str
+    fields: JointFields
+    count: int = 0
+    from_controller: bool = False
+    _groups: dict[tuple[tuple[JointKey, ...], tuple[str, ...]], _Messages] = field(
+        default_factory=dict
+    )
+
+    def add(self, message: Any, stamp: int, received: int) -> None:
+        """Take the numbers of a message.
+
+        Args:
+            message: An object with the fields.
+            stamp: When it was measured, ns; 0 if it does not say.
+            received: When it was recorded, ns.
+
+        Raises:
+            LogError: An array has not as many numbers as there are joints.
+        """
+        joints, found, output = self.fields.sample(message)
+        self.count += 1
+        self.from_controller |= output
+        for quantity, values in found.items():
+            if len(values) != len(joints):
+                raise LogError(
+                    f"Message {self.count} of {self.topic} has {len(joints)} joints and "
+                    f"{len(values)} numbers of {quantity}.",
+                    advice="Is another message type recorded under that name?",
+                )
+        key = joints, tuple(found)
+        group = self._groups.get(key)
+        if group is None:
+            group = self._groups[key] = _Messages()
+        group.stamps.append(stamp)
+        group.received.append(received)
+        if found:
+            group.numbers.frombytes(np.concatenate([*found.values()], dtype=float).tobytes())
+
+    @property
+    def quantities(self) -> frozenset[str]:
+        """What some joint has in one message."""
+        best = max((q for _, q in self._groups), key=_completeness, default=())
+        return frozenset(best)
+
+    @property
+    def joints(self) -> tuple[JointKey, ...]:
+        """All joints, in the order in which they appear."""
+        return tuple(dict.fromkeys(joint for joints, _ in self._groups for joint in joints))
+
+    @property
+    def all_stamped(self) -> bool:
+        """Whether every message says when it was measured."""
+        return all(min(group.stamps) > 0 for group in self._groups.values())
+
+    def series(self) -> list[JointSeries]:
+        """What was measured, by groups of joints that came together, each in order."""
+        stamped = self.all_stamped
+        return [
+            JointSeries.of(
+                joints,
+                quantities,
+                np.frombuffer(group.stamps if stamped else group.received, np.int64),
+                np.frombuffer(group.numbers),
+            )
+            for (joints, quantities), group in self._groups.items()
+        ]
+
+
+@dataclass
+class _Messages:
+    """Messages with the same joints in the same order."""
+
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+    received: array[int] = field(default_factory=lambda: array("q"))
+    numbers: array[float] = field(default_factory=lambda: array("d"))
+
+
+def _completeness(quantities: Sequence[str]) -> tuple[bool, int]:
+    return {"position", "effort"}.issubset(quantities), len(quantities)
+
+
+def _at(message: Any, path: Sequence[str]) -> Any:
+    """What a message has at a place, None for nothing."""
+    for name in path:
+        message = getattr(message, name, None)
+    return message

@@ -1,0 +1,77 @@
+"""Logs of LCM: the status messages of Drake's robot drivers."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import LogError
+from geodrake.logs.files.joint_messages import JointFields, MessageRows
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.topics import Topic, chosen_topic, topic_table
+
+MAGIC = b"\xed\xa1\xda\x01"
+"""What each event of a log begins with."""
+
+_TYPES = ("lcmt_iiwa_status", "lcmt_jaco_status", "lcmt_panda_status")
+_NEGATIVE = ("lcmt_iiwa_status",)
+"""Types with torques of the other sign than Drake's, as their definition says."""
+
+_FINGERPRINT = 8  # bytes of the type at the beginning of a message
+
+
+def read_lcm(path: Path, reading: Reading) -> LogTable:
+    """The columns of an LCM log; see `read_bag` for arguments.
+
+    Channels are known by the types of their messages, whatever their names.
+    """
+    lcm = optional_package("lcm", "lcm", "LCM logs", LogError)
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise LogError(
+                f"Log {str(path)!r} is no LCM log: it does not begin as one.",
+                advice="Record it by lcm-logger.",
+            )
+    topics = _topics(lcm.EventLog(str(path), "r"), _types())
+    topic = chosen_topic(path, topics, reading)
+    table = topic_table(path, topic, topics)
+    if topic.kind not in _NEGATIVE:
+        return table
+    turned = {
+        name: -numbers if name.startswith("effort[") else numbers
+        for name, numbers in table.columns.items()
+    }
+    note = f"efforts turned in sign, as {topic.kind} defines torques"
+    return replace(table, columns=turned, notes=(*table.notes, note))
+
+
+def _types() -> Mapping[bytes, type]:
+    """Types of messages about joints, by what their messages begin with."""
+    drake = importlib.import_module("drake")
+    found = [getattr(drake, name) for name in _TYPES]
+    return {kind._get_packed_fingerprint(): kind for kind in found}
+
+
+def _topics(events: Any, types: Mapping[bytes, type]) -> list[Topic]:
+    """All channels with what their messages say."""
+    topics: dict[str, Topic] = {}
+    rows: dict[str, MessageRows] = {}
+    for event in events:
+        kind: Any = types.get(event.data[:_FINGERPRINT])
+        if kind is None:
+            topics.setdefault(event.channel, Topic(event.channel, "another type"))
+            continue
+        message = kind.decode(event.data)
+        if event.channel not in rows:
+            fields = JointFields.of(message)
+            if fields is None:
+                continue
+            rows[event.channel] = MessageRows(event.channel, fields)
+            topics[event.channel] = Topic(event.channel, kind.__name__, rows[event.channel], True)
+        rows[event.channel].add(message, 1000 * message.utime, 1000 * event.timestamp)
+    return list(topics.values())

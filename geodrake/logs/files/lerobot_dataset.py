@@ -1,0 +1,118 @@
+"""Logs in LeRobot datasets, of versions 2 and 3: episodes in Parquet files, described by JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import LogError
+from geodrake.logs.files.damage import readable
+from geodrake.logs.files.parquet_file import arrow_table
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable
+
+Array = NDArray[np.float64]
+
+INFO = "meta/info.json"
+"""What makes a folder a dataset."""
+
+_BETWEEN = 1.0  # s between episodes, which is a gap
+_WORDS = {
+    "position": re.compile(r"state|pos|position|positions|qpos|q|joint_positions?|angles?"),
+    "velocity": re.compile(r"vel|velocity|velocities|qvel|dq|joint_velocit(y|ies)"),
+    "effort": re.compile(r"efforts?|torques?|tau|joint_(efforts?|torques?)"),
+}
+"""Quantity -> the last words of features, and of names in a feature."""
+
+
+def read_lerobot(path: Path, reading: Reading) -> LogTable:
+    """The columns of a LeRobot dataset; see `read_bag` for arguments.
+
+    Without a chosen episode all are read, one after the other, with a gap between two.
+    """
+    parquet = optional_package("pyarrow.parquet", "parquet", "LeRobot datasets", LogError)
+    with readable(path, "LeRobot dataset"):
+        features = json.loads((path / INFO).read_text(encoding="utf-8"))["features"]
+        meaning = dict(_meaning(features))
+        _check_efforts(path, features, meaning)
+        wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
+        episode = reading.episode
+        only = None if episode is None else [("episode_index", "==", episode)]
+        tables = [
+            arrow_table(file, parquet.read_table(file, columns=wanted, filters=only)).columns
+            for file in sorted(path.glob("data/**/*.parquet"))
+        ]
+        tables = [table for table in tables if len(table["timestamp"])]
+        if not tables:
+            raise LogError(
+                f"LeRobot dataset {str(path)!r} has no samples"
+                + (f" of episode {episode}." if episode is not None else "."),
+                advice="Episodes are counted from 0 on." if episode is not None else "",
+            )
+        columns = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
+    episodes = columns.pop("episode_index")
+    time = _time(columns.pop("timestamp"), episodes)
+    count = 1 + np.count_nonzero(np.diff(episodes))
+    notes = (f"{count} episodes, one after the other",) if count > 1 else ()
+    named = {name: columns[column] for (_, column), name in meaning.items() if column in columns}
+    return LogTable(path, {"time": time, **named}, notes=notes)
+
+
+def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
+    """Feature and column -> `<joint>.<quantity>`, for what is observed of joints."""
+    for feature, description in features.items():
+        head, _, last = feature.rpartition(".")
+        quantity = _quantity(last)
+        if quantity is None or not head.startswith("observation"):
+            continue
+        (size,) = description["shape"]
+        names = _names(description.get("names"), size)
+        for k in range(size):
+            joint, _, word = names[k].rpartition(".") if names else ("", "", "")
+            own = _quantity(word) if joint else None
+            joint = joint if own else names[k] if names else ""
+            column = feature if size == 1 else f"{feature}[{k}]"
+            name = f"{joint}.{own or quantity}" if joint else f"{quantity}[{k}]"
+            yield (feature, column), name
+
+
+def _quantity(word: str) -> str | None:
+    return next((q for q, words in _WORDS.items() if words.fullmatch(word)), None)
+
+
+def _names(names: Any, size: int) -> list[str] | None:
+    """Names of the numbers of a feature, however they are nested; None if there are none."""
+    if isinstance(names, Mapping):
+        names = [name for each in names.values() if isinstance(each, list) for name in each]
+    if isinstance(names, list) and len(names) == 1 and isinstance(names[0], list):
+        names = names[0]
+    if isinstance(names, list) and len(names) == size:
+        return [str(name) for name in names]
+    return None
+
+
+def _check_efforts(
+    path: Path, features: Mapping[str, Any], meaning: Mapping[tuple[str, str], str]
+) -> None:
+    """Refuse datasets without positions or efforts."""
+    for quantity in ("position", "effort"):
+        if not any(re.search(rf"\b{quantity}(\[\d+\])?$", name) for name in meaning.values()):
+            raise LogError(
+                f"LeRobot dataset {str(path)!r} has no {quantity} of joints; its features are "
+                f"{', '.join(list(features)[:12])}.",
+                advice="Record observation.state (positions) and observation.effort.",
+            )
+
+
+def _time(stamps: Array, episodes: Array) -> Array:
+    """Time that goes on from one episode to the next."""
+    steps = np.diff(stamps, prepend=stamps[:1])
+    steps[1:][np.diff(episodes) != 0] = _BETWEEN
+    return np.asarray(np.cumsum(steps))

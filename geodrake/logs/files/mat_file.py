@@ -1,0 +1,80 @@
+"""Logs in MATLAB's files: variables, and fields of structs by `<struct>.<field>`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import LogError
+from geodrake.logs.files.damage import readable
+from geodrake.logs.files.numeric_columns import numeric_columns
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_HDF5_STARTS = (0, 512)  # MATLAB puts a header of its own before
+_ADVICE = "Save arrays or structs of them: save('log.mat', 'time', 'q', 'tau', '-v7')."
+
+
+def read_mat(path: Path, reading: Reading) -> LogTable:
+    """The columns of a MATLAB file; see `read_bag` for arguments."""
+    with readable(path, "MATLAB file", _ADVICE):
+        variables = _of_hdf5(path) if _is_hdf5(path) else loadmat(path, simplify_cells=True)
+    own = {name: value for name, value in variables.items() if not name.startswith(("__", "#"))}
+    arrays = dict(_flattened(own))
+    rows = max((max(array.shape) for array in arrays.values()), default=0)
+    sides = {name: _upright(array, rows) for name, array in arrays.items()}
+    columns, notes = numeric_columns(sides, rows)
+    if not columns:
+        raise LogError(
+            f"Log {str(path)!r} has no arrays of numbers; its variables are "
+            f"{', '.join(list(own)[:8]) or 'none'}.",
+            advice=f"Tables and timeseries are MATLAB's own. {_ADVICE}",
+        )
+    return LogTable(path, columns, notes=notes)
+
+
+def _is_hdf5(path: Path) -> bool:
+    with path.open("rb") as file:
+        for start in _HDF5_STARTS:
+            file.seek(start)
+            if file.read(len(_HDF5)) == _HDF5:
+                return True
+    return False
+
+
+def _of_hdf5(path: Path) -> dict[str, Any]:
+    """Variables of a file of version 7.3."""
+    what = "MATLAB files of version 7.3 (or save them with -v7)"
+    h5py = optional_package("h5py", "mat", what, LogError)
+    with h5py.File(path, "r") as file:
+        return {name: _value(h5py, value) for name, value in file.items()}
+
+
+def _value(h5py: Any, value: Any) -> Any:
+    if isinstance(value, h5py.Group):
+        return {name: _value(h5py, each) for name, each in value.items()}
+    kind = value.attrs.get("MATLAB_class", b"double")
+    return None if kind in (b"char", b"cell") else np.asarray(value).T  # columns come first there
+
+
+def _flattened(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Arrays with one number or more, fields of structs by their paths."""
+    inner = [value for value in values.values() if isinstance(value, Mapping)]
+    for name, value in values.items():
+        if isinstance(value, Mapping):  # a struct around all else says nothing
+            around = not prefix and len(values) == len(inner) == 1
+            yield from _flattened(value, "" if around else f"{prefix}{name}.")
+        elif isinstance(value, np.ndarray) and value.size > 1:
+            yield f"{prefix}{name}", value
+
+
+def _upright(array: Any, rows: int) -> Any:
+    """An array with its rows first."""
+    squeezed = np.squeeze(array)
+    return squeezed.T if squeezed.ndim == 2 and squeezed.shape[0] != rows else squeezed

@@ -1,0 +1,169 @@
+"""Logs in ROS bags: rosbag2 folders, MCAP and SQLite files, and bags of ROS 1."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, islice
+from pathlib import Path
+from typing import Any
+
+from geodrake.boundary.optional_packages import optional_package
+from geodrake.errors import LogError
+from geodrake.logs.files.damage import readable
+from geodrake.logs.files.joint_messages import JointFields, MessageRows
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.topics import Topic, chosen_topic, topic_table
+
+_FIRST = 20  # messages by which a topic is known; publishers of other joints may take turns
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"
+_WORDS = re.compile(r"effort|torque|\btau")  # in the definition of a type that has efforts
+_COMMAND = re.compile(r"command|goal", re.IGNORECASE)  # topics of what is wanted, not measured
+_IDL_RULE = "=" * 80 + "\n"  # between definitions in IDL
+_REPAIR = (
+    "If the recording was cut off, repair it: `ros2 bag reindex` for a folder, `mcap recover` for "
+    ".mcap, `rosbag reindex` for .bag."
+)
+_HEAD = "std_msgs/Header header\nstring[] joint_names\n"
+_UNDEFINED = (
+    _HEAD
+    + "".join(
+        f"trajectory_msgs/JointTrajectoryPoint {name}\n" for name in ("desired", "actual", "error")
+    ),
+    _HEAD
+    + "".join(
+        f"trajectory_msgs/JointTrajectoryPoint {name}\n"
+        for name in ("reference", "feedback", "error", "output", "desired", "actual")
+    )
+    + "string[] multi_dof_joint_names\n"
+    + "".join(
+        f"trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_{name}\n"
+        for name in ("reference", "feedback", "error", "output", "desired", "actual")
+    ),
+)
+"""What controllers publish, for bags of SQLite that do not say it: until Foxy, and in Humble."""
+
+
+def read_bag(path: Path, reading: Reading) -> LogTable:
+    """The columns of a ROS bag.
+
+    Args:
+        path: Its file or folder.
+        reading: Which part of it is read.
+
+    Raises:
+        LogError: It cannot be read, or has not one topic with positions and efforts of joints.
+    """
+    is_first = path.suffix.lower() == ".bag"
+    method = "deserialize_ros1" if is_first else "deserialize_cdr"
+    module = f"rosbags.rosbag{1 if is_first else 2}"
+    package = optional_package(module, "ros", "ROS bags", LogError)
+    with readable(path, "ROS bag", _REPAIR), package.Reader(_storage(path)) as reader:
+        spoken = sorted((c for c in reader.connections if c.msgcount), key=lambda c: c.topic)
+        found = [
+            _probed(reader, [*each], method) for _, each in groupby(spoken, key=lambda c: c.topic)
+        ]
+        topics = [source.topic for source in found]
+        chosen = chosen_topic(path, topics, reading)
+        whole = found[topics.index(chosen)].read(reader)
+        return topic_table(path, whole, topics)
+
+
+def _storage(path: Path) -> Path:
+    """What the reader takes: the folder, or its only file if the recorder could not end it."""
+    if not path.is_dir() or (path / "metadata.yaml").exists():
+        return path
+    files = sorted(each for each in path.iterdir() if each.suffix in (".mcap", ".db3"))
+    if len(files) == 1:
+        return files[0]
+    raise LogError(
+        f"Log {str(path)!r} has {len(files)} files of a bag, and no metadata.yaml, which says "
+        "their order.",
+        advice=f"Write it: ros2 bag reindex {path}. Or name one of the files.",
+    )
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A topic of an open bag.
+
+    Attributes:
+        topic: What is known of it.
+        connections: What the bag has of it, one for each publisher.
+        decode: What makes a message of bytes and its type; None if nothing is known to.
+    """
+
+    topic: Topic
+    connections: Sequence[Any]
+    decode: Callable[[bytes, str], Any] | None
+
+    def read(self, reader: Any, most: int | None = None) -> Topic:
+        """The topic with what its messages say, or the first of them."""
+        if self.decode is None:
+            return self.topic
+        rows = None
+        for _, received, data in islice(reader.messages(connections=self.connections), most):
+            message = self.decode(data, self.topic.kind)
+            if rows is None:
+                fields = JointFields.of(message)
+                if fields is None:
+                    break
+                rows = MessageRows(self.topic.name, fields)
+            rows.add(message, _stamp(message), received)
+        return replace(self.topic, rows=rows)
+
+
+def _probed(reader: Any, connections: Sequence[Any], method: str) -> _Source:
+    """A topic by its first messages."""
+    name, kind, definition = (getattr(connections[0], x) for x in ("topic", "msgtype", "msgdef"))
+    is_state = kind == _JOINT_STATE
+    topic = Topic(name, kind, made_for_joints=is_state and not _COMMAND.search(name))
+    for text in _definitions(kind, definition):
+        try:
+            decode = getattr(_store(kind, text, definition.format.name), method)
+            source = _Source(topic, connections, decode)
+            return replace(source, topic=source.read(reader, _FIRST))
+        except _problems():
+            if is_state:  # of others, nothing may be known
+                raise
+    return _Source(topic, connections, None)
+
+
+def _definitions(kind: str, definition: Any) -> tuple[str, ...]:
+    """What the messages of a type may be, if it can be about joints at all."""
+    if definition.data:
+        return (definition.data,) if _WORDS.search(definition.data) else ()
+    return {_JOINT_STATE: ("",), _CONTROLLER_STATE: _UNDEFINED}.get(kind, ())
+
+
+def _store(kind: str, definition: str, form: str) -> Any:
+    """What decodes messages: by the bag's own definition, else with the types of ROS 2."""
+    typesys = importlib.import_module("rosbags.typesys")
+    stores = typesys.Stores
+    store = typesys.get_typestore(stores.LATEST if form == "NONE" else stores.EMPTY)
+    if form == "IDL":
+        for part in definition.split(_IDL_RULE):
+            text = part.partition("\n")[2] if part.startswith("IDL: ") else part
+            store.register(typesys.get_types_from_idl(text) if text.strip() else {})
+    elif definition:
+        types = typesys.get_types_from_msg(definition, kind)
+        store.register(
+            {name: fields for name, fields in types.items() if form == "MSG" or name == kind}
+        )
+    return store
+
+
+def _problems() -> tuple[type[Exception], ...]:
+    """What types raise that cannot be understood, and messages that are not of their type."""
+    serde, typesys = map(importlib.import_module, ("rosbags.serde", "rosbags.typesys"))
+    return serde.SerdeError, typesys.TypesysError, LogError
+
+
+def _stamp(message: Any) -> int:
+    """When a message was measured, ns; 0 if it does not say."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec

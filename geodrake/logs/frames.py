@@ -1,0 +1,73 @@
+"""Logs of data frames and arrays, whoever made them: pandas, polars, Arrow, NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geodrake.boundary.arguments import instance, instances
+from geodrake.errors import ArgumentError
+from geodrake.logs.files import log_of
+from geodrake.logs.files.numeric_columns import numbers, numeric_columns
+from geodrake.logs.files.table import LogTable
+from geodrake.logs.motion import JointLog
+
+
+def log_of_frame(
+    frame: Any, *, joints: Sequence[str] | None = None, name: str = "frame"
+) -> JointLog:
+    """The log in a data frame, or in arrays by name.
+
+    Args:
+        frame: A DataFrame of pandas or polars, a table of Arrow, a structured array, or a mapping
+            of names to arrays. Columns are `time`, `<joint>.position`, `<joint>.effort` and
+            perhaps `<joint>.velocity`; or `position`, `effort` … (N, n), with the joints in order.
+            Without `time`, the index of a pandas frame is the time, if it is one of dates,
+            durations or seconds.
+        joints: Names of a model's joints, if the log must have the same and in their order.
+        name: What messages call the log.
+
+    Raises:
+        ArgumentError: It is no frame.
+        LogError: It lacks a needed column or joint, or its time does not increase.
+    """
+    instance(name, "name", str)
+    joints = None if joints is None else instances(joints, "joints", str)
+    arrays = _arrays(frame)
+    rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
+    columns, notes = numeric_columns(arrays, rows)
+    if "time" not in columns and (index := _time_index(frame)) is not None:
+        columns["time"] = index
+    return log_of(LogTable(Path(name), columns, notes=notes), joints=joints)
+
+
+def _arrays(frame: Any) -> dict[str, Any]:
+    """Columns by their names, whatever holds them."""
+    if isinstance(frame, np.ndarray) and frame.dtype.names is not None:
+        return {name: frame[name] for name in frame.dtype.names}
+    names = frame if isinstance(frame, Mapping) else getattr(frame, "column_names", None)
+    if names is None:
+        names = getattr(frame, "columns", None)
+    if names is None or isinstance(frame, str):
+        raise ArgumentError(
+            f"A frame has named columns; it is {type(frame).__name__}.",
+            advice="Give a DataFrame, or a dict of arrays with time, position and effort.",
+        )
+    return {str(name): _array(frame[name]) for name in names}
+
+
+def _array(column: Any) -> Any:
+    """The array of a column; lists of polars as nested lists."""
+    if hasattr(column, "to_numpy"):
+        return column.to_numpy()
+    return np.asarray(column)
+
+
+def _time_index(frame: Any) -> Any:
+    """Seconds of the index of a frame of pandas, None if it only counts rows."""
+    index: Any = getattr(frame, "index", None)
+    kind = getattr(getattr(index, "dtype", None), "kind", "")
+    return numbers(index.to_numpy()) if kind in ("M", "m", "f") else None

@@ -1,0 +1,346 @@
+"""Logs as other libraries write them: each function writes one, and returns its path."""
+
+import json
+
+import numpy as np
+
+EPOCH = 1_760_000_000_000_000_000  # ns, when recordings begin
+
+
+def nanoseconds(log):
+    return [int(stamp) for stamp in np.round(1e9 * (log.time - log.time[0]))]
+
+
+def joint_states(store, log, header, *, efforts=True, order=None):
+    """A JointState for each row, with its stamp; `header(ns)` makes the header."""
+    JointState = store.types["sensor_msgs/msg/JointState"]
+    order = order or (lambda k: range(len(log.joints)))
+    for k, since in enumerate(nanoseconds(log)):
+        places = list(order(k))
+        yield (
+            since + EPOCH,
+            JointState(
+                header(since + EPOCH),
+                [log.joints[place] for place in places],
+                log.position[k, places],
+                log.velocity[k, places],
+                log.effort[k, places] if efforts else np.zeros(0),
+            ),
+        )
+
+
+def ros2_store():
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+def ros2_header(store):
+    Header, Time = (
+        store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    )
+    return lambda ns: Header(Time(ns // 10**9, ns % 10**9), "base")
+
+
+def write_rosbag2(folder, topics, store, *, storage="MCAP"):
+    """A rosbag2 of topics -> (time, message)s, written by rosbags."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as writer:
+        for topic, each in topics.items():
+            messages = list(each)
+            kind = messages[0][1].__msgtype__ if messages else "sensor_msgs/msg/JointState"
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for ns, message in messages:
+                writer.write(connection, ns, store.serialize_cdr(message, kind))
+    return folder
+
+
+def rosbag2_mcap(folder, log, storage="MCAP"):
+    store = ros2_store()
+    states = joint_states(store, log, ros2_header(store))
+    return write_rosbag2(
+        folder / f"bag_{storage}", {"/joint_states": states}, store, storage=storage
+    )
+
+
+def rosbag2_sqlite3(folder, log):
+    return rosbag2_mcap(folder, log, "SQLITE3")
+
+
+def controller_state(folder, log):
+    """A state of ros2_control's trajectory controller, whose type is defined in the bag alone."""
+    from rosbags.typesys import get_types_from_msg
+
+    store = ros2_store()
+    points = "".join(
+        f"trajectory_msgs/JointTrajectoryPoint {name}\n" for name in ("reference", "feedback")
+    )
+    kind = "control_msgs/msg/JointTrajectoryControllerState"
+    text = f"std_msgs/Header header\nstring[] joint_names\n{points}"
+    store.register(get_types_from_msg(text, kind))
+    State, Point, Duration = (
+        store.types[name]
+        for name in (
+            kind,
+            "trajectory_msgs/msg/JointTrajectoryPoint",
+            "builtin_interfaces/msg/Duration",
+        )
+    )
+    header, none = ros2_header(store), np.zeros(0)
+
+    def point(position, velocity, effort):
+        return Point(position, velocity, none, effort, Duration(0, 0))
+
+    def messages():
+        for k, since in enumerate(nanoseconds(log)):
+            ns = since + EPOCH
+            feedback = point(log.position[k], log.velocity[k], log.effort[k])
+            yield ns, State(header(ns), list(log.joints), point(none, none, none), feedback)
+
+    return write_rosbag2(folder / "controller", {"/arm_controller/state": messages()}, store)
+
+
+def bare_mcap(folder, log):
+    """One MCAP file, by the writer of mcap-ros2-support."""
+    from mcap_ros2.writer import Writer
+
+    definition = (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+        "float64[] effort\n"
+        + 80 * "="
+        + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
+        + 80 * "="
+        + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
+    )
+    path = folder / "bare.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        schema = writer.register_msgdef("sensor_msgs/msg/JointState", definition)
+        for k, since in enumerate(nanoseconds(log)):
+            ns = since + EPOCH
+            message = {
+                "header": {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": ""},
+                "name": list(log.joints),
+                "position": log.position[k].tolist(),
+                "velocity": log.velocity[k].tolist(),
+                "effort": log.effort[k].tolist(),
+            }
+            writer.write_message("/robot/joint_states", schema, message, log_time=ns)
+        writer.finish()
+    return path
+
+
+def ros1_bag(folder, log):
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    Header, Time = (
+        store.types[name] for name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+    )
+
+    def header(ns):
+        return Header(0, Time(ns // 10**9, ns % 10**9), "")
+
+    path, kind = folder / "noetic.bag", "sensor_msgs/msg/JointState"
+    with Writer(path) as writer:
+        connection = writer.add_connection("/joint_states", kind, typestore=store)
+        for ns, message in joint_states(store, log, header):
+            writer.write(connection, ns, store.serialize_ros1(message, kind))
+    return path
+
+
+def named_columns(log):
+    """Columns as in a CSV, from another place than geodrake's own writer."""
+    columns = {"time": log.time}
+    for quantity in ("position", "velocity", "effort"):
+        for k, joint in enumerate(log.joints):
+            columns[f"{joint}.{quantity}"] = getattr(log, quantity)[:, k]
+    return columns
+
+
+def arrow_parquet(folder, log):
+    """Lists of numbers, in structs."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = {"time": log.time, "mode": ["auto"] * len(log)}
+    for quantity in ("position", "velocity", "effort"):
+        flat = pa.array(getattr(log, quantity).ravel())
+        table[quantity] = pa.FixedSizeListArray.from_arrays(flat, len(log.joints))
+    path = folder / "arrow.parquet"
+    pq.write_table(pa.table(table), path, compression="zstd")
+    return path
+
+
+def pandas_parquet(folder, log):
+    import pandas
+
+    path = folder / "pandas.parquet"
+    pandas.DataFrame(named_columns(log)).to_parquet(path)
+    return path
+
+
+def polars_parquet(folder, log):
+    import polars
+
+    path = folder / "polars.parquet"
+    polars.DataFrame(named_columns(log)).write_parquet(path)
+    return path
+
+
+def polars_feather(folder, log):
+    import polars
+
+    path = folder / "polars.feather"
+    polars.DataFrame(named_columns(log)).write_ipc(path)
+    return path
+
+
+def lcm_log(folder, log):
+    """What lcm-logger keeps of a KUKA iiwa, whose torques have the other sign."""
+    import lcm
+    from drake import lcmt_iiwa_status, lcmt_robot_state
+
+    path = folder / "lcmlog-2026-05-01.00"
+    events = lcm.EventLog(str(path), "w")
+    for k, since in enumerate(nanoseconds(log)):
+        status = lcmt_iiwa_status()
+        status.utime, status.num_joints = (since + EPOCH) // 1000, len(log.joints)
+        for name in status.__slots__[2:]:
+            setattr(status, name, [0.0] * len(log.joints))
+        status.joint_position_measured = log.position[k].tolist()
+        status.joint_velocity_estimated = log.velocity[k].tolist()
+        status.joint_torque_measured = (-log.effort[k]).tolist()
+        events.write_event(status.utime + 300, "IIWA_STATUS", status.encode())
+        events.write_event(status.utime + 301, "STATE", lcmt_robot_state().encode())
+    events.close()
+    return path
+
+
+def simulated_iiwa():
+    """Status messages of Drake's driver of an arm that it holds, and the actuation at the end."""
+    from drake import lcmt_iiwa_command
+    from pydrake.lcm import DrakeLcm
+    from pydrake.manipulation import BuildIiwaControl, IiwaDriver
+    from pydrake.multibody.parsing import Parser
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+    from pydrake.systems.analysis import Simulator
+    from pydrake.systems.framework import DiagramBuilder
+
+    links = "".join(
+        f"""<link name="l{k}"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+        <inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="j{k}" type="revolute"><origin xyz="0.2 0 0"/><parent link="l{k - 1}"/>
+        <child link="l{k}"/><axis xyz="0 1 0"/><limit effort="999" velocity="9" lower="-3"
+        upper="3"/></joint><transmission name="t{k}"><type>SimpleTransmission</type>
+        <joint name="j{k}"/><actuator name="m{k}"/></transmission>"""
+        for k in range(1, 8)
+    )
+    urdf = f'<robot name="arm"><link name="l0"/>{links}</robot>'
+
+    def arm(plant):
+        (instance,) = Parser(plant).AddModelsFromString(urdf, "urdf")
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("l0"))
+        plant.Finalize()
+        return instance
+
+    builder, lcm, statuses = DiagramBuilder(), DrakeLcm("memq://"), []
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 1e-3)
+    own = MultibodyPlant(1e-3)
+    instance, _ = arm(plant), arm(own)
+    BuildIiwaControl(builder, lcm, plant, instance, IiwaDriver(), own)
+    lcm.Subscribe("IIWA_STATUS", statuses.append)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    command = lcmt_iiwa_command()
+    command.num_joints, command.joint_position = 7, [0.0] * 7
+    lcm.Publish("IIWA_COMMAND", command.encode())
+    for _ in range(40):
+        simulator.AdvanceTo(simulator.get_context().get_time() + 0.005)
+        lcm.HandleSubscriptions(0)
+    context = plant.GetMyContextFromRoot(simulator.get_context())
+    return statuses, plant.get_net_actuation_output_port(instance).Eval(context)
+
+
+def mat_v7(folder, log):
+    from scipy.io import savemat
+
+    path = folder / "scipy.mat"
+    data = {name: getattr(log, name) for name in ("time", "position", "velocity", "effort")}
+    savemat(path, {"data": {**data, "comment": "shoulder and elbow"}}, do_compression=True)
+    return path
+
+
+def mat_v73(folder, log):
+    """As MATLAB lays it out: columns first, and a class for each variable."""
+    import h5py
+
+    path = folder / "hdf5.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for k, joint in enumerate(log.joints):
+            for quantity in ("position", "velocity", "effort"):
+                values = getattr(log, quantity)[:, k]
+                file[f"{joint}/{quantity}"] = values[None, :]
+        file["time"] = log.time[None, :]
+        file["who"] = np.frombuffer(b"me", np.uint8).astype(np.uint16)[:, None]
+        file["who"].attrs["MATLAB_class"] = np.bytes_("char")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+def lerobot(folder, log, *, version="v3.0", episodes=2, efforts=True):
+    """A dataset of equal episodes: of version 3 in one file, of version 2 in one each."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = folder / f"lerobot_{version}_{episodes}"
+    names = {"motors": [f"{joint}.pos" for joint in log.joints]} if version[1] == "2" else None
+    shape = [len(log.joints)]
+    feature = {"dtype": "float32", "shape": shape, "names": list(log.joints)}
+    features = {"observation.state": {**feature, "names": names or list(log.joints)}}
+    if efforts:
+        features["observation.effort"] = feature
+    features["observation.images.top"] = {"dtype": "video", "shape": [3, 48, 64], "names": None}
+    features["action"] = feature
+    (path / "meta").mkdir(parents=True)
+    info = {"codebase_version": version, "total_episodes": episodes, "features": features}
+    (path / "meta" / "info.json").write_text(json.dumps(info))
+    tables = []
+    for k, rows in enumerate(np.array_split(np.arange(len(log)), episodes)):
+        columns = {
+            "observation.state": list(log.position[rows].astype(np.float32)),
+            "action": list(log.position[rows].astype(np.float32)),
+            "timestamp": (log.time[rows] - log.time[rows[0]]).astype(np.float32),
+            "episode_index": np.full(len(rows), k),
+        }
+        if efforts:
+            columns["observation.effort"] = list(log.effort[rows].astype(np.float32))
+        tables.append(pa.table(columns))
+    data = path / "data" / "chunk-000"
+    data.mkdir(parents=True)
+    if version[1] == "2":
+        for k, table in enumerate(tables):
+            pq.write_table(table, data / f"episode_{k:06d}.parquet")
+    else:
+        pq.write_table(pa.concat_tables(tables), data / "file-000.parquet")
+    return path
+
+
+FORMATS = (
+    rosbag2_mcap,
+    rosbag2_sqlite3,
+    controller_state,
+    bare_mcap,
+    ros1_bag,
+    arrow_parquet,
+    pandas_parquet,
+    polars_parquet,
+    polars_feather,
+    lcm_log,
+    mat_v7,
+    mat_v73,
+)
+"""Those that keep every number as it is."""

@@ -1,0 +1,235 @@
+"""Logs that other libraries wrote, read without a word about what is in them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import foreign_logs
+import numpy as np
+import pytest
+from foreign_logs import FORMATS, joint_states, lerobot, ros2_header, ros2_store, write_rosbag2
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.compare import compare
+from geodrake.logs import JointLog, Reading, log_of_frame, read_log, write_log
+from geodrake.model.saved_model import load_model
+
+MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+JOINTS = ("shoulder", "elbow")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(MODEL)
+
+
+@pytest.fixture(scope="module")
+def log():
+    time = 0.01 * np.arange(1200)
+    q = np.column_stack([np.sin(1.9 * time), np.cos(3.1 * time) + 0.3 * np.sin(0.7 * time)])
+    noise = 0.05 * np.random.default_rng(1).standard_normal(q.shape)
+    effort = 8.0 * np.sin(q) + np.sign(np.gradient(q, axis=0)) + noise
+    return JointLog("log", JOINTS, time, q, effort, np.gradient(q, time, axis=0))
+
+
+@pytest.fixture(scope="module")
+def csv_errors(model, log, tmp_path_factory):
+    path = tmp_path_factory.mktemp("csv") / "log.csv"
+    write_log(log, path)
+    return errors(model, path)
+
+
+def errors(model, path):
+    table = compare(model, [path]).errors
+    return np.array([[e.rms, e.std, e.floor] for e in table.joints])
+
+
+@pytest.mark.parametrize("write", FORMATS, ids=lambda write: write.__name__)
+def test_compare_says_the_same_as_of_a_csv(tmp_path, model, log, csv_errors, write):
+    path = write(tmp_path, log)
+    read = read_log(path, joints=JOINTS)
+    assert read.joints == JOINTS
+    for quantity in ("time", "position", "velocity", "effort"):
+        assert np.allclose(getattr(read, quantity), getattr(log, quantity), rtol=0, atol=1e-8)
+    assert np.allclose(errors(model, path), csv_errors, rtol=1e-6)
+
+
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_episodes_of_a_dataset_are_one_log_with_gaps_or_one_of_them(tmp_path, log, version):
+    path = lerobot(tmp_path, log, version=version, episodes=3)
+    every = read_log(path, joints=JOINTS)
+    assert len(every) == len(log)
+    assert np.allclose(every.effort, log.effort, atol=1e-5)
+    assert np.flatnonzero(np.diff(every.time) > 0.5).tolist() == [399, 799]
+    assert "3 episodes" in every.notes[0]
+    second = read_log(path, reading=Reading(episode=1))
+    assert second.joints == JOINTS
+    assert np.allclose(second.position, log.position[400:800], atol=1e-6)
+    assert np.allclose(second.time, log.time[:400], atol=1e-5)
+    with pytest.raises(LogError, match="no samples of episode 3"):
+        read_log(path, reading=Reading(episode=3))
+    with pytest.raises(ArgumentError, match="episode"):
+        read_log(path, reading=Reading(episode=-1))
+
+
+def test_dataset_without_efforts(tmp_path, log):
+    with pytest.raises(LogError, match=r"no effort of joints; its features are observation\.state"):
+        read_log(lerobot(tmp_path, log, efforts=False))
+
+
+def test_torques_of_an_iiwa_have_the_sign_of_drakes_plant(tmp_path):
+    """Drake's own simulated driver, and the actuation of the plant that it drives."""
+    lcm = pytest.importorskip("lcm")
+    statuses, actuation = foreign_logs.simulated_iiwa()
+    path = tmp_path / "iiwa.lcm"
+    events = lcm.EventLog(str(path), "w")
+    for k, status in enumerate(statuses):
+        events.write_event(5000 * k, "IIWA_STATUS", status)
+    events.close()
+    read = read_log(path)
+    assert np.allclose(read.effort[-1], actuation)
+    assert "turned in sign" in " ".join(read.notes)
+
+
+def frames(log):
+    import pandas
+    import polars
+    import pyarrow
+
+    columns = foreign_logs.named_columns(log)
+    indexed = pandas.DataFrame(columns, index=pandas.to_timedelta(log.time, unit="s"))
+    kinds = [(name, float) for name in columns]
+    return {
+        "pandas": pandas.DataFrame(columns),
+        "pandas, time as index": indexed.drop(columns="time"),
+        "pandas, nullable": pandas.DataFrame(columns).convert_dtypes(),
+        "polars": polars.DataFrame(columns),
+        "polars, lists": polars.DataFrame(
+            {
+                "time": log.time,
+                **{
+                    name: getattr(log, name).tolist() for name in ("position", "effort", "velocity")
+                },
+            }
+        ),
+        "arrow": pyarrow.table(columns),
+        "records": np.array([*zip(*columns.values(), strict=True)], dtype=kinds),
+        "arrays": {name: getattr(log, name) for name in ("time", "position", "velocity", "effort")},
+        "a CSV's arrays": columns,
+    }
+
+
+def test_frames_of_any_library_are_logs(log):
+    for kind, frame in frames(log).items():
+        read = log_of_frame(frame, joints=JOINTS)
+        for quantity in ("time", "position", "velocity", "effort"):
+            values = getattr(read, quantity), getattr(log, quantity)
+            assert np.allclose(*values, rtol=0, atol=1e-9), kind
+    again = log_of_frame(log.to_dataframe())
+    assert again.fingerprint == log.fingerprint
+    assert list(log.to_dataframe()) == [*foreign_logs.named_columns(log)]
+
+
+@pytest.mark.parametrize("frame", [3, "text", [1, 2], None])
+def test_what_is_no_frame(frame):
+    with pytest.raises(ArgumentError, match="named columns"):
+        log_of_frame(frame)
+
+
+def test_frame_without_effort(log):
+    columns = foreign_logs.named_columns(log)
+    with pytest.raises(LogError, match="without effort of elbow"):
+        log_of_frame({name: x for name, x in columns.items() if name != "elbow.effort"})
+
+
+def bag_of(folder, log, *, name="/joint_states", storage="MCAP", stamped=True, **more):
+    """A rosbag2 of one topic of JointState, and how to write others beside it."""
+    store = ros2_store()
+    header = ros2_header(store)
+    states = joint_states(store, log, header if stamped else lambda ns: header(0), **more)
+    return write_rosbag2(folder / "bag", {name: states}, store, storage=storage)
+
+
+def test_order_of_joints_may_change(tmp_path, log):
+    path = bag_of(tmp_path, log, order=lambda k: (0, 1) if k % 3 else (1, 0))
+    read = read_log(path, joints=JOINTS)
+    assert np.array_equal(read.position, log.position)
+    assert np.array_equal(read.effort, log.effort)
+    assert "order of joints changes" in " ".join(read.notes)
+
+
+def test_receive_times_where_no_stamps_are(tmp_path, log):
+    read = read_log(bag_of(tmp_path, log, stamped=False))
+    assert np.allclose(read.time, log.time, atol=1e-9)
+    assert "time is that of receipt" in " ".join(read.notes)
+
+
+def one_joint(log, joint, rows=slice(None), later=0.0):
+    picked = log.select([joint])
+    parts = {q: getattr(picked, q)[rows] for q in ("position", "velocity", "effort")}
+    return replace(picked, time=picked.time[rows] + later, **parts)
+
+
+def bag_of_parts(folder, log, parts):
+    store = ros2_store()
+    header = ros2_header(store)
+    start = foreign_logs.EPOCH
+    messages = []
+    for part in parts:
+        shift = round(1e9 * (part.time[0] - log.time[0]))
+        shifted = joint_states(store, part, lambda ns, by=shift: header(ns + by))
+        messages += [(ns + shift, message) for ns, message in shifted]
+    assert min(ns for ns, _ in messages) == start
+    messages.sort(key=lambda item: item[0])
+    return write_rosbag2(folder / "parts", {"/joint_states": messages}, store)
+
+
+def test_messages_of_some_joints_each_are_put_together(tmp_path, log):
+    at_once = bag_of_parts(tmp_path, log, [one_joint(log, joint) for joint in JOINTS])
+    read = read_log(at_once, joints=JOINTS)
+    assert np.array_equal(read.effort, log.effort)
+    (tmp_path / "later").mkdir()
+    later = one_joint(log, "elbow", later=0.004)
+    apart = bag_of_parts(tmp_path / "later", log, [one_joint(log, "shoulder"), later])
+    read = read_log(apart, joints=JOINTS)
+    exact = np.cos(3.1 * (read.time + 0.006)) + 0.3 * np.sin(0.7 * (read.time + 0.006))
+    assert np.abs(read.position[:, 1] - exact).max() < 2e-4
+    assert np.isfinite(read.effort).all()
+    assert "elbow interpolated to the instants of shoulder" in " ".join(read.notes)
+
+
+def test_rates_that_do_not_go_together(tmp_path, log):
+    parts = [one_joint(log, "shoulder"), one_joint(log, "elbow", slice(None, None, 10))]
+    path = bag_of_parts(tmp_path, log, parts)
+    with pytest.raises(LogError, match="elbow at 10 Hz and shoulder at 100 Hz"):
+        read_log(path)
+
+
+def test_several_topics_are_named_and_chosen(tmp_path, log):
+    store = ros2_store()
+    header = ros2_header(store)
+    other = replace(log, effort=2 * log.effort)
+    topics = {
+        "/left/joint_states": joint_states(store, log, header),
+        "/right/joint_states": joint_states(store, other, header),
+        "/gripper/joint_states": joint_states(store, log, header, efforts=False),
+        "/joint_commands": joint_states(store, log, header),
+    }
+    path = write_rosbag2(tmp_path / "bag", topics, store)
+    with pytest.raises(LogError, match=r"2 topics.* /left/joint_states .*--topic /left"):
+        read_log(path)
+    assert np.array_equal(
+        read_log(path, reading=Reading(topic="right/joint_states")).effort, other.effort
+    )
+    assert np.array_equal(
+        read_log(path, reading=Reading(topic="/joint_commands")).effort, log.effort
+    )
+    with pytest.raises(LogError, match=r"/gripper/joint_states .*without effort"):
+        read_log(path, reading=Reading(topic="/gripper/joint_states"))
+    with pytest.raises(LogError, match=r"no topic '/left/states' \(nearest: '/left/joint_states'"):
+        read_log(path, reading=Reading(topic="/left/states"))
+
+
+def test_bag_whose_recorder_was_killed_has_no_metadata(tmp_path, log):
+    path = bag_of(tmp_path, log, storage="SQLITE3")
+    (path / "metadata.yaml").unlink()
+    assert len(read_log(path)) == len(log)
