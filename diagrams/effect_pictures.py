@@ -141,8 +141,7 @@ def draw(residual: Array, motion: RobotMotion, joint: str, path: Path) -> None:
     from matplotlib.figure import Figure
 
     j = motion.index(joint)
-    t, q, v = motion.time, motion.q[:, j], motion.v[:, j]
-    assert t is not None  # of the motion above
+    t, q, v = np.asarray(motion.time), motion.q[:, j], motion.v[:, j]
     figure = Figure(figsize=(7.2, 1.7), dpi=100, layout="constrained")
     first, *clouds = figure.subplots(1, 3, sharey=True, width_ratios=(1.6, 1, 1))
     shown = t <= SHOWN
