@@ -221,7 +221,7 @@ class TestCommand:
     def test_tells_the_gain(self, files, log):
         result = self.run(files, f"{log or files[1]}:lower_link:0.5:0.1,0,-0.2")
         assert result.exit_code == 0, result.output
-        (step,) = [line for line in result.output.splitlines() if re.match(r"\d+ +\w", line)]
+        (step,) = [line for line in result.stdout.splitlines() if re.match(r"\d+ +\w", line)]
         assert re.match(r"1 +effort_scale +elbow ", step)
         (gain,) = re.findall(r"gain_error (\S+) ±", result.output)
         assert float(gain) == pytest.approx(0.08, abs=0.01)
