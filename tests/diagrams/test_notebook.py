@@ -78,3 +78,9 @@ def test_an_adaptive_loop_stays_physical(names_after, tmp_path):
     assert shares["natural"] == 0.0
     assert shares["Euclidean"] > 0.3
     assert (tmp_path / "diagrams" / "adaptive_loop.html").stat().st_size > 100_000
+
+
+def test_the_fitted_model_falls_otherwise_than_its_file(names_after):
+    names = names_after("fitted_model_in_simulation")
+    assert len(names["fitted"].effects) == 5
+    assert abs(names["by_file"][-1, 2] - names["by_fit"][-1, 2]) > 0.1
