@@ -169,6 +169,6 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | Non
     """Names in the comment before a first line of numbers, if they are as many."""
     named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
     for names in (named, comment.split()):
-        if len(names) == len(cells) and not _are_numbers(names):
+        if len(names) == len(cells) and all(names) and not _are_numbers(names):
             return names
     return None
