@@ -1,7 +1,15 @@
 """Measurements of a robot: read, checked, filtered, prepared, and cut into blocks."""
 
-from geodrake.logs.files import read_log, write_log
+from geodrake.logs.files import Reading, read_log, read_mapping, write_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog, Motion
 
-__all__ = ["JointLog", "KnownPayload", "Motion", "read_log", "write_log"]
+__all__ = [
+    "JointLog",
+    "KnownPayload",
+    "Motion",
+    "Reading",
+    "read_log",
+    "read_mapping",
+    "write_log",
+]

@@ -112,6 +112,8 @@ def inspect_log(
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
     gap = steps > max(_GAP_STEPS * period, _GAP_SECONDS)
+    missing = [joint for joint in joints or () if joint not in log.joints]
+    notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
     converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
     hint = None if converted else position_unit_hint(log)
     return LogInspection(

@@ -76,6 +76,17 @@ def test_what_is_understood(tmp_path):
     assert np.nanmax(np.abs(again.position)) == pytest.approx(1.0, abs=1e-3)
 
 
+def test_joints_of_the_model_that_the_log_lacks(tmp_path):
+    log = write(tmp_path / "log.csv", "t,q1,tau1", table(seconds=1.0)[:, [0, 1, 3]])
+    (tmp_path / "two.urdf").write_text(
+        PENDULUM.read_text().replace('"shoulder"', '"arm_1"').replace('"elbow"', '"arm_2"')
+    )
+    result = run("log", log, "--model", tmp_path / "two.urdf")
+    assert result.exit_code == 0, result.output
+    assert "arm_1" in result.output
+    assert "nothing is measured of the model's arm_2" in result.output
+
+
 def test_other_names_give_the_same_numbers(tmp_path):
     rows = table()
     own = write(tmp_path / "own.csv", OWN, rows)
