@@ -1,5 +1,6 @@
 """Logs that other libraries wrote, read without a word about what is in them."""
 
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
@@ -233,3 +234,55 @@ def test_bag_whose_recorder_was_killed_has_no_metadata(tmp_path, log):
     path = bag_of(tmp_path, log, storage="SQLITE3")
     (path / "metadata.yaml").unlink()
     assert len(read_log(path)) == len(log)
+
+
+def without_definitions(path):
+    """A bag as rosbag2 wrote it into SQLite until ROS 2 Humble: types by their names alone."""
+    (file,) = path.glob("*.db3")
+    with sqlite3.connect(file) as database:
+        database.execute("DELETE FROM message_definitions")
+    database.close()
+    return path
+
+
+def test_bags_without_definitions_of_their_types(tmp_path, log):
+    states = without_definitions(foreign_logs.rosbag2_sqlite3(tmp_path, log))
+    assert np.array_equal(read_log(states).effort, log.effort)
+    for points in (("desired", "actual", "error"), foreign_logs.HUMBLE_POINTS):
+        folder = tmp_path / str(len(points))
+        folder.mkdir()
+        path = foreign_logs.controller_state(folder, log, points=points, storage="SQLITE3")
+        assert np.array_equal(read_log(without_definitions(path)).effort, log.effort)
+
+
+def test_efforts_of_a_controller_are_its_output_if_none_are_measured(tmp_path, log):
+    points = ("reference", "feedback", "error", "output")
+    path = foreign_logs.controller_state(tmp_path, log, points=points, effort_at="output")
+    read = read_log(path, joints=JOINTS)
+    assert np.array_equal(read.effort, log.effort)
+    assert "efforts are the output of the controller" in " ".join(read.notes)
+
+
+def test_channels_of_an_lcm_log(tmp_path, log):
+    lcm = pytest.importorskip("lcm")
+    from drake import lcmt_jaco_status, lcmt_panda_status
+
+    path = tmp_path / "two.lcmlog"
+    events = lcm.EventLog(str(path), "w")
+    for k in range(len(log)):
+        for kind, channel in ((lcmt_panda_status, "PANDA"), (lcmt_jaco_status, "JACO")):
+            status = kind()
+            status.num_joints = len(log.joints)
+            for name in status.__slots__:
+                if name.startswith("joint_"):
+                    setattr(status, name, [0.0] * len(log.joints))
+            status.joint_position = log.position[k].tolist()
+            status.joint_torque = log.effort[k].tolist()
+            events.write_event(10_000 * k, channel, status.encode())
+    events.close()
+    with pytest.raises(LogError, match=r"2 topics .*PANDA \(lcmt_panda_status, 2 joints\).*JACO"):
+        read_log(path)
+    read = read_log(path, joints=JOINTS, topic="JACO")
+    assert np.array_equal(read.effort, log.effort)
+    assert np.allclose(read.time, log.time)
+    assert "time is that of receipt" in " ".join(read.notes)

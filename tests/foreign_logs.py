@@ -68,37 +68,50 @@ def rosbag2_sqlite3(folder, log):
     return rosbag2_mcap(folder, log, "SQLITE3")
 
 
-def controller_state(folder, log):
-    """A state of ros2_control's trajectory controller, whose type is defined in the bag alone."""
+HUMBLE_POINTS = ("reference", "feedback", "error", "output", "desired", "actual")
+
+
+def controller_state(
+    folder, log, *, points=("reference", "feedback"), effort_at=None, storage="MCAP"
+):
+    """States of ros2_control's trajectory controller, of a type that only the bag defines."""
     from rosbags.typesys import get_types_from_msg
 
     store = ros2_store()
-    points = "".join(
-        f"trajectory_msgs/JointTrajectoryPoint {name}\n" for name in ("reference", "feedback")
-    )
     kind = "control_msgs/msg/JointTrajectoryControllerState"
-    text = f"std_msgs/Header header\nstring[] joint_names\n{points}"
+    text = "std_msgs/Header header\nstring[] joint_names\n"
+    text += "".join(f"trajectory_msgs/JointTrajectoryPoint {name}\n" for name in points)
+    more = [f"multi_dof_{name}" for name in points] if points == HUMBLE_POINTS else []
+    if more:
+        text += "string[] multi_dof_joint_names\n"
+        text += "".join(f"trajectory_msgs/MultiDOFJointTrajectoryPoint {name}\n" for name in more)
     store.register(get_types_from_msg(text, kind))
-    State, Point, Duration = (
+    State, Point, Bodies, Duration = (
         store.types[name]
         for name in (
             kind,
             "trajectory_msgs/msg/JointTrajectoryPoint",
+            "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
             "builtin_interfaces/msg/Duration",
         )
     )
-    header, none = ros2_header(store), np.zeros(0)
-
-    def point(position, velocity, effort):
-        return Point(position, velocity, none, effort, Duration(0, 0))
+    header, none, now = ros2_header(store), np.zeros(0), Duration(0, 0)
+    measured = "feedback" if "feedback" in points else "actual"
 
     def messages():
         for k, since in enumerate(nanoseconds(log)):
-            ns = since + EPOCH
-            feedback = point(log.position[k], log.velocity[k], log.effort[k])
-            yield ns, State(header(ns), list(log.joints), point(none, none, none), feedback)
+            numbers = {name: [none, none, none] for name in points}
+            numbers[measured][:2] = log.position[k], log.velocity[k]
+            numbers[effort_at or measured][2] = log.effort[k]
+            state = [Point(q, v, none, effort, now) for q, v, effort in numbers.values()]
+            bodies = [[], *(Bodies([], [], [], now) for _ in more)] if more else []
+            yield (
+                since + EPOCH,
+                State(header(since + EPOCH), list(log.joints), *state, *bodies),
+            )
 
-    return write_rosbag2(folder / "controller", {"/arm_controller/state": messages()}, store)
+    topics = {"/arm_controller/state": messages()}
+    return write_rosbag2(folder / "controller", topics, store, storage=storage)
 
 
 def bare_mcap(folder, log):
