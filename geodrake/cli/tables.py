@@ -146,6 +146,12 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
     """Errors per joint from the start to the end, and the notes."""
     head(console, f"Error of each joint, RMS in {units.effort()}")
     show_table(console, errors_table(error_stages(explanation), units))
+    if explanation.steps:
+        first, last = explanation.before.failing, explanation.after.failing
+        show_list(console, "Where it failed as it stood", [*map(failing_words, first)])
+        show_list(console, "Where it still fails", [*map(failing_words, last)])
+    else:
+        show_list(console, "Where it fails", [*map(failing_words, explanation.before.failing)])
     if explanation.bodies:
         head(
             console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"
