@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -118,7 +118,7 @@ class Chart:
         spans: Name, first and last instant, and shift to the common axis, of every log, s.
         axis: What the axis is, with its unit.
         dots: Whether samples are dots, not joined by lines.
-        ends: First and last instant on the common axis, s.
+        parts: What the panels are of.
     """
 
     name: str
@@ -128,12 +128,14 @@ class Chart:
     spans: tuple[tuple[str, float, float, float], ...]
     axis: str = "time in the log, s"
     dots: bool = False
-    ends: tuple[float, float] = field(init=False)
+    parts: str = "Joints"
 
-    def __post_init__(self) -> None:
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last instant on the common axis, s."""
         spans = self.spans or (("", 0.0, 1.0, 0.0),)
         low, high = spans[0][1] + spans[0][3], spans[-1][2] + spans[-1][3]
-        object.__setattr__(self, "ends", (low, high if high > low else low + 1.0))
+        return low, (high if high > low else low + 1.0)
 
     def color_of(self, key: str) -> str:
         """The colour of a stage, by its key."""
