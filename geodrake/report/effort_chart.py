@@ -11,7 +11,8 @@ from geodrake.diagnosis.results import Explanation
 from geodrake.identification.logs.model_errors import Comparison, Series
 from geodrake.identification.logs.worst_windows import worst_windows
 from geodrake.report import style
-from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage, gap_filled
+from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
+from geodrake.report.curves import gap_filled
 from geodrake.report.numbers import Units, number
 from geodrake.report.timeline import Timeline, log_of
 from geodrake.report.words import effect_label, worst_joint

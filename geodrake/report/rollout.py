@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from geodrake.control.rollout import Rollout
 from geodrake.report import style
-from geodrake.report.charts import Chart, Panel, Plot, Stage, gap_filled
+from geodrake.report.charts import Chart, Panel, Plot, Stage
+from geodrake.report.curves import gap_filled
 from geodrake.report.effort_chart import MEASURED
 from geodrake.report.numbers import Units, number
 from geodrake.report.page import (
