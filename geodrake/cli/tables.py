@@ -30,7 +30,7 @@ from geodrake.report.words import (
     diagnosis_verdict,
     draft_advice,
     explanation_verdict,
-    failing_words,
+    failing_list,
 )
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
@@ -78,7 +78,7 @@ def show_comparison(console: Console, comparison: Comparison, units: Units) -> N
     head(console, f"Error of the model as it stands, {units.effort()}")
     show_table(console, errors_table({"RMS": comparison.errors}, units))
     say(console, "Verdict", comparison_verdict(comparison))
-    show_list(console, "Where it fails", [*map(failing_words, comparison.failing)])
+    show_list(console, "Where it fails", failing_list(comparison))
     show_list(console, "Notes", comparison.notes)
 
 
@@ -149,6 +149,10 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
     """Errors per joint from the start to the end, and the notes."""
     head(console, f"Error of each joint, RMS in {units.effort()}")
     show_table(console, errors_table(error_stages(explanation), units))
+    first = "Where it failed as it stood" if explanation.steps else "Where it fails"
+    show_list(console, first, failing_list(explanation.before))
+    if explanation.steps:
+        show_list(console, "Where it still fails", failing_list(explanation.after))
     if explanation.bodies:
         head(
             console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from geodrake.report.draft import draft_figure, render_drafted, render_explained
     from geodrake.report.excitation import (
         eigenvalue_figure,
-        motion_figure,
         render_excitation,
     )
     from geodrake.report.export_page import render_export
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
         report_figures,
         save_figures,
     )
-    from geodrake.report.rollout import render_rollout, rollout_figure
+    from geodrake.report.rollout import render_rollout
     from geodrake.report.series_figures import effort_figure, residual_figure
 
 __all__ = [
@@ -46,7 +45,6 @@ __all__ = [
     "eigenvalue_figure",
     "identifiable_figure",
     "joint_error_figure",
-    "motion_figure",
     "render_comparison",
     "render_diagnosis",
     "render_drafted",
@@ -59,7 +57,6 @@ __all__ = [
     "render_rollout",
     "report_figures",
     "residual_figure",
-    "rollout_figure",
     "save_figures",
     "save_recording",
     "step_figure",

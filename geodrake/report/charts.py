@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.escaping import printable
+from geodrake.report.curves import decimated, floats, packed
 
 Array = NDArray[np.float64]
 
@@ -20,8 +19,6 @@ MOST_POINTS = 2000
 """Largest number of points of a curve that a page holds."""
 _MOST_NUMBERS = 16_000
 """Largest number of points of all curves of a panel together."""
-_LARGEST = 32767
-_MISSING = -32768
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ class Chart:
         spans: Name, first and last instant, and shift to the common axis, of every log, s.
         axis: What the axis is, with its unit.
         dots: Whether samples are dots, not joined by lines.
-        ends: First and last instant on the common axis, s.
+        parts: What the panels are of.
     """
 
     name: str
@@ -128,12 +125,14 @@ class Chart:
     spans: tuple[tuple[str, float, float, float], ...]
     axis: str = "time in the log, s"
     dots: bool = False
-    ends: tuple[float, float] = field(init=False)
+    parts: str = "Joints"
 
-    def __post_init__(self) -> None:
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last instant on the common axis, s."""
         spans = self.spans or (("", 0.0, 1.0, 0.0),)
         low, high = spans[0][1] + spans[0][3], spans[-1][2] + spans[-1][3]
-        object.__setattr__(self, "ends", (low, high if high > low else low + 1.0))
+        return low, (high if high > low else low + 1.0)
 
     def color_of(self, key: str) -> str:
         """The colour of a stage, by its key."""
@@ -166,7 +165,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
     derived = _derived(panel) if len(time) == len(panel.time) else ()
     return {
         "title": printable(panel.title),
-        "time": _floats(time),
+        "time": floats(time),
         "shades": [[shade.stage, shade.start, shade.end] for shade in panel.shades],
         "plots": [
             {
@@ -195,84 +194,3 @@ def _derived(panel: Panel) -> tuple[str, ...]:
         for key, values in others
         if key in residuals and np.allclose(first[1] - residuals[key], values, equal_nan=True)
     )
-
-
-def _floats(values: Array) -> str:
-    return base64.b64encode(values.astype("<f4").tobytes()).decode()
-
-
-def packed(values: Array) -> tuple[float, float, str]:
-    """Values as 16 bit integers: offset and scale to float, and the integers in base64.
-
-    A value is offset + scale · integer; −32768 stands for a missing one.
-    """
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    offset, scale = 0.5 * (low + high), 0.5 * (high - low) / _LARGEST
-    whole = np.full(len(values), _MISSING, "<i2")
-    known = np.isfinite(values)
-    whole[known] = np.round((values[known] - offset) / scale) if scale > 0 else 0
-    return offset, scale, base64.b64encode(whole.tobytes()).decode()
-
-
-def decimated(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
-    """At most so many points of every curve, with each bucket's least and largest value.
-
-    Args:
-        time: (K,) increasing instants.
-        curves: (C, K) values on them; NaN where lines break.
-        most: Most points, at least four.
-
-    Returns:
-        (M,) instants and (C, M) values; two points stand for a bucket, in the order in which a
-        curve has its extremes there.
-    """
-    count = len(time)
-    if count <= most:
-        return time, curves
-    breaks = np.flatnonzero(np.isnan(curves).all(0))
-    if 4 * len(breaks) > most:  # too many gaps to show
-        return decimated(*_without(time, curves, breaks), most)
-    edges = [0, *(breaks + 1).tolist()]
-    ends = [*breaks.tolist(), count]
-    share = (most - 3 * len(edges)) / count
-    times, values = [], []
-    for first, last in zip(edges, ends, strict=True):
-        if last > first:
-            t, v = _extremes(time[first:last], curves[:, first:last], int(share * (last - first)))
-            times.append(t)
-            values.append(v)
-        if last < count:
-            times.append(time[last : last + 1])
-            values.append(curves[:, last : last + 1])
-    return np.concatenate(times), np.concatenate(values, axis=1)
-
-
-def _without(time: Array, curves: Array, breaks: NDArray[np.intp]) -> tuple[Array, Array]:
-    return np.delete(time, breaks), np.delete(curves, breaks, axis=1)
-
-
-def _extremes(time: Array, curves: Array, most: int) -> tuple[Array, Array]:
-    buckets = max(1, most // 2)
-    if len(time) <= 2 * buckets:
-        return time, curves
-    at = np.linspace(0, len(time), buckets + 1).astype(int)
-    times, values = np.empty(2 * buckets), np.empty((len(curves), 2 * buckets))
-    for k, (first, last) in enumerate(pairwise(at.tolist())):
-        part = curves[:, first:last]
-        filled = np.where(np.isnan(part), part[:, :1], part)
-        pair = np.sort([filled.argmin(1), filled.argmax(1)], axis=0)
-        values[:, 2 * k : 2 * k + 2] = np.take_along_axis(part, pair.T, axis=1)
-        times[2 * k : 2 * k + 2] = time[first], time[first + (last - first) // 2]
-    return times, values
-
-
-def gap_filled(time: Array) -> Array:
-    """Instants with those that are missing, where a line breaks, put between their neighbours.
-
-    Args:
-        time: (K,) increasing instants; NaN where a line breaks, never two in a row.
-    """
-    missing = np.isnan(time)
-    index = np.arange(len(time))
-    return np.interp(index, index[~missing], time[~missing]) if (~missing).any() else time[:0]

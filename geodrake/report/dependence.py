@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from geodrake.identification.logs.model_errors import Comparison, JointError, Series
 from geodrake.report import style
 from geodrake.report.charts import Stage
+from geodrake.report.frame import Frame
 from geodrake.report.numbers import Units, number
 from geodrake.report.static_plot import (
-    Frame,
     Line,
     StaticPlot,
     across_ticks,

@@ -11,10 +11,11 @@ from geodrake.diagnosis.results import Explanation
 from geodrake.identification.logs.model_errors import Comparison, Series
 from geodrake.identification.logs.worst_windows import worst_windows
 from geodrake.report import style
-from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage, gap_filled
+from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
+from geodrake.report.curves import gap_filled
 from geodrake.report.numbers import Units, number
 from geodrake.report.timeline import Timeline, log_of
-from geodrake.report.words import effect_label
+from geodrake.report.words import effect_label, worst_joint
 
 Array = NDArray[np.float64]
 
@@ -157,10 +158,10 @@ def _badges(before: Comparison, after: Comparison | None) -> dict[str, str]:
     """The joints that err most, by name."""
     if len(before.errors.joints) < 2:
         return {}
-    (first,) = style.worst_joints(before.errors, 1)
+    first = worst_joint(before.errors).joint
     if after is None:
         return {first: "worst joint"}
-    (last,) = style.worst_joints(after.errors, 1)
+    last = worst_joint(after.errors).joint
     if first == last:
         return {first: "worst joint, at first and in the end"}
     return {first: "worst joint at first", last: "worst joint in the end"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -182,41 +181,6 @@ def _bounds(limits: MotionLimits, j: int, name: str) -> tuple[float, float]:
 def _reach(values: Array) -> float:
     """How far away a limit may be to be drawn."""
     return 2.5 * max(float(np.abs(values).max()), 1e-9)
-
-
-@style.own_look()
-def motion_figure(result: ExcitationResult, *, most: int = style.MOST_JOINTS) -> Figure:
-    """Position, velocity, acceleration and effort of every joint, with their limits.
-
-    Args:
-        result: The design.
-        most: Largest number of joints to show.
-    """
-    limits, timed = result.limits, result.trajectory.family.timed
-    units, joints = Units.of(result.objective.target.model), limits.joints[:most]
-    at, signals = _sampled(result)
-    figure = style.new_figure(0.8 + 1.35 * len(joints))
-    grid = figure.subplots(len(joints), 4, sharex=True, squeeze=False)
-    for j, joint in enumerate(joints):
-        style.joint_title(grid[j, 0], joint)
-        for ax, values, (name, unit, limit) in zip(grid[j], signals, _COLUMNS, strict=True):
-            _draw(style.polish(ax), at, values[:, j], _bounds(limits, j, limit), timed=timed)
-            words = f"{name}, {units.at(joint, unit)}"
-            ax.set_ylabel(words, **style.plain(style.SMALL - 1, style.QUIET))
-    for ax in grid[-1]:
-        label = "time, s" if timed else "sample"
-        ax.set_xlabel(label, **style.plain(style.SMALL, style.QUIET))
-    if len(joints) < len(limits.joints):
-        style.note_below(figure, f"The first {len(joints)} of {len(limits.joints)} joints.")
-    return figure
-
-
-def _draw(ax: Axes, at: Array, values: Array, bounds: tuple[float, float], *, timed: bool) -> None:
-    look = {"linewidth": 1.4} if timed else {"linewidth": 0, "marker": ".", "markersize": 3}
-    ax.plot(at, values, color=style.AFTER, **look)
-    for bound in bounds:
-        if abs(bound) <= _reach(values):
-            ax.axhline(bound, color=style.INK, linestyle=":", linewidth=1.0)
 
 
 @style.own_look()

@@ -17,7 +17,8 @@ from geodrake.boundary.escaping import printable
 from geodrake.errors import ArgumentError
 from geodrake.report.charts import Chart
 from geodrake.report.dependence import Dependence
-from geodrake.report.static_plot import HEIGHT, WIDTH, static_plots
+from geodrake.report.frame import HEIGHT, WIDTH
+from geodrake.report.static_plot import static_plots
 from geodrake.report.style import png, svg
 from geodrake.report.tables import Table
 

@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from geodrake.control.rollout import Rollout
 from geodrake.report import style
-from geodrake.report.charts import Chart, Panel, Plot, Stage, gap_filled
+from geodrake.report.charts import Chart, Panel, Plot, Stage
+from geodrake.report.curves import gap_filled
 from geodrake.report.effort_chart import MEASURED
 from geodrake.report.numbers import Units, number
 from geodrake.report.page import (
@@ -136,53 +134,3 @@ def _shown(panels: Sequence[Panel], rollout: Rollout) -> tuple[Panel, ...]:
         replace(panel, shown=j in seen, badge=badge if j == order[0] else "")
         for j, panel in enumerate(panels)
     )
-
-
-@style.own_look()
-def rollout_figure(
-    after: Rollout,
-    before: Rollout | None = None,
-    *,
-    most: int = style.MOST_JOINTS,
-    units: Units | None = None,
-) -> Figure:
-    """Measured and simulated positions of every joint, window after window.
-
-    Args:
-        after: The rollout.
-        before: That of the model before, if there is one.
-        most: Largest number of joints to show: those that depart most.
-        units: Units of the joints; those of revolute joints by default.
-    """
-    units = units or Units()
-    order = np.argsort([-joint.relative for joint in after.joints], kind="stable")[:most]
-    figure = style.new_figure(0.8 + 1.5 * len(order))
-    grid = figure.subplots(len(order), 1, sharex=True, squeeze=False)[:, 0]
-    for ax, j in zip(grid, sorted(order), strict=True):
-        joint = after.joints[j]
-        _draw(style.polish(ax), after, before, int(j))
-        unit = units.at(joint.joint, "rad")
-        style.joint_title(ax, joint.joint, f"RMS {number(joint.rms)} {unit}")
-        ax.set_ylabel(f"position, {unit}", **style.plain(style.SMALL, style.QUIET))
-    grid[-1].set_xlabel("time, window after window, s", **style.plain(style.SMALL, style.QUIET))
-    style.note_below(figure, style.of_worst(len(order), len(after.joints)))
-    legend = [Line2D([], [], color=style.MEASURED, linewidth=3.2, label="measured")]
-    if before is not None:
-        legend.append(Line2D([], [], color=style.BEFORE, linewidth=1.2, label="before"))
-    legend.append(Line2D([], [], color=style.AFTER, linewidth=1.4, label="simulated"))
-    style.legend_above(figure, legend)
-    return figure
-
-
-def _draw(ax: Axes, after: Rollout, before: Rollout | None, j: int) -> None:
-    start, seen = 0.0, np.concatenate([w.measured[:, j] for w in after.windows])
-    low, high = float(seen.min()), float(seen.max())
-    margin = 0.25 * (high - low) + 1e-6
-    for k, window in enumerate(after.windows):
-        time = start + window.time - window.time[0]
-        ax.plot(time, window.measured[:, j], color=style.MEASURED, linewidth=3.2)
-        if before is not None:
-            ax.plot(time, before.windows[k].simulated[:, j], color=style.BEFORE, linewidth=1.0)
-        ax.plot(time, window.simulated[:, j], color=style.AFTER, linewidth=1.2)
-        start = float(time[-1]) + 0.1 * after.horizon
-    ax.set_ylim(low - margin, high + margin)

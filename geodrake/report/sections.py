@@ -13,9 +13,8 @@ from geodrake.report.effort_chart import AFTER, BEFORE
 from geodrake.report.identification_tables import bodies_table
 from geodrake.report.numbers import Units, is_noticed, number
 from geodrake.report.page import ColoredList, Section, Tile
-from geodrake.report.style import worst_joints
 from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
-from geodrake.report.words import failing_words
+from geodrake.report.words import failing_list, worst_joint
 
 NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
 
@@ -157,7 +156,7 @@ def failing_section(
     lists = tuple(
         ColoredList(stage.label[:1].upper() + stage.label[1:], stage.color, words)
         for stage, comparison in models.items()
-        for words in [tuple(map(failing_words, comparison.failing)) or (_EVEN,)]
+        for words in [failing_list(comparison) or (_EVEN,)]
     )
     return Section("Where it fails", lists=lists, charts=tuple(charts))
 
@@ -181,7 +180,7 @@ def worst_tile(before: ErrorTable, after: ErrorTable | None = None) -> Tile:
         after: Errors of the final model.
     """
     last = after or before
-    (worst,) = worst_joints(last, 1)
+    worst = worst_joint(last).joint
     tables = [before] if after is None else [before, after]
     nrms = [next(j.nrms for j in table.joints if j.joint == worst) for table in tables]
     return Tile("worst joint", worst, f"nrms {' → '.join(map(number, nrms))}", words=True)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from geodrake.excitation import ExcitationResult, Separation
 from geodrake.excitation.verdict import CLEAR, DistinguishedPair, distinguished_pairs, improvement
-from geodrake.report import style
+from geodrake.report.charts import Chart, Panel, Plot, Stage
 from geodrake.report.excitation_tables import pairs_table, shaped_label
 from geodrake.report.numbers import Units, number
-from geodrake.report.page import Section, Tile, pictures
+from geodrake.report.page import Section, Tile
 
+EFFECT = Stage("effect", "effect", "after")
+IMITATION = Stage("imitation", "best imitation", "before")
 _MOST_PAIRS = 20
 _MOST_SHOWN = 4
 _CAPTION = (
@@ -52,52 +52,42 @@ def pairs_section(result: ExcitationResult) -> Section:
     ]
     if len(pairs) > _MOST_PAIRS:
         text.append(f"The {_MOST_PAIRS} hardest of {len(pairs)} pairs.")
-    figures = pictures({"pairs": imitation_figure(result)}, {"pairs": _CAPTION})
     return Section(
         "What it distinguishes",
         tuple(text),
         (pairs_table(result, units, most=_MOST_PAIRS),),
-        (),
-        figures,
+        charts=(imitation_chart(result),),
     )
 
 
-@style.own_look()
-def imitation_figure(result: ExcitationResult, *, most: int = _MOST_SHOWN) -> Figure:
+def imitation_chart(result: ExcitationResult, *, most: int = _MOST_SHOWN) -> Chart:
     """Efforts of effects, and the best that their rivals make of them.
 
     Args:
         result: The result of `geodrake.excitation.design_separation`.
         most: Largest number of pairs to show.
     """
-    separation, motion = result.objective, result.motion
-    pairs = distinguished_pairs(result)[:most]
+    separation, family = result.objective, result.trajectory.family
     units = Units.of(separation.target.model)
-    family = result.trajectory.family
     times = family.times(result.samples)
     at = times if family.timed else np.arange(float(len(times)))
-    figure = style.new_figure(0.8 + 1.5 * len(pairs))
-    axes = figure.subplots(len(pairs), 1, sharex=True, squeeze=False)[:, 0]
-    look = {"linewidth": 1.4} if family.timed else {"linewidth": 0, "marker": ".", "markersize": 3}
-    for ax, entry in zip(axes, pairs, strict=True):
+    panels = []
+    for entry in distinguished_pairs(result)[:most]:
         if not isinstance(separation, Separation):
             continue
-        truth, imitated = separation.imitation(motion, separation.pairs.index(entry.pair))
+        truth, imitated = separation.imitation(result.motion, separation.pairs.index(entry.pair))
         j = int(np.argmax(np.square(truth - imitated).sum(0)))
         joint = result.limits.joints[j]
-        ax.plot(at, truth[:, j], color=style.AFTER, **look)
-        ax.plot(at, imitated[:, j], color=style.BEFORE, **look)
-        words = f"{shaped_label(entry.pair.truth)} taken for {shaped_label(entry.pair.rival)}"
-        style.joint_title(style.polish(ax), joint, words)
-        ax.set_ylabel(f"effort, {units.at(joint, 'N·m')}", **style.plain(style.SMALL, style.QUIET))
-    label = "time, s" if family.timed else "sample"
-    axes[-1].set_xlabel(label, **style.plain(style.SMALL, style.QUIET))
-    handles = [
-        Line2D([], [], color=color, label=name)
-        for color, name in ((style.AFTER, "effect"), (style.BEFORE, "best imitation"))
-    ]
-    style.legend_above(figure, handles)
-    return figure
+        words = f"{joint}: {shaped_label(entry.pair.truth)} for {shaped_label(entry.pair.rival)}"
+        curves = {EFFECT.key: truth[:, j], IMITATION.key: imitated[:, j]}
+        plot = Plot(f"effort, {units.at(joint, 'N·m')}", curves)
+        panels.append(Panel(words, "", at, (plot,)))
+    spans = (("", float(at[0]), float(at[-1]), 0.0),)
+    axis = "time, s" if family.timed else "sample"
+    stages = (EFFECT, IMITATION)
+    return Chart(
+        "pairs", _CAPTION, stages, tuple(panels), spans, axis, not family.timed, parts="Pairs"
+    )
 
 
 def _clear(pairs: tuple[DistinguishedPair, ...]) -> str:

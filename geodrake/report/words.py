@@ -12,7 +12,12 @@ from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.diagnosis.search_progress import FoundStep
 from geodrake.effects import catalogue
 from geodrake.identification.logs.criteria import Criteria
-from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
+from geodrake.identification.logs.model_errors import (
+    Comparison,
+    ErrorTable,
+    Failing,
+    JointError,
+)
 from geodrake.report.numbers import Units, estimate, number, percent
 
 _MOST_NAMED = 4
@@ -253,6 +258,24 @@ def failing_words(case: Failing) -> str:
     )
 
 
+def failing_list(comparison: Comparison) -> tuple[str, ...]:
+    """Where a model fails, in sentences; the worst joint is among them, even if it errs evenly."""
+    joints, words = comparison.errors.joints, tuple(map(failing_words, comparison.failing))
+    worst = worst_joint(comparison.errors)
+    named = {case.joint for case in comparison.failing}
+    if len(joints) < 2 or worst.is_noise or worst.joint in named:
+        return words
+    even = (
+        f"{worst.joint} errs most of all joints (nrms {number(worst.nrms)}), and does throughout."
+    )
+    return (even, *words)
+
+
+def worst_joint(errors: ErrorTable) -> JointError:
+    """The joint of largest error over standard deviation; one that has no number is worst."""
+    return max(errors.joints, key=lambda joint: np.nan_to_num(joint.nrms, nan=np.inf))
+
+
 def correlate_words(found: Correlate) -> str:
     """What the error that is left at a joint goes with, in a sentence."""
     return f"{found.joint}: {in_words(found.share)} of what is left goes with {found.words}."
@@ -357,7 +380,7 @@ def comparison_headline(comparison: Comparison) -> str:
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
     """What a comparison means, in paragraphs."""
-    worst = max(comparison.errors.joints, key=lambda joint: joint.nrms)
+    worst = worst_joint(comparison.errors)
     share = _at_most(removable_share(comparison.errors))
     first = (
         f"A better model could remove {share} of the squared error. It is largest at "

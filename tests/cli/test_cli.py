@@ -256,6 +256,10 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     assert result.exit_code == 0, result.output
     assert "geodrake_demo.html" in result.output
     assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
+    page = (tmp_path / "geodrake_demo.html").read_text(encoding="utf-8")
+    assert len(page) < 500_000
+    assert all(f'data-stage="{key}"' in page for key in ("before", "step1", "step2", "after"))
+    assert "Where it failed as it stood" in result.output
 
 
 @pytest.mark.measurements("data/double_pendulum_c1_*.csv")

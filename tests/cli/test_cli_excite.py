@@ -83,7 +83,7 @@ def test_everything_is_written(tmp_path):
     assert numbers["command"] == "excite" and numbers["value"] > 0
     assert len(numbers["eigenvalues"]) > 2 and numbers["improvement_over_random"] >= 1.0
     assert numbers["use"]["shoulder"]["position"] <= 1.0 + 1e-6
-    assert "<img" in (tmp_path / "r.html").read_text()
+    assert "<svg" in (tmp_path / "r.html").read_text()
     assert "animation" in (tmp_path / "m.html").read_text()
 
 
@@ -156,7 +156,7 @@ class TestTellApart:
         assert numbers["improvement_over_random"] > 1.2
         assert "best imitation" not in result.output  # that is the page's
         page = (tmp_path / "r.html").read_text()
-        assert "What it distinguishes" in page and "<img" in page
+        assert "What it distinguishes" in page and "<svg" in page
 
     def test_places_of_different_kinds(self):
         result = excite(PENDULUM, *FAST, "--tell-apart", "joint_spring@elbow,gravity_tilt")

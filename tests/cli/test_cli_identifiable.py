@@ -69,7 +69,7 @@ def test_everything_is_written(log, tmp_path):
     told += sum(e["told"] for e in numbers["effects"])
     assert told == pytest.approx(numbers["told"])
     page = (tmp_path / "r.html").read_text()
-    assert "<img" in page and "coulomb_friction" in page
+    assert "<svg" in page and "coulomb_friction" in page
 
 
 def test_possible_is_what_the_robot_has(log):

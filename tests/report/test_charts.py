@@ -12,7 +12,7 @@ from geodrake.errors import ArgumentError
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, JointError, Series
 from geodrake.identification.logs.worst_windows import worst_windows
 from geodrake.report import render_comparison, render_explanation
-from geodrake.report.charts import decimated, gap_filled, packed
+from geodrake.report.curves import decimated, gap_filled, packed
 from geodrake.report.effort_chart import effort_chart
 from geodrake.report.style import worst_joints
 

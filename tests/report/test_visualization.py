@@ -48,6 +48,7 @@ from geodrake.report.style import png
 from geodrake.report.words import (
     addition_verdict,
     effect_label,
+    failing_list,
     failing_words,
     listed,
     places_label,
@@ -416,6 +417,16 @@ def test_an_added_effect_that_makes_things_worse_is_said_to():
     text = render_explanation(added, **NAMES)
     assert "none of the squared error is gone" in text
     assert "explained in part" not in text
+
+
+def test_the_worst_joint_is_named_where_it_errs_throughout():
+    """Of the five joints, the first fails under a circumstance and the last errs most."""
+    one = comparison(joint_names(5), 1.0)
+    even = dataclasses.replace(one, errors=errors(joint_names(5)[::-1], 1.0))
+    first, second = failing_list(even)
+    assert first == "joint_4 errs most of all joints (nrms 0.200), and does throughout."
+    assert second.startswith("joint_0 errs most at speeds below")
+    assert first in check_self_contained(render_comparison(even, **NAMES))
 
 
 def test_where_a_joint_fails_has_its_unit_and_three_digits():

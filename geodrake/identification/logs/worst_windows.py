@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from geodrake.identification.logs.model_errors import Series
 
@@ -71,9 +72,7 @@ def _bad(squares: Array, width: int, limit: float) -> Iterator[tuple[int, int]]:
     """First and past-the-last samples of stretches whose moving mean is above a limit."""
     if len(squares) < 2:
         return
-    width = min(width, len(squares))
-    weight = np.convolve(np.ones(len(squares)), np.ones(width), "same")
-    above = np.convolve(squares, np.ones(width), "same") / weight > limit
+    above = uniform_filter1d(squares, min(width, len(squares))) > limit
     edges = np.flatnonzero(np.diff(np.concatenate([[False], above, [False]])))
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if last - first >= 2:
