@@ -19,9 +19,10 @@ Faces = NDArray[np.int64]
 Surface = tuple[Array, Faces]
 """(n, 3) vertices, m, and (m, 3) numbers of the corners of triangles."""
 
-MOST_TRIANGLES = 4000
+MOST_TRIANGLES = 6000
 """Triangles of a mesh that are drawn at most: a page is to stay small."""
 
+_SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
 
@@ -43,14 +44,37 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
         raise ModelError(
             f"The mesh {path} cannot be read: {error}.", advice="Correct the file.", path=path
         ) from error
+    normals, of_corners = _normals(vertices, faces)
+    corners = 1 + np.stack([faces, of_corners], -1).reshape(-1, 6)
     text = io.StringIO()
-    np.savetxt(text, vertices, "v %.5g %.5g %.5g")
-    np.savetxt(text, 1 + faces, "f %d %d %d")
+    np.savetxt(text, vertices, "v %.4g %.4g %.4g")
+    np.savetxt(text, normals, "vn %.2f %.2f %.2f")
+    np.savetxt(text, corners, "f %d//%d %d//%d %d//%d")
     return text.getvalue()
 
 
+def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
+    """Normals, and (m, 3) numbers of those at corners: the mean around a vertex where it is smooth.
+
+    At an edge, where a face's normal is far from the mean, the corner has that of its face.
+    """
+    a, b, c = (vertices[corner] for corner in faces.T)
+    across = np.cross(b - a, c - a)
+    means = np.zeros_like(vertices)
+    for corner in faces.T:
+        np.add.at(means, corner, across)
+    means, own = (
+        n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-30) for n in (means, across)
+    )
+    smooth = np.einsum("fci,fi->fc", means[faces], own) > _SMOOTH
+    edged = np.flatnonzero(~smooth.all(1))
+    number = np.zeros(len(faces), int)
+    number[edged] = len(means) + np.arange(len(edged))
+    return np.concatenate([means, own[edged]]), np.where(smooth, faces, number[:, None])
+
+
 def simplified(surface: Surface, most: int) -> Surface:
-    """A surface of few triangles: vertices in one cell of a grid become one, their mean.
+    """A surface of few triangles: vertices in one cell of a grid become one of them.
 
     Args:
         surface: Vertices and triangles.
@@ -72,13 +96,16 @@ def simplified(surface: Surface, most: int) -> Surface:
 
 
 def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
-    """Vertices of one number as one; triangles that collapse or repeat are left out."""
+    """Of the vertices of each number the most central one; triangles that collapse are left out."""
     count = np.bincount(number)
     means = np.stack([np.bincount(number, axis) / count for axis in vertices.T], -1)
+    far = np.linalg.norm(vertices - means[number], axis=1)
+    order = np.lexsort([far, number])
+    central = order[np.cumsum(count) - count]
     faces = number[faces]
     whole = (faces != np.roll(faces, 1, axis=1)).all(1)
     _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
-    return means, faces[whole][np.sort(first)]
+    return vertices[central], faces[whole][np.sort(first)]
 
 
 def _stl(path: Path) -> Surface:

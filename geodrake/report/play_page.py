@@ -258,7 +258,7 @@ def _packed(values: Array | np.ndarray[Any, np.dtype[np.uint8]]) -> str:
 
 def _script(data: dict[str, Any]) -> str:
     """JSON that may stand in a script of a page."""
-    return json.dumps(data).replace("<", "\\u003c").replace("\u2028", "\\u2028")
+    return json.dumps(data).replace("<", "\\u003c")
 
 
 def _head(title: str) -> str:

@@ -28,6 +28,7 @@ from geodrake.robot.files.description import drake_messages
 
 __all__ = ["FRAMES", "replay_page", "rollout_replay_page"]
 
+_APART = 0.002  # of their size, by which robots at one place differ
 _MEASURED = ("measured", "#8a94a0", 0.35)
 _BEFORE, _AFTER = ("simulated before", style.BEFORE, 0.6), ("simulated", style.AFTER, 0.85)
 
@@ -77,6 +78,8 @@ def _replayed(
             RobotScene(meshcat, model, shapes=shapes, path=path_part(name), color=colors.get(name))
             for name in motions
         ]
+        for k, scene in enumerate(scenes):  # so that surfaces at one place do not flicker
+            meshcat.SetProperty(scene.path, "scale", [1.0 - _APART * k] * 3)
         extent = Extent.of(model, np.concatenate(list(motions.values())))
         draw_floor(meshcat, "ground", extent)
         place_camera(meshcat, extent)

@@ -218,6 +218,7 @@ class Extent:
         left: The farthest that it goes to the left of the camera, m.
         right: The farthest that it goes to the right, m.
         widest: Its largest width to the camera in any one posture, m.
+        size: Its largest side in any one posture with a margin for links, m.
     """
 
     low: Array
@@ -225,6 +226,7 @@ class Extent:
     left: float
     right: float
     widest: float
+    size: float
 
     @classmethod
     def of(cls, model: RobotModel, q: Array) -> Extent:
@@ -243,12 +245,8 @@ class Extent:
         cloud = np.array(points)
         across = cloud @ RIGHT
         low, high = cloud.min((0, 1)), cloud.max((0, 1))
-        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=1).max())
-
-    @property
-    def size(self) -> float:
-        """The largest side with a margin for links, m."""
-        return 1.15 * float((self.high - self.low).max()) + 0.1
+        size = 1.15 * float(np.ptp(cloud, axis=1).max()) + 0.1
+        return cls(low, high, -across.min(), across.max(), np.ptp(across, axis=1).max(), size)
 
     @property
     def gap(self) -> float:
@@ -264,7 +262,7 @@ def draw_floor(meshcat: Meshcat, path: str, extent: Extent) -> None:
         path: Folder of the robot, or "" for that of the whole scene.
         extent: Where the robot goes.
     """
-    disc = Cylinder(0.25 * extent.size, _FLOOR_THICKNESS)
+    disc = Cylinder(0.3 * extent.size, _FLOOR_THICKNESS)
     meshcat.SetObject(f"{path}/floor", disc, Rgba(0.87, 0.89, 0.92, 1.0))
     meshcat.SetTransform(f"{path}/floor", RigidTransform([0.0, 0.0, -_FLOOR_THICKNESS]))
 
@@ -284,5 +282,5 @@ def place_camera(meshcat: Meshcat, extent: Extent, *, copies: int = 1) -> None:
     middle = 0.5 * (extent.low + extent.high)
     middle += (0.5 * (left + right) - middle @ RIGHT) * RIGHT
     depth = 0.5 * float(np.abs(_AWAY) @ (extent.high - extent.low))
-    far = max(height, width / _ASPECT) / _VIEW + 0.6 * depth
+    far = max(height, width / _ASPECT) / _VIEW + 0.4 * depth
     meshcat.SetCameraPose(middle + far * _AWAY, middle)

@@ -20,15 +20,18 @@ from typer.testing import CliRunner
 from geodrake import load_model, save_model
 from geodrake.cli.app import app
 from geodrake.cli.serving import page_server, serve_page
+from geodrake.control.rollout import Rollout
+from geodrake.control.rollout.results import Window
 from geodrake.diagnosis import compare
 from geodrake.effects import CoulombFriction, FittedEffect, GravityTilt, Payload
 from geodrake.effects.contact import Contact
 from geodrake.errors import ArgumentError, OutputError
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs import read_log
+from geodrake.logs import JointLog, read_log
 from geodrake.report.numbers import Units
 from geodrake.report.play_page import COLORS, UNKNOWN, levels, play_page
 from geodrake.report.playback import play_back
+from geodrake.report.replay import rollout_replay_page
 from geodrake.report.robot_scene import FRAMES
 
 DEMO = files("geodrake") / "demo"
@@ -302,3 +305,51 @@ def test_a_browser_opens_it_and_jumps(tmp_path, page, short):
     assert length == pytest.approx(expected, abs=1e-5)
     if joint in link:
         assert f"#{color}" == COLORS[-1]
+
+
+def test_names_that_mean_harm_stay_words(tmp_path):
+    name = "</script><b>`${1}\u2028"
+    text = (Path(__file__).parents[2] / "models" / "double_pendulum.urdf").read_text()
+    joint = re.search(r'<joint name="([^"]+)"', text)[1]
+    escaped = name.replace("<", "&lt;")
+    (tmp_path / "r.urdf").write_text(text.replace(f'"{joint}"', f'"{escaped}"'))
+    model = load_model(tmp_path / "r.urdf")
+    time = np.arange(0.0, 20.0, 0.01)
+    q = np.stack([np.sin(2 * time), np.cos(3.1 * time)], -1)
+    noise = np.random.default_rng(0).normal(size=q.shape)
+    log = JointLog(name, model.joints, time, q, 3 * q + 0.1 * noise)
+    found = play_back(model, [log], seconds=1.0, bandwidth=5.0)
+    page = play_page(found, title=name, log_names=[name], units=Units.of(model))
+    assert "<b>`" not in page and "\u2028" not in page
+    (data,) = re.findall(r"const data = (\{.*\});\n", page)
+    assert json.loads(data)["joints"][0].startswith("</script><b>`${1}")
+
+
+def test_a_rollout_is_replayed_as_a_measured_and_a_simulated_robot(before):
+    time = np.linspace(3.0, 3.2, 21)
+    measured = np.outer(time - 3.0, np.arange(6.0))
+    simulated = measured + 0.1
+    simulated[11:] = np.nan  # broke off
+    window = Window("demo", time, measured, simulated)
+    found = Rollout((), (window, window), 0.2, 1)
+    page = rollout_replay_page(before, found, found)
+    recorded = tracks(page)
+    frames, turned = recorded["/drake/measured/arm6::column", "quaternion"]
+    assert frames == list(range(14))
+    assert frames == recorded["/drake/simulated/arm6::flange", "position"][0]
+    column = np.array(recorded["/drake/simulated before/arm6::column", "quaternion"][1])
+    np.testing.assert_allclose(2 * np.arcsin(column[:7, 2]), 0.1, atol=1e-9)
+    flange = np.array(recorded["/drake/simulated/arm6::flange", "position"][1])
+    np.testing.assert_array_equal(flange[4:7], flange[[4, 4, 4]])  # it stays where it broke off
+    for words in ("measured", "simulated before", "simulated"):
+        assert f"</span>{words}</div>" in page
+    assert np.ptp(np.array(turned)[:, 2]) < 1e-9  # the first joint stands still
+
+
+def test_rollout_writes_its_replay(tmp_path):
+    out = tmp_path / "r.html"
+    words = ["rollout", URDF, LOG, "--windows", "2", "--horizon", "0.2", "--meshcat", out]
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    assert "Saved the replay of measured and simulated motion: " in result.output
+    assert ("/drake/measured/arm6::flange", "position") in tracks(out.read_text())

@@ -62,7 +62,8 @@ def write_stl(path, corners=CORNERS, faces=TRIANGLES):
 def surface(text):
     lines = [line.split() for line in text.splitlines()]
     vertices = np.array([line[1:] for line in lines if line[0] == "v"], float)
-    return vertices, np.array([line[1:] for line in lines if line[0] == "f"], int) - 1
+    corners = [[c.partition("//")[0] for c in line[1:]] for line in lines if line[0] == "f"]
+    return vertices, np.array(corners, int) - 1
 
 
 def volume(vertices, faces):
