@@ -120,6 +120,20 @@ def test_the_price_is_that_of_the_file_compared_with_the_log(folder, in_urdf):
     assert again == pytest.approx(numbers["error"]["held_nrms"], rel=0.05)
 
 
+def test_a_urdf_becomes_an_mjcf(folder, tmp_path):
+    """Bodies and joints, with friction and rotors, as MuJoCo has them."""
+    out, model = tmp_path / "out", truth()
+    result = export(folder / "model.yaml", "--to", "mjcf", out, "--json", "-")
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)
+    assert numbers["files"] == ["double_pendulum.xml"]
+    assert max(each["largest"] for each in numbers["differences"]) < 1e-6
+    assert "without geometry" in " ".join(numbers["notes"])
+    compiled = mujoco.MjModel.from_xml_path(str(out / "double_pendulum.xml"))
+    assert [compiled.joint(k).name for k in range(2)] == list(model.joints)
+    assert compiled.dof_armature == pytest.approx([0.0, 0.01])
+
+
 @pytest.mark.parametrize(
     ("to", "files"),
     [
@@ -185,13 +199,16 @@ def test_bad_input_is_a_line_and_nothing_is_written(folder, tmp_path):
     own = tmp_path / MODEL.name
     own.write_bytes(MODEL.read_bytes())
     assert "urdf, sdf, mjcf" in refused(MODEL, "--to", "usd", out)
-    assert "must be an MJCF" in refused(MODEL, "--to", "mjcf", out)
     assert "is an input" in refused(own, "--to", "urdf", tmp_path, "--force")
     assert "no folder" in refused(MODEL, "--to", "urdf", own)
     assert "log" in refused(MODEL, tmp_path / "none.csv", "--to", "urdf", out)
     assert "none" in refused(tmp_path / "none.urdf", "--to", "urdf", out)
-    directives = MODEL.with_name("cheetah.dmd.yaml")
-    assert "several model files" in refused(directives, "--to", "urdf", out)
+    ball = tmp_path / "ball.sdf"
+    ball.write_text(
+        '<sdf version="1.9"><model name="m"><link name="l"/><joint name="j" type="ball">'
+        "<parent>world</parent><child>l</child></joint></model></sdf>"
+    )
+    assert "joint j is of the type" in refused(ball, "--to", "urdf", out)
     target = tmp_path / "no" / "x.json"
     assert "no folder" in refused(MODEL, "--to", "urdf", out, "--json", target)
     assert not out.exists()

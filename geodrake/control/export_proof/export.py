@@ -16,15 +16,11 @@ from geodrake.control.export_proof.samples import (
     random_motion,
     random_starts,
 )
-from geodrake.errors import ModelError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.logs.motion import JointLog
-from geodrake.model.export import file_kind
 from geodrake.model.exporting.export_format import Exported, ExportFormat
 from geodrake.model.exporting.held import held_by
 from geodrake.model.robot_model import RobotModel
-
-_CALLED = {"urdf": "a URDF", "sdf": "an SDF", "xml": "an MJCF"}
 
 Progress = Callable[[str], object]
 
@@ -50,29 +46,6 @@ class ProvenExport:
     costs: Costs | None
     proof: Proof
     notes: tuple[str, ...]
-
-
-def check_base(model: RobotModel, form: ExportFormat) -> None:
-    """Refuse a model whose own file is of another format.
-
-    Args:
-        model: The model.
-        form: The format to export to.
-
-    Raises:
-        ModelError: It is, or the model is put together from several files.
-    """
-    if not form.bases:
-        return
-    kind = file_kind(model)
-    if kind not in form.bases:
-        wanted = " or ".join(_CALLED[base] for base in sorted(form.bases))
-        raise ModelError(
-            f"--to {form.name} writes into a copy of the robot's own file, which must be {wanted}; "
-            f"{model.path.name} is {_CALLED[kind]}.",
-            advice="Choose another --to, or fit the model to the robot's file of that format.",
-            path=model.path,
-        )
 
 
 def export_with_proof(
@@ -101,7 +74,6 @@ def export_with_proof(
         ModelError: The model's file cannot take what is to be written.
         LogError: A log cannot be used.
     """
-    check_base(model, form)
     case: Case | None = None
     if logs:
         case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
