@@ -177,6 +177,14 @@ def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatc
     assert "differs from geodrake by more than rounding" in " ".join(result.stdout.split())
 
 
+def test_a_floating_robot_goes_into_its_own_format_alone(tmp_path):
+    leg = MODEL.with_name("cheetah_leg.urdf")
+    result = export(leg, "--floating", "--to", "urdf", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "not tried in simulators" in result.stdout
+    assert "floats" in refused(leg, "--floating", "--to", "sdf", tmp_path / "other")
+
+
 def test_simulators_that_are_not_there_are_named(tmp_path, monkeypatch):
     monkeypatch.setattr(proof, "engine", lambda name: None)
     result = export(MODEL, "--to", "urdf", tmp_path / "out")

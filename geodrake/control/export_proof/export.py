@@ -16,11 +16,15 @@ from geodrake.control.export_proof.samples import (
     random_motion,
     random_starts,
 )
-from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
 from geodrake.model.exporting.export_format import Exported, ExportFormat
 from geodrake.model.exporting.held import held_by
 from geodrake.model.robot_model import RobotModel
+
+_SEVERAL = (
+    "the robot has joints of several degrees of freedom, so the export was not tried in simulators"
+)
 
 Progress = Callable[[str], object]
 
@@ -74,25 +78,28 @@ def export_with_proof(
         ModelError: The model's file cannot take what is to be written.
         LogError: A log cannot be used.
     """
-    case: Case | None = None
-    if logs:
-        case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if logs else None
+    tried = len(model.single_joints) == len(model.joints)
+    if case is not None:
         motions = logged_motions(model, case.trajectories)
     else:
-        motions = [random_motion(model)]
+        motions = [random_motion(model)] if tried else []
     held = held_by(model, form.holding(model), motions)
     exported = form.write(model, held, folder)
-    progress("Trying it in simulators")
-    if case is not None:
-        starts = logged_starts(held.model, case.trajectories)
-    else:
-        starts = random_starts(held.model, motions[0])
-    with TemporaryDirectory() as scratch:
-        again = form.write(model, held, Path(scratch))
-        for name, content in again.files.items():
-            (Path(scratch) / name).write_bytes(content)
-        first = Path(scratch) / next(iter(again.files))
-        proof = prove(held.model, first, form.engines, compared(motions), starts)
+    proof = Proof((), (), (_SEVERAL,))
+    if tried:
+        progress("Trying it in simulators")
+        starts = (
+            logged_starts(held.model, case.trajectories)
+            if case is not None
+            else random_starts(held.model, motions[0])
+        )
+        with TemporaryDirectory() as scratch:
+            again = form.write(model, held, Path(scratch))
+            for name, content in again.files.items():
+                (Path(scratch) / name).write_bytes(content)
+            first = Path(scratch) / next(iter(again.files))
+            proof = prove(held.model, first, form.engines, compared(motions), starts)
     costs = None
     if case is not None:
         progress("Comparing it with the logs")

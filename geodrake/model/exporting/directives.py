@@ -10,10 +10,9 @@ import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
-from geodrake.model.export import file_kind
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
-from geodrake.model.exporting.model_text import model_file, tilt_rotation, written_kind
+from geodrake.model.exporting.model_text import model_file, own_kind, tilt_rotation, written_kind
 from geodrake.model.robot_model import RobotModel
 
 KINDS = ("sdf", "urdf")
@@ -72,7 +71,7 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
 
 def stands_free(model: RobotModel) -> bool:
     """Whether the robot's own file leaves it free, so that directives decide how it stands."""
-    if model.path.suffix.lower() in (".yaml", ".yml") or file_kind(model) not in KINDS:
+    if own_kind(model) not in KINDS:
         return False
     plant = model.plant
     joints = (plant.get_joint(index) for index in plant.GetJointIndices())

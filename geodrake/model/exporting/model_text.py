@@ -33,13 +33,13 @@ def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
         model: The model.
         kinds: The formats that it may be, the usual one first: urdf, sdf, xml for MJCF.
     """
-    own = _own_kind(model)
+    own = own_kind(model)
     return own if own in kinds else kinds[0]
 
 
-def _own_kind(model: RobotModel) -> str:
-    """The format of the robot's file; nothing for directives, which put several together."""
-    return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
+def own_kind(model: RobotModel) -> str:
+    """The format of the robot's file if it can be edited; nothing for directives and macros."""
+    return "" if model.path.suffix.lower() in (".yaml", ".yml", ".xacro") else file_kind(model)
 
 
 def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, tuple[str, ...]]:
@@ -59,7 +59,7 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
     Raises:
         ModelError: The file cannot take the numbers, or the robot cannot be written anew.
     """
-    if _own_kind(model) == kind:
+    if own_kind(model) == kind:
         return model.path.name, *model_text(model, folder)
     name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
     note = (
