@@ -22,6 +22,8 @@ from geodrake.effects import (
 )
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.exporting.export_format import Exported, ExportFormat
+from geodrake.model.exporting.formats import FORMATS
 from geodrake.model.saved_model import load_model, save_model
 
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
@@ -175,6 +177,22 @@ def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatc
     result = export(folder / "model.yaml", "--to", "urdf", tmp_path / "out")
     assert result.exit_code == 0
     assert "differs from geodrake by more than rounding" in " ".join(result.stdout.split())
+
+
+def test_a_format_is_one_more_entry(folder, tmp_path, monkeypatch):
+    """One that holds everything, and that no simulator reads."""
+
+    def write(model, held, out):
+        assert held.lost == ()
+        assert held.model.effects
+        return Exported({"effects.txt": " ".join(f.effect.name for f in model.effects).encode()})
+
+    everything = ExportFormat("words", lambda model: lambda effect: True, write)
+    monkeypatch.setitem(FORMATS, "words", everything)
+    result = export(folder / "model.yaml", folder / "log.csv", "--to", "words", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "load_dependent_friction" in (tmp_path / "out" / "effects.txt").read_text()
+    assert "the files hold the model; nrms" in " ".join(result.stdout.split())
 
 
 def test_a_floating_robot_goes_into_its_own_format_alone(tmp_path):

@@ -26,6 +26,11 @@ _SEVERAL = (
     "the robot has joints of several degrees of freedom, so the export was not tried in simulators"
 )
 
+_IN_DRAKE = (
+    "in a Drake diagram, geodrake.control.EffectForce acts with all effects of the model, those of "
+    "the files included: then add it to a plant without them, as that of load_model"
+)
+
 Progress = Callable[[str], object]
 
 
@@ -105,5 +110,7 @@ def export_with_proof(
         progress("Comparing it with the logs")
         costs = costs_of(case, held, form, motions, proof.ignored)
     lacks = costs.effects if costs else tuple(Cost(lost, None) for lost in held.lost)
-    notes = (*(model.notes if case is None else case.notes), *exported.notes, *proof.notes)
-    return ProvenExport(form, exported, held.model, lacks, costs, proof, notes)
+    notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
+    if "drake" in form.engines and (proof.ignored or held.lost):
+        notes.append(_IN_DRAKE)
+    return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))

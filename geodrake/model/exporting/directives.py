@@ -47,7 +47,7 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         f"    file: package://{package}/{name}",
     ]
     for body, X_WB in roots:
-        angles = np.rad2deg(RollPitchYaw(X_WB.rotation()).vector()).tolist()
+        angles = (np.rad2deg(RollPitchYaw(X_WB.rotation()).vector()) + 0.0).tolist()
         lines += [
             "- add_weld:",
             "    parent: world",

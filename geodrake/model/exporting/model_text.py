@@ -100,7 +100,12 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     data = with_joint_numbers(data, path, changes)
     if text.kind == "xml" and tilted(model):
         data = with_gravity(data, path, tilted_gravity(model))
-    return with_references(data, path, folder), exported.notes
+    moved = with_references(data, path, folder)
+    elsewhere = (
+        f"meshes and other files that {path.name} names stay where they are; the copy names them "
+        "from its folder"
+    )
+    return moved, (*exported.notes, *([elsewhere] if moved != data else ()))
 
 
 def tilted(model: RobotModel) -> bool:
