@@ -19,7 +19,7 @@ class ExportOptions:
     logs: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[LOG...]",
+            metavar="LOG",
             help="Logs on whose motion what the format lacks is fitted, and the error that it "
             "costs is measured; without any, random motion within the robot's limits serves.",
         ),

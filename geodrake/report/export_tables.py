@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from geodrake.control.export_proof.export import ProvenExport
+from geodrake.model.exporting.held import Lost
 from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
+from geodrake.model.robot_model import RobotModel
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.tables import Table, cells, effect_cell
 from geodrake.robot.plant import scoped_joint_names
@@ -81,7 +83,7 @@ def lacks_table(found: ProvenExport, units: Units) -> Table:
         rows.append(
             cells(
                 effect_cell(cost.lost.effect, units),
-                ", ".join(cost.lost.where) or "all",
+                _places(cost.lost, found.held),
                 f"fitted into {into}" if into else "left out",
                 *([] if cost.nrms is None else [number(cost.nrms)]),
             )
@@ -89,6 +91,11 @@ def lacks_table(found: ProvenExport, units: Units) -> Table:
     costed = found.costs is not None
     head = ("effect", "where", "in the files", *(("nrms",) if costed else ()))
     return Table(head, tuple(rows), words=3)
+
+
+def _places(lost: Lost, model: RobotModel) -> str:
+    everywhere = not lost.where or set(lost.where) == set(model.joints)
+    return "all" if everywhere else ", ".join(lost.where)
 
 
 def export_verdict(found: ProvenExport) -> str:

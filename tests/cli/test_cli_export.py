@@ -22,6 +22,8 @@ from geodrake.effects import (
 )
 from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog, Motion
+from geodrake.model.exporting.export_format import Exported, ExportFormat
+from geodrake.model.exporting.formats import FORMATS
 from geodrake.model.saved_model import load_model, save_model
 
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
@@ -120,6 +122,20 @@ def test_the_price_is_that_of_the_file_compared_with_the_log(folder, in_urdf):
     assert again == pytest.approx(numbers["error"]["held_nrms"], rel=0.05)
 
 
+def test_a_urdf_becomes_an_mjcf(folder, tmp_path):
+    """Bodies and joints, with friction and rotors, as MuJoCo has them."""
+    out, model = tmp_path / "out", truth()
+    result = export(folder / "model.yaml", "--to", "mjcf", out, "--json", "-")
+    assert result.exit_code == 0, result.output
+    numbers = json.loads(result.stdout)
+    assert numbers["files"] == ["double_pendulum.xml"]
+    assert max(each["largest"] for each in numbers["differences"]) < 1e-6
+    assert "without geometry" in " ".join(numbers["notes"])
+    compiled = mujoco.MjModel.from_xml_path(str(out / "double_pendulum.xml"))
+    assert [compiled.joint(k).name for k in range(2)] == list(model.joints)
+    assert compiled.dof_armature == pytest.approx([0.0, 0.01])
+
+
 @pytest.mark.parametrize(
     ("to", "files"),
     [
@@ -163,6 +179,30 @@ def test_a_file_that_says_something_else_is_noticed(folder, tmp_path, monkeypatc
     assert "differs from geodrake by more than rounding" in " ".join(result.stdout.split())
 
 
+def test_a_format_is_one_more_entry(folder, tmp_path, monkeypatch):
+    """One that holds everything, and that no simulator reads."""
+
+    def write(model, held, out):
+        assert held.lost == ()
+        assert held.model.effects
+        return Exported({"effects.txt": " ".join(f.effect.name for f in model.effects).encode()})
+
+    everything = ExportFormat("words", lambda model: lambda effect: True, write)
+    monkeypatch.setitem(FORMATS, "words", everything)
+    result = export(folder / "model.yaml", folder / "log.csv", "--to", "words", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "load_dependent_friction" in (tmp_path / "out" / "effects.txt").read_text()
+    assert "the files hold the model; nrms" in " ".join(result.stdout.split())
+
+
+def test_a_floating_robot_goes_into_its_own_format_alone(tmp_path):
+    leg = MODEL.with_name("cheetah_leg.urdf")
+    result = export(leg, "--floating", "--to", "urdf", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "not tried in simulators" in result.stdout
+    assert "floats" in refused(leg, "--floating", "--to", "sdf", tmp_path / "other")
+
+
 def test_simulators_that_are_not_there_are_named(tmp_path, monkeypatch):
     monkeypatch.setattr(proof, "engine", lambda name: None)
     result = export(MODEL, "--to", "urdf", tmp_path / "out")
@@ -185,13 +225,16 @@ def test_bad_input_is_a_line_and_nothing_is_written(folder, tmp_path):
     own = tmp_path / MODEL.name
     own.write_bytes(MODEL.read_bytes())
     assert "urdf, sdf, mjcf" in refused(MODEL, "--to", "usd", out)
-    assert "must be an MJCF" in refused(MODEL, "--to", "mjcf", out)
     assert "is an input" in refused(own, "--to", "urdf", tmp_path, "--force")
     assert "no folder" in refused(MODEL, "--to", "urdf", own)
     assert "log" in refused(MODEL, tmp_path / "none.csv", "--to", "urdf", out)
     assert "none" in refused(tmp_path / "none.urdf", "--to", "urdf", out)
-    directives = MODEL.with_name("cheetah.dmd.yaml")
-    assert "several model files" in refused(directives, "--to", "urdf", out)
+    ball = tmp_path / "ball.sdf"
+    ball.write_text(
+        '<sdf version="1.9"><model name="m"><link name="l"/><joint name="j" type="ball">'
+        "<parent>world</parent><child>l</child></joint></model></sdf>"
+    )
+    assert "joint j is of the type" in refused(ball, "--to", "urdf", out)
     target = tmp_path / "no" / "x.json"
     assert "no folder" in refused(MODEL, "--to", "urdf", out, "--json", target)
     assert not out.exists()

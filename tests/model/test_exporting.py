@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -34,6 +35,8 @@ from geodrake.logs.motion import Motion
 from geodrake.model.exporting.formats import FORMATS, export_format
 from geodrake.model.exporting.held import held_by
 from geodrake.model.saved_model import load_model
+
+MODELS = Path(__file__).parents[2] / "models"
 
 URDF = """<?xml version="1.0"?>
 <!-- my arm -->
@@ -209,6 +212,45 @@ def test_mujoco_computes_the_same_from_the_file(tmp_path):
         ours = model.effort(moved)
         np.testing.assert_allclose(found, ours - dry(model, moved), atol=1e-9)
         np.testing.assert_allclose(load_model(path).effort(moved), ours, atol=1e-9)
+
+
+def test_a_robot_goes_through_all_formats_and_back(tmp_path):
+    """Each export is the model of the next one; what every format holds is there at the end."""
+    model = fitted(loaded(tmp_path, "urdf"), springs=False)
+    moved = motion(model)
+    ours = model.effort(moved)
+    for to in ("sdf", "mjcf", "urdf", "mjcf", "sdf"):
+        path, held = exported(model, to, tmp_path / f"{to}_of_{model.path.suffix[1:]}")
+        assert held.lost == ()
+        model = load_model(path)
+        assert model.joints == ("a", "b")
+        np.testing.assert_allclose(model.effort(moved), ours, atol=1e-9)
+
+
+def test_springs_go_from_sdf_to_mjcf_and_back(tmp_path):
+    model = fitted(loaded(tmp_path, "sdf"), springs=True)
+    moved = motion(model)
+    in_mjcf = load_model(exported(model, "mjcf", tmp_path / "mjcf")[0])
+    again = load_model(exported(in_mjcf, "sdf", tmp_path / "again")[0])
+    np.testing.assert_allclose(in_mjcf.effort(moved), model.effort(moved), atol=1e-9)
+    np.testing.assert_allclose(again.effort(moved), model.effort(moved), atol=1e-9)
+
+
+def test_several_files_become_one(tmp_path):
+    model = load_model(MODELS / "cheetah.dmd.yaml")
+    path, _ = exported(model, "mjcf", tmp_path / "mjcf")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert compiled.nv == len(model.joints)
+    again, moved = load_model(path), motion(model)
+    order = [again.joints.index(joint) for joint in model.joints]
+    other = Motion(*(_reordered(x, order) for x in (moved.q, moved.v, moved.vd)))
+    np.testing.assert_allclose(again.effort(other)[:, order], model.effort(moved), atol=1e-9)
+
+
+def _reordered(values, order):
+    found = np.empty_like(values)
+    found[:, order] = values
+    return found
 
 
 def test_pinocchio_reads_the_inertias_damping_and_friction(tmp_path):

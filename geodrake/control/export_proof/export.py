@@ -16,15 +16,20 @@ from geodrake.control.export_proof.samples import (
     random_motion,
     random_starts,
 )
-from geodrake.errors import ModelError
-from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import JointLog
-from geodrake.model.export import file_kind
 from geodrake.model.exporting.export_format import Exported, ExportFormat
 from geodrake.model.exporting.held import held_by
 from geodrake.model.robot_model import RobotModel
 
-_CALLED = {"urdf": "a URDF", "sdf": "an SDF", "xml": "an MJCF"}
+_SEVERAL = (
+    "the robot has joints of several degrees of freedom, so the export was not tried in simulators"
+)
+
+_IN_DRAKE = (
+    "in a Drake diagram, geodrake.control.EffectForce acts with all effects of the model, those of "
+    "the files included: then add it to a plant without them, as that of load_model"
+)
 
 Progress = Callable[[str], object]
 
@@ -50,29 +55,6 @@ class ProvenExport:
     costs: Costs | None
     proof: Proof
     notes: tuple[str, ...]
-
-
-def check_base(model: RobotModel, form: ExportFormat) -> None:
-    """Refuse a model whose own file is of another format.
-
-    Args:
-        model: The model.
-        form: The format to export to.
-
-    Raises:
-        ModelError: It is, or the model is put together from several files.
-    """
-    if not form.bases:
-        return
-    kind = file_kind(model)
-    if kind not in form.bases:
-        wanted = " or ".join(_CALLED[base] for base in sorted(form.bases))
-        raise ModelError(
-            f"--to {form.name} writes into a copy of the robot's own file, which must be {wanted}; "
-            f"{model.path.name} is {_CALLED[kind]}.",
-            advice="Choose another --to, or fit the model to the robot's file of that format.",
-            path=model.path,
-        )
 
 
 def export_with_proof(
@@ -101,30 +83,34 @@ def export_with_proof(
         ModelError: The model's file cannot take what is to be written.
         LogError: A log cannot be used.
     """
-    check_base(model, form)
-    case: Case | None = None
-    if logs:
-        case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if logs else None
+    tried = len(model.single_joints) == len(model.joints)
+    if case is not None:
         motions = logged_motions(model, case.trajectories)
     else:
-        motions = [random_motion(model)]
+        motions = [random_motion(model)] if tried else []
     held = held_by(model, form.holding(model), motions)
     exported = form.write(model, held, folder)
-    progress("Trying it in simulators")
-    if case is not None:
-        starts = logged_starts(held.model, case.trajectories)
-    else:
-        starts = random_starts(held.model, motions[0])
-    with TemporaryDirectory() as scratch:
-        again = form.write(model, held, Path(scratch))
-        for name, content in again.files.items():
-            (Path(scratch) / name).write_bytes(content)
-        first = Path(scratch) / next(iter(again.files))
-        proof = prove(held.model, first, form.engines, compared(motions), starts)
+    proof = Proof((), (), (_SEVERAL,))
+    if tried:
+        progress("Trying it in simulators")
+        starts = (
+            logged_starts(held.model, case.trajectories)
+            if case is not None
+            else random_starts(held.model, motions[0])
+        )
+        with TemporaryDirectory() as scratch:
+            again = form.write(model, held, Path(scratch))
+            for name, content in again.files.items():
+                (Path(scratch) / name).write_bytes(content)
+            first = Path(scratch) / next(iter(again.files))
+            proof = prove(held.model, first, form.engines, compared(motions), starts)
     costs = None
     if case is not None:
         progress("Comparing it with the logs")
         costs = costs_of(case, held, form, motions, proof.ignored)
     lacks = costs.effects if costs else tuple(Cost(lost, None) for lost in held.lost)
-    notes = (*(model.notes if case is None else case.notes), *exported.notes, *proof.notes)
-    return ProvenExport(form, exported, held.model, lacks, costs, proof, notes)
+    notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
+    if "drake" in form.engines and (proof.ignored or held.lost):
+        notes.append(_IN_DRAKE)
+    return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))

@@ -22,8 +22,9 @@ HORIZON = 0.2
 _CHUNK, _CHUNKS = 1000, 12  # samples that follow each other, and how many such passages of all logs
 _COMPARED = 400  # samples at which efforts are compared
 _STARTS = 4
-_RANDOM = 2000  # samples where there is no log
-_LARGEST_ANGLE, _LARGEST_SPEED, _ACCELERATION = np.pi, 2.0, 5.0  # rad or m, and per s and s²
+_RANDOM, _PERIOD = 3000, 0.01  # samples where there is no log, and their distance, s
+_WAVES, _FREQUENCIES = 4, (0.1, 1.0)  # Hz
+_LARGEST, _FASTEST = np.pi, 2.0  # rad or m, and per s
 
 
 def logged_motions(model: RobotModel, trajectories: Sequence[Trajectory]) -> list[Motion]:
@@ -60,7 +61,7 @@ def _motion(model: RobotModel, stretch: Stretch, start: int, began: float) -> Mo
 
 
 def random_motion(model: RobotModel, seed: int = 0) -> Motion:
-    """Postures, velocities and accelerations at random, within the limits of the robot.
+    """A smooth motion at random, within the limits of the robot.
 
     Args:
         model: The model.
@@ -69,12 +70,17 @@ def random_motion(model: RobotModel, seed: int = 0) -> Motion:
     rng, nv = np.random.default_rng(seed), len(model.joints)
     order = position_order(model)
     low, high = (limits[order] for limits in position_limits(model.plant))
-    low, high = np.maximum(low, -_LARGEST_ANGLE), np.minimum(high, _LARGEST_ANGLE)
-    fastest = np.minimum(velocity_limits(model.plant), _LARGEST_SPEED)
-    q = rng.uniform(low, np.maximum(low, high), (_RANDOM, nv))
-    v = rng.uniform(-fastest, fastest, (_RANDOM, nv))
-    vd = rng.uniform(-_ACCELERATION, _ACCELERATION, (_RANDOM, nv))
-    return Motion(model.positions(q), v, vd)
+    low, high = np.maximum(low, -_LARGEST), np.minimum(high, _LARGEST)
+    fastest = np.minimum(velocity_limits(model.plant), _FASTEST)
+    time: Array = np.arange(_RANDOM, dtype=float) * _PERIOD
+    rates = 2 * np.pi * rng.uniform(*_FREQUENCIES, (nv, _WAVES))
+    phases = rng.uniform(0.0, 2 * np.pi, (nv, _WAVES))
+    angle = time[:, None, None] * rates + phases
+    waves = np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle)
+    q, v, vd = (wave.sum(-1) for wave in waves)
+    size = np.minimum((high - low) / 2 / np.abs(q).max(0), fastest / np.abs(v).max(0))
+    q = model.positions((low + high) / 2 + size * q)
+    return Motion(q, size * v, size * vd, time, q[:0])
 
 
 def compared(motions: Sequence[Motion]) -> Motion:
@@ -116,16 +122,14 @@ def _logged_start(held: RobotModel, part: Segment) -> Start:
 
 
 def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
-    """Starts of rollouts in postures of a motion, under the efforts that would hold them there.
+    """Starts of rollouts along a motion, under the efforts that would hold the posture there.
 
     Args:
         held: The model that an export holds.
         motion: Samples.
     """
-    still, order = np.zeros_like(motion.v[:_STARTS]), position_order(held)
-    effort = held.effort(Motion(motion.q[:_STARTS], still, still))
+    every, order = len(motion.v) // _STARTS, position_order(held)
+    q, v = motion.q[::every], motion.v[::every]
+    effort = held.effort(Motion(q, np.zeros_like(v), np.zeros_like(v)))
     steps = round(HORIZON / STEP)
-    return [
-        Start(q[order], 0.1 * v, np.tile(u, (steps, 1)))
-        for q, v, u in zip(motion.q, motion.v, effort, strict=False)
-    ]
+    return [Start(q[k][order], v[k], np.tile(effort[k], (steps, 1))) for k in range(len(v))]

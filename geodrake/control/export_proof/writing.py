@@ -9,7 +9,7 @@ from pathlib import Path
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import Content, write_together
-from geodrake.control.export_proof.export import ProvenExport, check_base, export_with_proof
+from geodrake.control.export_proof.export import ProvenExport, export_with_proof
 from geodrake.errors import OutputError
 from geodrake.logs.motion import JointLog
 from geodrake.model.exporting.export_format import ExportFormat
@@ -44,7 +44,8 @@ def export_to(
 
     Raises:
         ArgumentError: There is no such format.
-        ModelError: The model's own file is of another format, or cannot take the numbers.
+        ModelError: The model's own file cannot take the numbers, or the robot has joints that
+            the format does not have.
         LogError: A log cannot be used.
         OutputError: A file is there already, or cannot be written.
     """
@@ -72,7 +73,6 @@ def check_folder(
         OutputError: It is no folder, or has such files already.
         ModelError: The model's file cannot take what is to be written.
     """
-    check_base(model, form)
     if folder.exists() and not folder.is_dir():
         raise OutputError(
             f"Cannot export to {folder}: it is there and is no folder.",

@@ -12,8 +12,11 @@ from pydrake.multibody.tree import BodyIndex, RigidBody
 
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
-from geodrake.model.exporting.model_text import model_text, tilt_rotation
+from geodrake.model.exporting.model_text import model_file, own_kind, tilt_rotation, written_kind
 from geodrake.model.robot_model import RobotModel
+
+KINDS = ("sdf", "urdf")
+"""Formats of the robot's file that directives add, the usual one first."""
 
 
 def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
@@ -26,23 +29,25 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         held: What the files hold of it.
         folder: Where they will be.
     """
-    data, notes = model_text(held.model, folder)
+    kind = written_kind(model, KINDS)
+    name, data, notes = model_file(held.model, kind, folder)
     package = re.sub(r"[^a-z0-9_]+", "_", folder.resolve().name.lower()).strip("_") or "robot"
     plant = model.plant
-    roots = _roots(held.model)
-    instance = plant.GetModelInstanceName(
-        plant.get_body(BodyIndex(plant.num_bodies() - 1)).model_instance()
-    )
+    roots, instance = [], name.partition(".")[0]
+    if name == model.path.name:
+        roots = _roots(held.model)
+        last = plant.get_body(BodyIndex(plant.num_bodies() - 1))
+        instance = plant.GetModelInstanceName(last.model_instance())
     lines = [
         "# Inertias, damping and rotors are those of the model; dry friction is in the file, but",
         "# Drake does not simulate it. parser.package_map().PopulateFromFolder(…) finds the file.",
         "directives:",
         "- add_model:",
         f"    name: {json.dumps(instance)}",
-        f"    file: package://{package}/{model.path.name}",
+        f"    file: package://{package}/{name}",
     ]
     for body, X_WB in roots:
-        angles = np.rad2deg(RollPitchYaw(X_WB.rotation()).vector()).tolist()
+        angles = (np.rad2deg(RollPitchYaw(X_WB.rotation()).vector()) + 0.0).tolist()
         lines += [
             "- add_weld:",
             "    parent: world",
@@ -58,14 +63,16 @@ def drake_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     )
     files = {
         f"{model.path.stem}.dmd.yaml": ("\n".join(lines) + "\n").encode(),
-        model.path.name: data,
+        name: data,
         "package.xml": manifest.encode(),
     }
     return Exported(files, notes)
 
 
 def stands_free(model: RobotModel) -> bool:
-    """Whether the file leaves the robot free, so that directives decide how it stands."""
+    """Whether the robot's own file leaves it free, so that directives decide how it stands."""
+    if own_kind(model) not in KINDS:
+        return False
     plant = model.plant
     joints = (plant.get_joint(index) for index in plant.GetJointIndices())
     on_world = [joint for joint in joints if joint.parent_body().index() == 0]

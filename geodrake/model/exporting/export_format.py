@@ -37,7 +37,6 @@ class ExportFormat:
 
     Attributes:
         name: What it is called, as in `--to`.
-        bases: Formats of the robot's own file that it takes: urdf, sdf, xml; empty for all.
         holding: What tells, for a model, whether the files hold an effect as it is; inertias and
             payloads they always hold.
         write: Makes the files.
@@ -45,7 +44,6 @@ class ExportFormat:
     """
 
     name: str
-    bases: frozenset[str]
     holding: Holding
     write: Write
     engines: tuple[str, ...] = ()

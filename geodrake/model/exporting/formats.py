@@ -15,57 +15,70 @@ from geodrake.effects import (
     ViscousFriction,
 )
 from geodrake.errors import ArgumentError
-from geodrake.model.export import file_kind
-from geodrake.model.exporting.directives import drake_files, stands_free
-from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding
+from geodrake.model.exporting.directives import KINDS, drake_files, stands_free
+from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding, Write
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
-from geodrake.model.exporting.model_text import model_text
+from geodrake.model.exporting.model_text import model_file, written_kind
 from geodrake.model.robot_model import RobotModel
 
 _JOINT_TERMS = (ViscousFriction, CoulombFriction, RotorInertia)
 _WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
 
 
-def _joints(model: RobotModel) -> Callable[[Effect], bool]:
-    """Friction and rotors, and springs where the robot's own file may have some."""
-    springs = file_kind(model) in _WITH_SPRINGS
+def _joints(*kinds: str) -> Holding:
+    """What files of some formats hold of joints: friction, rotors, and springs, if they have some.
 
-    def holds(effect: Effect) -> bool:
-        if isinstance(effect, JointSpring):
-            return springs and effect.exponent == 1
-        return isinstance(effect, _JOINT_TERMS)
-
-    return holds
-
-
-def _beside(kind: type[Effect], able: Callable[[RobotModel], bool] = lambda model: True) -> Holding:
-    """What `_joints` holds, and effects of a kind where a model makes them possible."""
+    The usual format comes first.
+    """
 
     def holding(model: RobotModel) -> Callable[[Effect], bool]:
-        of_joints, possible = _joints(model), able(model)
+        springs = written_kind(model, kinds) in _WITH_SPRINGS
+
+        def holds(effect: Effect) -> bool:
+            if isinstance(effect, JointSpring):
+                return springs and effect.exponent == 1
+            return isinstance(effect, _JOINT_TERMS)
+
+        return holds
+
+    return holding
+
+
+def _and(
+    joints: Holding, kind: type[Effect], able: Callable[[RobotModel], bool] = lambda model: True
+) -> Holding:
+    """Beside what files hold of joints, effects of a kind where a model makes them possible."""
+
+    def holding(model: RobotModel) -> Callable[[Effect], bool]:
+        of_joints, possible = joints(model), able(model)
         return lambda effect: of_joints(effect) or (possible and isinstance(effect, kind))
 
     return holding
 
 
-def _own_file(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
-    data, notes = model_text(held.model, folder)
-    return Exported({model.path.name: data}, notes)
+def _file(kind: str) -> Write:
+    """Writes one file of a format."""
+
+    def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+        name, data, notes = model_file(held.model, kind, folder)
+        return Exported({name: data}, notes)
+
+    return write
 
 
-_URDF, _SDF, _MJCF = (frozenset({kind}) for kind in ("urdf", "sdf", "xml"))
+_URDF_ENGINES = ("drake", "pinocchio")
 
 FORMATS = {
     each.name: each
     for each in (
-        ExportFormat("urdf", _URDF, _joints, _own_file, ("drake", "pinocchio")),
-        ExportFormat("sdf", _SDF, _joints, _own_file, ("drake",)),
-        ExportFormat("mjcf", _MJCF, _beside(GravityTilt), _own_file, ("mujoco",)),
+        ExportFormat("urdf", _joints("urdf"), _file("urdf"), _URDF_ENGINES),
+        ExportFormat("sdf", _joints("sdf"), _file("sdf"), ("drake",)),
+        ExportFormat("mjcf", _and(_joints("xml"), GravityTilt), _file("xml"), ("mujoco",)),
         ExportFormat(
-            "drake", _URDF | _SDF, _beside(GravityTilt, stands_free), drake_files, ("drake",)
+            "drake", _and(_joints(*KINDS), GravityTilt, stands_free), drake_files, ("drake",)
         ),
-        ExportFormat("isaac", _URDF, _beside(EffortDelay), isaac_files, ("drake", "pinocchio")),
+        ExportFormat("isaac", _and(_joints("urdf"), EffortDelay), isaac_files, _URDF_ENGINES),
     )
 }
 """By name; a further format is one more entry."""

@@ -14,6 +14,7 @@ from geodrake.effects import (
     Effect,
     EffortOffset,
     FittedEffect,
+    GravityTilt,
     JointSpring,
     RobotMotion,
     Role,
@@ -135,6 +136,8 @@ def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:
                 JointSpring(effect.joint),
                 values - [0.0, values[0] * effect.center],
             )
+        if isinstance(effect, GravityTilt):  # exact, as simulators turn gravity
+            effect = GravityTilt(*values.tolist())
         before = found.get(effect)
         if before is not None and len(values):
             values = values + before.parameters

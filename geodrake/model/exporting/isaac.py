@@ -11,12 +11,12 @@ from geodrake.effects import StribeckFriction
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.joint_numbers import joint_numbers
-from geodrake.model.exporting.model_text import model_text
+from geodrake.model.exporting.model_text import model_file
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.plant import effort_limits, scoped_joint_names, velocity_limits
 
 _NOTE = (
-    "the values of {name}.actuators.json are named as fields of Isaac Lab's ActuatorBaseCfg; "
+    "the values of {name} are named as fields of Isaac Lab's ActuatorBaseCfg; "
     "stiffness and damping there are gains of a drive, 0 for joints that are moved by efforts"
 )
 
@@ -33,7 +33,7 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
         held: What the files hold of it.
         folder: Where they will be.
     """
-    data, notes = model_text(held.model, folder)
+    name, data, notes = model_file(held.model, "urdf", folder)
     by_scoped = joint_numbers(held.model)
     limits = effort_limits(model.plant), velocity_limits(model.plant)
     columns = zip(
@@ -55,12 +55,14 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
             "viscous_friction": numbers.damping,
             "delay": delay,
         }
-    table = {"urdf": model.path.name, "units": "SI; delay in s", "joints": joints}
+    table = {"urdf": name, "units": "SI; delay in s", "joints": joints}
     files = {
-        model.path.name: data,
-        f"{model.path.stem}.actuators.json": (json.dumps(table, indent=2) + "\n").encode(),
+        name: data,
+        f"{name.removesuffix('.urdf')}.actuators.json": (
+            json.dumps(table, indent=2) + "\n"
+        ).encode(),
     }
-    return Exported(files, (*notes, _NOTE.format(name=model.path.stem)))
+    return Exported(files, (*notes, _NOTE.format(name=name.removesuffix(".urdf"))))
 
 
 def _static_excess(model: RobotModel) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 
 from geodrake.effects import GravityTilt
-from geodrake.model.export import export_bodies
+from geodrake.model.export import export_bodies, file_kind
+from geodrake.model.exporting.anew import SUFFIXES, written_anew
 from geodrake.model.exporting.joint_numbers import (
     changed_numbers,
     joint_numbers,
@@ -22,6 +24,49 @@ from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.references import with_references
 
 Array = NDArray[np.float64]
+
+
+def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
+    """The format of the file that an export writes: that of the robot's own file if it may be.
+
+    Args:
+        model: The model.
+        kinds: The formats that it may be, the usual one first: urdf, sdf, xml for MJCF.
+    """
+    own = own_kind(model)
+    return own if own in kinds else kinds[0]
+
+
+def own_kind(model: RobotModel) -> str:
+    """The format of the robot's file if it can be edited; nothing for directives and macros."""
+    return "" if model.path.suffix.lower() in (".yaml", ".yml", ".xacro") else file_kind(model)
+
+
+def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, tuple[str, ...]]:
+    """A robot's file with all that it can hold of a model.
+
+    That is a copy of the user's own file if it has the format, and else a new one of bodies and
+    joints alone.
+
+    Args:
+        model: The model, of effects that the format holds.
+        kind: The format: urdf, sdf, or xml for MJCF.
+        folder: Where the file will be: relative paths in it lead from there.
+
+    Returns:
+        Its name, what is in it, and notes on it.
+
+    Raises:
+        ModelError: The file cannot take the numbers, or the robot cannot be written anew.
+    """
+    if own_kind(model) == kind:
+        return model.path.name, *model_text(model, folder)
+    name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
+    note = (
+        f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
+        "that are welded together are one"
+    )
+    return name, written_anew(model, kind, tilted_gravity(model)), (note,)
 
 
 def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]:
@@ -55,7 +100,12 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     data = with_joint_numbers(data, path, changes)
     if text.kind == "xml" and tilted(model):
         data = with_gravity(data, path, tilted_gravity(model))
-    return with_references(data, path, folder), exported.notes
+    moved = with_references(data, path, folder)
+    elsewhere = (
+        f"meshes and other files that {path.name} names stay where they are; the copy names them "
+        "from its folder"
+    )
+    return moved, (*exported.notes, *([elsewhere] if moved != data else ()))
 
 
 def tilted(model: RobotModel) -> bool:

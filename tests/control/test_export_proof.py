@@ -1,0 +1,146 @@
+"""What exports are compared with: the model as it is simulated here, and every effect there is."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from effect_motions import instances
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import Adder, ConstantVectorSource
+
+from geodrake.control import EffectForce
+from geodrake.control.export_proof import export_to
+from geodrake.control.export_proof.reference import STEP, Start, roll_out_all
+from geodrake.control.export_proof.samples import random_motion
+from geodrake.effects import (
+    CoulombFriction,
+    FittedEffect,
+    JointSpring,
+    Payload,
+    RotorInertia,
+    ViscousFriction,
+)
+from geodrake.errors import OutputError
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.model.exporting.formats import FORMATS
+from geodrake.model.exporting.held import held_by
+from geodrake.model.saved_model import load_model
+from geodrake.robot.plant import position_limits, set_inertial_parameters, velocity_limits
+
+MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+
+CHAIN = """<robot name="chain"><link name="base"/>{links}</robot>"""
+LINK = """<link name="{0}"><inertial><origin xyz="0 0.02 0.2"/><mass value="2"/>
+  <inertia ixx="0.05" iyy="0.05" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="{1}" type="revolute"><parent link="{2}"/><child link="{0}"/><axis xyz="{3}"/>
+  <origin xyz="0 0 0.4"/><limit lower="-2" upper="2" effort="90" velocity="1.5"/></joint>"""
+
+
+@pytest.fixture
+def chain(tmp_path):
+    """A robot with the joints and the hand that the instances of effects name."""
+    names = ("arm", "shoulder", "base", "0 1 0"), ("forearm", "elbow", "arm", "1 0 0")
+    links = "".join(LINK.format(*n) for n in (*names, ("hand", "wrist", "forearm", "0 0 1")))
+    path = tmp_path / "chain.urdf"
+    path.write_text(CHAIN.format(links=links))
+    return load_model(path)
+
+
+def test_rollouts_are_those_of_the_simulated_model():
+    """`EffectForce` on a plant, by Drake's integrator at a tight accuracy."""
+    model = load_model(MODEL)
+    a, b = model.joints
+    payload = from_mass_com_inertia(0.3, np.array([0.0, 0.0, -0.1]), 1e-3 * np.eye(3))
+    smooth = (
+        FittedEffect(ViscousFriction(a), np.array([0.2])),
+        FittedEffect(RotorInertia(b), np.array([0.02])),
+        FittedEffect(JointSpring(b, center=0.4), np.array([1.5, 0.0])),
+        FittedEffect(Payload(model.bodies[-1]), payload),
+    )
+    dry = FittedEffect(CoulombFriction(a), np.array([0.5]))
+    model = replace(model, effects=(*smooth, dry))
+    effort = np.array([0.4, -0.2])
+    start = Start(np.array([0.3, -0.5]), np.array([0.7, 1.1]), np.tile(effort, (200, 1)))
+    (ours,) = roll_out_all(model, [start], STEP)
+
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(load_model(MODEL).plant)
+    forces = [(f.effect, f.parameters) for f in smooth[:3]]
+    phi = model.total_phi
+    force = builder.AddSystem(EffectForce(plant, forces, phi=phi))
+    source = builder.AddSystem(ConstantVectorSource(effort))
+    total = builder.AddSystem(Adder(2, 2))
+    builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
+    builder.Connect(source.get_output_port(), force.GetInputPort("applied_effort"))
+    builder.Connect(source.get_output_port(), total.get_input_port(0))
+    builder.Connect(force.GetOutputPort("generalized_force"), total.get_input_port(1))
+    builder.Connect(total.get_output_port(), plant.get_applied_generalized_force_input_port())
+    simulator = Simulator(builder.Build())
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    set_inertial_parameters(plant, context, phi)
+    plant.SetPositions(context, start.q)
+    plant.SetVelocities(context, start.v)
+    ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
+    simulator.AdvanceTo(0.2)
+    np.testing.assert_allclose(ours[-1], plant.GetPositions(context), atol=1e-8)
+    assert np.abs(ours[-1] - ours[0]).min() > 0.05
+
+
+def with_value(effect):
+    values = np.full(len(effect.parameters), 0.1)
+    if effect.name == "payload":
+        values = from_mass_com_inertia(0.5, np.array([0.1, 0, 0]), 0.01 * np.eye(3))
+    return FittedEffect(effect, values)
+
+
+def test_every_effect_is_held_or_named(chain):
+    held = {"viscous_friction", "coulomb_friction", "rotor_inertia", "payload", "gravity_tilt"}
+    motion = random_motion(chain)[:300]
+    for effect in instances():
+        model = replace(chain, effects=(with_value(effect),))
+        for form in FORMATS.values():
+            found = held_by(model, form.holding(model), [motion])
+            more = {"isaac": {"effort_delay"}}.get(form.name, set())
+            less = {"gravity_tilt"} if form.name in ("urdf", "sdf", "isaac") else set()
+            assert {lost.effect for lost in found.lost} == {effect.name} - held - more | (
+                {effect.name} & less
+            )
+
+
+def test_all_effects_at_once(chain, tmp_path):
+    model = replace(chain, effects=tuple(map(with_value, instances())))
+    found = export_to("mjcf", model, tmp_path / "out")
+    assert len(found.lacks) > 15
+    assert len(found.proof.differences) == 2
+    assert all(difference.is_rounding for difference in found.proof.differences)
+
+
+def test_a_motion_for_want_of_logs_is_within_the_limits(chain):
+    moved = random_motion(chain)
+    low, high = position_limits(chain.plant)
+    assert (moved.q >= low - 1e-9).all() and (moved.q <= high + 1e-9).all()
+    assert (np.abs(moved.v) <= velocity_limits(chain.plant) + 1e-9).all()
+    period = moved.time[1] - moved.time[0]
+    slope = np.gradient(moved.q, period, axis=0)[1:-1]
+    np.testing.assert_allclose(slope, moved.v[1:-1], atol=2e-3)
+    slope = np.gradient(moved.v, period, axis=0)[1:-1]
+    np.testing.assert_allclose(slope, moved.vd[1:-1], atol=2e-2)
+
+
+def test_files_are_not_replaced_unasked(chain, tmp_path):
+    found = export_to("urdf", chain, tmp_path / "out")
+    assert (tmp_path / "out" / "chain.urdf").read_bytes() == found.exported.files["chain.urdf"]
+    with pytest.raises(OutputError, match="there already"):
+        export_to("urdf", chain, tmp_path / "out")
+    export_to("urdf", chain, tmp_path / "out", force=True)
+
+
+def test_every_format_says_which_simulators_try_it():
+    assert {engine for form in FORMATS.values() for engine in form.engines} == {
+        "drake",
+        "mujoco",
+        "pinocchio",
+    }
