@@ -2,9 +2,8 @@
 
 `explain` finds a payload and friction in the demo's log. Three robots then stand in one Drake
 diagram: that of the model file, one with the fitted bodies and the payload but without friction,
-and the fitted one. Each follows the logged motion by computed torque on the model file, as a
-controller that knows nothing of payload and friction would, and its efforts are compared with the
-log's.
+and the fitted one. Each follows the logged motion by computed torque on the fitted bodies, so by
+feedback where it has other ones, or friction; its efforts are compared with the log's.
 
     python diagrams/simulate_fitted.py --json simulate_fitted.json --figures figures
 """
@@ -41,7 +40,7 @@ Array = NDArray[np.float64]
 DEMO = Path(str(files("geodrake") / "demo"))
 FILE, BODIES, FITTED = "model file", "fitted bodies", "fitted, with friction"
 COLORS = {FILE: style.BEFORE, BODIES: style.TIED, FITTED: style.AFTER}
-KNOT = 0.02  # s between those of the motion that is followed
+KNOT = 0.04  # s between those of the motion that is followed
 BANDWIDTH = 60.0  # of the controller, rad/s
 SETTLED = 0.2  # s from the start on that are not compared
 
@@ -79,17 +78,16 @@ def simulate(models: dict[str, RobotModel], log: JointLog, seconds: float) -> di
     time, positions = log.time[knots] - log.time[0], log.position[knots].T
     motion = PiecewisePolynomial.CubicWithContinuousSecondDerivatives(time, positions)
     desired = builder.AddSystem(TrajectorySource(motion, output_derivative_order=1))
-    placed, logs = {}, {}
-    for name, model in models.items():
-        robot = model.add_to_builder(builder, name=name)
-        ones = np.ones(len(model.joints))
+    placed = {name: model.add_to_builder(builder, name=name) for name, model in models.items()}
+    known = placed[FITTED].plant  # whose inertias are the fitted ones
+    logs = {}
+    for name, robot in placed.items():
+        ones = np.ones(known.num_velocities())
         gains = BANDWIDTH**2 * ones, 0.0 * ones, 2.0 * BANDWIDTH * ones
-        known = models[FILE].plant
         controller = builder.AddSystem(InverseDynamicsController(known, *gains, False))
         builder.Connect(desired.get_output_port(), controller.get_input_port_desired_state())
         builder.Connect(robot.state, controller.get_input_port_estimated_state())
         builder.Connect(controller.get_output_port_control(), robot.effort)
-        placed[name] = robot
         logs[name] = LogVectorOutput(robot.logged_effort, builder, period)
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
@@ -143,7 +141,7 @@ def show(found: list[EffortError]) -> None:
 def main() -> None:
     """Explains, simulates, prints, and writes what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="8 s of the log, and 1 s of motion")
+    parser.add_argument("--quick", action="store_true", help="8 s of the log, and 0.5 s of motion")
     parser.add_argument("--seed", type=int, default=0, help="not used: nothing is random")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
@@ -152,7 +150,7 @@ def main() -> None:
     if options.quick:
         arrays = ("time", "position", "velocity", "effort")
         log = replace(log, **{name: getattr(log, name)[:1600] for name in arrays})
-    efforts = simulate(robots(log), log, 1.0 if options.quick else 8.0)
+    efforts = simulate(robots(log), log, 0.5 if options.quick else 8.0)
     found = errors(log, efforts)
     show(found)
     if options.json:
