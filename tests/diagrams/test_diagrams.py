@@ -56,9 +56,18 @@ def says_what_diagnose_names_and_days_tell(table):
         assert 0.0 < after != before
 
 
+def shows_what_friction_is_worth(table):
+    """Where friction was found, simulated efforts come near the logged ones with it alone."""
+    rms = {(row["robot"], row["joint"]): row["rms"] for row in table}
+    for joint in ("shoulder_pitch", "elbow_pitch"):
+        fitted = rms["fitted, with friction", joint]
+        assert 3.0 * fitted < rms["fitted bodies", joint] < rms["model file", joint]
+
+
 SHOWS = {
     "hidden_effects": reaches_its_bars,
     "long_log": takes_little_memory,
+    "simulate_fitted": shows_what_friction_is_worth,
     "real_robots": says_what_diagnose_names_and_days_tell,
 }
 MEASUREMENTS = {

@@ -1516,10 +1516,10 @@ def _files(t):
         )
         yield f"source.files.{name}", call
     yield (
-        "source.files.source_files",
+        "source.files.effort_source",
         Call(
-            geodrake.model.source.source_files,
-            {"model": t.model, "folder": folder(), "language": "cpp"},
+            geodrake.model.source.effort_source,
+            {"model": t.model, "language": "cpp", "sign_width": 0.01 * np.ones(2)},
         ),
     )
     yield "export.export_model", Call(geodrake.model.export.export_model, {"model": t.model})

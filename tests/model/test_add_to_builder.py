@@ -184,6 +184,20 @@ class TestMotion:
         twice = replace(model, effects=(*model.effects, fitted(effects.EffortDelay(0.02, None))))
         assert roll_out(twice, [log], horizon=0.25, most=2, bandwidth=20.0).relative > 0.05
 
+    def test_a_discrete_plant_goes_the_same_way(self):
+        model = with_effects(0.0)
+        ends = []
+        for time_step in (0.0, 2e-4):
+            builder = DiagramBuilder()
+            robot = model.add_to_builder(builder, time_step=time_step, sign_width=0.05)
+            simulator = Simulator(builder.Build())
+            robot.set_state(simulator.get_mutable_context(), 0.3 * np.ones(6))
+            simulator.AdvanceTo(0.2)
+            ends.append(robot.state.Eval(robot.plant.GetMyContextFromRoot(simulator.get_context())))
+        moved = np.abs(ends[0][:6] - 0.3).max()
+        assert moved > 0.1
+        np.testing.assert_allclose(ends[1][:6], ends[0][:6], atol=0.01 * moved)
+
     def test_efforts_that_are_logged_ahead_act_late(self):
         model = replace(load_model(DEMO), effects=(fitted(effects.EffortDelay(-0.1)),))
         builder = DiagramBuilder()

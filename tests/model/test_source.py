@@ -17,7 +17,7 @@ from geodrake import effects, load_model
 from geodrake.effects import FittedEffect, JointEffect, Parameter, load_effect_file
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
-from geodrake.model.source import cpp_source, python_source, source_files
+from geodrake.model.source import cpp_source, effort_source, is_written, python_source
 
 DEMO = files("geodrake") / "demo" / "demo.urdf"
 MODELS = Path(__file__).parents[2] / "models"
@@ -125,9 +125,9 @@ class TestAllEffects:
 
     def test_python_needs_nothing(self, model, tmp_path):
         motion = motion_of(model)
-        (path, text), *_ = source_files(model, tmp_path, language="python").items()
-        assert path == tmp_path / "demo_effort.py"
-        path.write_text(text, encoding="utf-8")
+        source = effort_source(model, "python")
+        assert source.file_name == "demo_effort.py"
+        (tmp_path / source.file_name).write_text(source.text, encoding="utf-8")
         code = (
             "import json, sys; sys.path.insert(0, sys.argv[1]); before = set(sys.modules)\n"
             "from demo_effort import JOINTS, effort\n"
@@ -149,9 +149,9 @@ class TestAllEffects:
 
     def test_cpp_compiles(self, model, tmp_path):
         motion = motion_of(model)
-        (path, text), *_ = source_files(model, tmp_path, language="cpp").items()
-        assert path.name == "demo_effort.hpp"
-        efforts = compiled_efforts(text, motion, tmp_path)
+        source = effort_source(model, "cpp")
+        assert source.file_name == "demo_effort.hpp"
+        efforts = compiled_efforts(source.text, motion, tmp_path)
         np.testing.assert_allclose(efforts, model.effort(motion), **CLOSE)
 
     def test_directions_fade_as_the_models(self, model):
@@ -194,8 +194,9 @@ def test_a_floating_base():
 
 
 def test_what_is_left_out_is_named():
-    source = python_source(with_effects([*LEFT_OUT, EFFECTS[8]]))
-    words = " ".join(line.removeprefix("# ") for line in source.splitlines())
+    source = effort_source(with_effects([*LEFT_OUT, EFFECTS[8]]), "python")
+    words = " ".join(line.removeprefix("# ") for line in source.text.splitlines())
+    assert not any(is_written(effect) for effect, _ in (*LEFT_OUT, EFFECTS[8]))
     for what in (
         "effort_delay of the robot (delay 0.01): logged efforts lag",
         "joint_elasticity of base_yaw (compliance 0.0001): it depends on how the motion goes on",
@@ -204,6 +205,7 @@ def test_what_is_left_out_is_named():
         "the history of hysteresis of wrist_roll",
     ):
         assert f"Not included: {what}" in words
+        assert any(line.startswith(what) for line in source.left_out)
     assert python_source(load_model(DEMO)).startswith('# Effort that "demo.urdf" needs')
 
 

@@ -5,6 +5,7 @@ formulas (`effort_formula`, `rigid_bodies`); these become a straight line of sta
 (`straight_line`) in a language (`languages`).
 """
 
-from geodrake.model.source.files import cpp_source, python_source, source_files
+from geodrake.model.source.effort_formula import is_written
+from geodrake.model.source.files import EffortSource, cpp_source, effort_source, python_source
 
-__all__ = ["cpp_source", "python_source", "source_files"]
+__all__ = ["EffortSource", "cpp_source", "effort_source", "is_written", "python_source"]

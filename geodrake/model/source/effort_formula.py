@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.effects import FittedEffect, RobotMotion, Role
+from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
 from geodrake.effects.column_checks import line_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
@@ -36,6 +36,11 @@ class EffortFormula:
     efforts: tuple[Operand, ...]
     included: tuple[str, ...]
     left_out: tuple[str, ...]
+
+
+def is_written(effect: Effect) -> bool:
+    """Whether a formula of q, v and v̇ has an effect as it is."""
+    return effect.role not in _NOT_INCLUDED and not effect.depends_on & {"time", "history"}
 
 
 def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
@@ -74,7 +79,7 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
         elif effect.role is not Role.BODY:
             _add(effort, fitted, seen)
         included.append(what)
-        if effect.depends_on & {"time", "history"}:
+        if not is_written(effect):
             left_out.append(f"the history of {what}: it is as if the motion had gone on for long")
     total = effort.copy()
     for fitted in scales:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import file_path, instance, one_of
+from geodrake.boundary.arguments import instance, one_of
 from geodrake.boundary.escaping import identifier, printable, quoted
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source.effort_formula import EffortFormula, effort_formula
@@ -120,7 +119,7 @@ def python_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
     Raises:
         ModelError: An effect cannot be written as source code.
     """
-    return _source(model, _KINDS["python"], sign_width)
+    return effort_source(model, "python", sign_width=sign_width).text
 
 
 def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
@@ -133,30 +132,40 @@ def cpp_source(model: RobotModel, *, sign_width: ArrayLike = 0.0) -> str:
     Raises:
         ModelError: An effect cannot be written as source code.
     """
-    return _source(model, _KINDS["cpp"], sign_width)
+    return effort_source(model, "cpp", sign_width=sign_width).text
 
 
-def source_files(model: RobotModel, folder: str | Path, *, language: str) -> Mapping[Path, str]:
-    """The file of a model's effort in a language, as `write_together` takes it.
+@dataclass(frozen=True)
+class EffortSource:
+    """A file with a model's effort.
+
+    Attributes:
+        file_name: Its name, such as `arm_effort.py`.
+        text: What it holds.
+        left_out: The effects that it has not, or not as they are, with the reason.
+    """
+
+    file_name: str
+    text: str
+    left_out: tuple[str, ...]
+
+
+def effort_source(model: RobotModel, language: str, *, sign_width: ArrayLike = 0.0) -> EffortSource:
+    """A model's effort as a file in a language.
 
     Args:
         model: The model.
-        folder: Where it is to be.
         language: "python" or "cpp".
+        sign_width: As for `python_source`.
 
     Raises:
         ArgumentError: It is another language.
         ModelError: An effect cannot be written as source code.
     """
     kind = _KINDS[one_of(language, "language", _KINDS)]
-    name = f"{_name(instance(model, 'model', RobotModel))}_effort{kind.suffix}"
-    return {file_path(folder) / name: _source(model, kind, 0.0)}
-
-
-def _source(model: RobotModel, kind: _Kind, sign_width: ArrayLike) -> str:
     formula = effort_formula(instance(model, "model", RobotModel), sign_width)
     line = straight_line(formula.efforts, kind.language.operation, kind.language.number)
-    return kind.template.format(
+    text = kind.template.format(
         comment=_comment(model, formula, kind.comment),
         name=f"{_name(model)}_model",
         nq=model.plant.num_positions(),
@@ -165,6 +174,7 @@ def _source(model: RobotModel, kind: _Kind, sign_width: ArrayLike) -> str:
         statements=_statements(line, kind),
         results="\n".join(kind.result.format(_bare(x)) for x in line.results),
     )
+    return EffortSource(f"{_name(model)}_effort{kind.suffix}", text, formula.left_out)
 
 
 def _statements(line: StraightLine, kind: _Kind) -> str:
