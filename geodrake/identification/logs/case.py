@@ -160,8 +160,7 @@ def open_case(
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     matched = _matched(model, logs)
     uniform = [make_uniform(log) for log in matched]
-    limits = effort_limits(model.plant)
-    hints = [hint for each in uniform for hint in _hints(each.log, limits)]
+    hints = [hint for each in uniform for hint in _hints(each.log, effort_limits(model.plant))]
     units = tuple(hints)
     hints += payload_notes(model, matched)
     fitted = all(log.fingerprint in model.fitted_to for log in matched)
