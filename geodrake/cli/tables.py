@@ -22,7 +22,9 @@ from geodrake.report.tables import (
     candidates_table,
     error_stages,
     errors_table,
+    parameters_table,
     short_steps_table,
+    step_details,
 )
 from geodrake.report.words import (
     addition_verdict,
@@ -31,10 +33,13 @@ from geodrake.report.words import (
     draft_advice,
     explanation_verdict,
     failing_list,
+    is_summarized,
+    worst_words,
 )
 
 _PIPE_WIDTH = 160  # room for long names; tables are as wide as what is in them
 _PLACES_WIDTH = 36
+_WIDE = 110  # letters from which on a table has room for all that is known of a step
 REST = "What is left goes with"
 _TELLING = "Motions that would distinguish what the logs cannot"
 _SAVED = {
@@ -77,6 +82,7 @@ def show_comparison(console: Console, comparison: Comparison, units: Units) -> N
     """
     head(console, f"Error of the model as it stands, {units.effort()}")
     show_table(console, errors_table({"RMS": comparison.errors}, units))
+    say(console, "Worst joint", worst_words(comparison.errors, unit=units.effort()))
     say(console, "Verdict", comparison_verdict(comparison))
     show_list(console, "Where it fails", failing_list(comparison))
     show_list(console, "Notes", comparison.notes)
@@ -95,6 +101,7 @@ def show_diagnosis(console: Console, diagnosis: Diagnosis, units: Units) -> None
     head(console, f"{found}; nrms {start} as it stands, {refitted} with parameters refitted")
     if diagnosis.candidates:
         show_table(console, candidates_table(diagnosis, units))
+    say(console, "Worst joint", worst_words(diagnosis.start, unit=units.effort()))
     say(console, "Verdict", diagnosis_verdict(diagnosis, units))
     show_list(console, _TELLING, distinguishing_commands(diagnosis))
     show_list(console, "Notes", diagnosis.notes)
@@ -142,7 +149,14 @@ def show_addition(console: Console, explanation: Explanation, units: Units) -> N
 
 def _show_steps(console: Console, explanation: Explanation, units: Units) -> None:
     head(console, "Steps; nrms on held-out data, everything refitted")
-    show_table(console, short_steps_table(explanation, units))
+    is_narrow = console.is_terminal and console.width < _WIDE
+    show_table(console, short_steps_table(explanation, units, details=not is_narrow))
+    if is_narrow:
+        show_list(console, "How much", step_details(explanation, units))
+    for step in filter(is_summarized, explanation.steps):
+        table = parameters_table(step, units)
+        head(console, f"{step.effect}, value ± standard deviation")
+        show_table(console, table)
 
 
 def _show_change(console: Console, explanation: Explanation, units: Units) -> None:
@@ -153,6 +167,8 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
     show_list(console, first, failing_list(explanation.before))
     if explanation.steps:
         show_list(console, "Where it still fails", failing_list(explanation.after))
+    start, end = explanation.start, explanation.end if explanation.steps else None
+    say(console, "Worst joint", worst_words(start, end, unit=units.effort()))
     if explanation.bodies:
         head(
             console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"
@@ -196,7 +212,9 @@ def show_table(console: Console, table: Table) -> None:
             width = _PLACES_WIDTH if name.startswith("where") else None
             grid.add_column(name, overflow="fold", max_width=width, no_wrap=name == "effect")
         else:
-            grid.add_column(name, justify="right", no_wrap=True)
+            lines = name.split(" ") if console.is_terminal else [name]
+            title = Text("\n").join(map(console.render_str, lines))
+            grid.add_column(title, justify="right", no_wrap=True)
     for k, row in enumerate(table.rows):
         if table.total and k == len(table.rows) - 1:
             grid.add_section()

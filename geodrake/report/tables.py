@@ -28,6 +28,7 @@ from geodrake.report.words import (
     removable_share,
     removed_share,
     rivals,
+    short_rivals,
     step_parameters,
 )
 
@@ -166,12 +167,13 @@ def steps_table(explanation: Explanation, units: Units) -> Table:
     return Table(head, rows, words=4)
 
 
-def short_steps_table(explanation: Explanation, units: Units) -> Table:
+def short_steps_table(explanation: Explanation, units: Units, *, details: bool = True) -> Table:
     """The steps with what was found, narrow enough for a terminal.
 
     Args:
         explanation: The explanation.
         units: Units of the joints and effects of the model.
+        details: Whether parameters and rivals stand in the table.
     """
     start, refitted = explanation.start.nrms, explanation.refitted.nrms
     rows = [cells("", "as it stands", "", "", number(start), "", "")]
@@ -179,9 +181,10 @@ def short_steps_table(explanation: Explanation, units: Units) -> Table:
         values = number(start), number(refitted)
         rows.append(cells("", "refitted", "its own parameters", *values, "", ""))
     for count, step in enumerate(explanation.steps, 1):
-        lines = [places_label(step.where, units.joints), *step_parameters(step, units)]
-        if step.indistinguishable_from:
-            lines.append(f"or: {', '.join(rivals(step))}")
+        lines = [
+            places_label(step.where, units.joints),
+            *(_details(step, units) if details else ()),
+        ]
         rows.append(
             cells(
                 str(count),
@@ -193,8 +196,25 @@ def short_steps_table(explanation: Explanation, units: Units) -> Table:
                 percent(step.probability),
             )
         )
-    head = ("", "effect", "where, how much", "before", "after", "blocks better", "probability")
+    where = "where, how much" if details else "where"
+    head = ("", "effect", where, "before", "after", "blocks better", "probability")
     return Table(head, tuple(rows), words=3)
+
+
+def step_details(explanation: Explanation, units: Units) -> list[str]:
+    """Parameters and rivals of each step, a line each.
+
+    Args:
+        explanation: The explanation.
+        units: Units of the joints and effects of the model.
+    """
+    steps = ((step.effect, _details(step, units)) for step in explanation.steps)
+    return [f"{effect}: {'; '.join(lines)}" for effect, lines in steps if lines]
+
+
+def _details(step: Step, units: Units) -> list[str]:
+    lines = [*step_parameters(step, units)]
+    return [*lines, f"or: {short_rivals(step)}"] if step.indistinguishable_from else lines
 
 
 def parameters_table(step: Step, units: Units) -> Table:

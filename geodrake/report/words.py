@@ -22,6 +22,7 @@ from geodrake.report.numbers import Units, estimate, number, percent
 
 _MOST_NAMED = 4
 _MOST_VALUES = 2  # places whose values are listed one by one
+_LIKELY = 0.01  # probability from which on a rival is named in few words
 _NEARLY_ALL = 0.9995
 _NOTABLE = 0.05  # share of what is left at a joint that goes with the motion
 _MOST_PLACES = 3
@@ -165,6 +166,39 @@ def rivals(step: Step, label: bool = False) -> list[str]:
     ]
     others = [f"{named(rival)} {percent(step.probability)}" for rival in step.unfitted_rivals]
     return [*fitted, *others]
+
+
+def short_rivals(step: Step) -> str:
+    """What else a step could be, in few words: `viscous_friction 3 %, 2 others < 1 %`."""
+    pairs = [*zip((r.effect for r in step.rivals), step.probabilities_of_rivals, strict=True)]
+    pairs += [(name, step.probability) for name in step.unfitted_rivals]
+    likely = [f"{name} {percent(share)}" for name, share in pairs if share >= _LIKELY]
+    rare = len(pairs) - len(likely)
+    words = f"{rare} other{'s' if rare > 1 else ''} < {percent(_LIKELY)}"
+    return ", ".join([*likely, *([words.replace(".0", "")] if rare else [])])
+
+
+def is_summarized(step: Step) -> bool:
+    """Whether `step_parameters` gives ranges over places, not the value at each."""
+    return any(len(values) > _MOST_VALUES for values in _by_name(step).values())
+
+
+def worst_words(start: ErrorTable, end: ErrorTable | None = None, *, unit: str = "N·m") -> str:
+    """Which joint errs most for its effort, at first and at last, in a sentence.
+
+    Args:
+        start: Errors of the model as it stands.
+        end: Those of the final model, if there is one.
+        unit: Unit of the efforts.
+    """
+    if end is None:
+        return f"{_worst_joint(start, unit)}."
+    return f"at first {_worst_joint(start, unit)}; at last {_worst_joint(end, unit)}."
+
+
+def _worst_joint(errors: ErrorTable, unit: str) -> str:
+    worst = max(errors.joints, key=lambda joint: joint.nrms)
+    return f"{worst.joint}, RMS {number(worst.rms)} {unit}, nrms {number(worst.nrms)}"
 
 
 def explanation_verdict(explanation: Explanation, units: Units) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -159,23 +160,23 @@ def open_case(
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     matched = _matched(model, logs)
     uniform = [make_uniform(log) for log in matched]
-    limits = effort_limits(model.plant)
-    hints = [hint for each in uniform for hint in _hints(each.log, limits)]
+    hints = [hint for each in uniform for hint in _hints(each.log, effort_limits(model.plant))]
+    units = tuple(hints)
     hints += payload_notes(model, matched)
     fitted = all(log.fingerprint in model.fitted_to for log in matched)
     known = {model.bandwidths.get(log.fingerprint) for log in matched}
-    if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
-        trajectories = prepare_logs(
-            uniform, bandwidth=both[0], motion_bandwidth=both[1], how="as the model was fitted at"
-        )
-    elif bandwidth is None:
-        trajectories, changed = prepare_for_model(model, uniform)
-        hints += [changed] if changed else []
-    else:
-        trajectories = prepare_logs(
-            uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
-        )
-    folds = validation_blocks(trajectories, blocks=blocks)
+    with _naming_units(units):
+        if bandwidth is None and len(known) == 1 and (both := known.pop()) is not None:
+            fit = {"bandwidth": both[0], "motion_bandwidth": both[1]}
+            trajectories = prepare_logs(uniform, **fit, how="as the model was fitted at")
+        elif bandwidth is None:
+            trajectories, changed = prepare_for_model(model, uniform)
+            hints += [changed] if changed else []
+        else:
+            trajectories = prepare_logs(
+                uniform, bandwidth=bandwidth, motion_bandwidth=motion_bandwidth, how=how
+            )
+        folds = validation_blocks(trajectories, blocks=blocks)
     effects = effects_of(model)
     delays: tuple[float, ...] = (0.0,)
     if candidates:
@@ -397,6 +398,18 @@ def _check_efforts(log: JointLog) -> None:
             advice="Check what is logged there.",
             joints=joints,
         )
+
+
+@contextmanager
+def _naming_units(hints: Sequence[str]) -> Iterator[None]:
+    """Units that look wrong are named where a log is refused: they may be the reason."""
+    try:
+        yield
+    except LogError as error:
+        if not hints:
+            raise
+        advice = f"{' '.join(hints)} {error.advice}"
+        raise LogError(error.problem, advice=advice, **error.evidence) from error
 
 
 def _hints(log: JointLog, limits: object) -> list[str]:

@@ -24,7 +24,7 @@ def checked_logs(
 
     Args:
         model: What the caller passed as the model.
-        logs: What the caller passed as logs: `JointLog`s or files.
+        logs: What the caller passed as logs: `JointLog`s or files, or a single one.
         extra: Effect classes of the user's own.
         bandwidth: Bandwidth of efforts and regressors, Hz; None to choose it from the data.
         blocks: Blocks for each log, if logs are to be cut; None for the default.
@@ -38,4 +38,5 @@ def checked_logs(
         real_array(bandwidth, "bandwidth", (), finite=False)
     if blocks is not None:
         integer(blocks, "blocks")
-    return instances(logs, "logs", (JointLog, str, Path))
+    each = (logs,) if isinstance(logs, JointLog | str | Path) else logs
+    return instances(each, "logs", (JointLog, str, Path))
