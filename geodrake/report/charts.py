@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -171,7 +172,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
             {
                 "label": printable(plot.label),
                 "limits": plot.limits,
-                "floor": plot.floor,
+                "floor": plot.floor if isfinite(plot.floor) else 0.0,
                 "centred": plot.centred,
                 "span": plot.span,
                 "tall": plot.tall,

@@ -109,8 +109,9 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
         unit = units.at(joint.joint, "rad")
         known = measured[j][np.isfinite(measured[j])]
         margin = 0.25 * float(np.ptp(known)) + 1e-6
-        curves = {MEASURED.key: measured[j], **{key: q[j] for key, q in simulated.items()}}
         span = float(known.min()) - margin, float(known.max()) + margin
+        curves = {MEASURED.key: measured[j]}
+        curves |= {key: _within(span, q[j]) for key, q in simulated.items()}
         plot = Plot(f"position, {unit}", curves, span=span)
         panels.append(Panel(joint.joint, f"RMS {number(joint.rms)} {unit}", time, (plot,)))
     spans = tuple(
@@ -118,6 +119,12 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
         for s, w in zip(starts, after.windows, strict=True)
     )
     return Chart("rollout", _CAPTION, (MEASURED, *rollouts), _shown(panels, after), spans)
+
+
+def _within(span: tuple[float, float], values: Array) -> Array:
+    """Values with NaN where they are so far away that they leave the plot anyway."""
+    low, high = span
+    return np.where(np.abs(values - 0.5 * (low + high)) < 2.0 * (high - low), values, np.nan)
 
 
 def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:

@@ -201,7 +201,7 @@ def noise_band(frame: Frame, floor: float) -> tuple[Box, ...]:
         frame: What the plot shows.
         floor: Half its width.
     """
-    if floor <= 0:
+    if not floor > 0:
         return ()
     top, bottom = np.clip(frame.down(np.array([floor, -floor])), 0, HEIGHT).round(1).tolist()
     return (Box("", "noise", 0, top, WIDTH, max(1.0, round(bottom - top, 1))),)

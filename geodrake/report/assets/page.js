@@ -275,7 +275,7 @@
           stroke: () => color(stages[key].color),
           width: stages[key].wide ? 3.2 : 1.3,
           points: { show: this.data.dots, size: 3 },
-          ...(this.data.dots ? { paths: () => null } : {}),
+          paths: this.data.dots ? () => null : broken,
         }))],
         hooks: {
           drawClear: [(u) => this.drawGround(u, plot, shades)],
@@ -429,6 +429,25 @@
     }).filter((peak) => peak > 0);
     const most = 1.08 * (peaks.length ? Math.min(Math.max(...peaks), CUT * Math.min(...peaks)) : 1);
     return [-most, most];
+  }
+
+  // A line that ends where a sample is missing.
+  function broken(u, k, first, last) {
+    const stroke = new Path2D();
+    const curve = u.data[k];
+    const scale = u.series[k].scale;
+    let begun = false;
+    for (let i = first; i <= last; i++) {
+      if (curve[i] == null) {
+        begun = false;
+        continue;
+      }
+      const [x, y] = [u.valToPos(u.data[0][i], "x", true), u.valToPos(curve[i], scale, true)];
+      if (!begun) stroke.moveTo(x - 0.5, y);
+      stroke.lineTo(x, y);
+      begun = true;
+    }
+    return { stroke, fill: null, clip: null, band: null, gaps: null, flags: 1 };
   }
 
   const charts = [];
