@@ -27,6 +27,7 @@ _AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
 RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 """What is right to the camera, in the world."""
 
+_SEE_THROUGH = Rgba(GRAY.r(), GRAY.g(), GRAY.b(), 0.6)  # marks of the joints are inside
 _FLOOR_THICKNESS = 0.004  # m
 _VIEW = np.tan(np.radians(37.5))  # half of MeshCat's view, over the distance
 _ASPECT = 1.4  # of the view, width over height, at which everything fits
@@ -167,7 +168,7 @@ class RobotScene:
         for lump, own in zip(self._lumps, _shown_phi(self._model), strict=True):
             if not _is_drawn(lump, drawn):
                 place = f"{self.link_path(self._model.plant.get_body(lump.body_index))}/shapes/0"
-                draw_ellipsoid(self._meshcat, place, own, color or GRAY)
+                draw_ellipsoid(self._meshcat, place, own, color or _SEE_THROUGH)
 
 
 def _shown_phi(model: RobotModel) -> Array:
