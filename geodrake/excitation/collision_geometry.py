@@ -105,7 +105,7 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     """Collision geometry of a file by scoped link name, as Drake reads it."""
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser = Parser(plant)
-    _add_packages(parser.package_map(), model.path)
+    add_named_packages(parser.package_map(), model.path)
     inspector, found = scene.model_inspector(), {}
     errors = drake_errors(
         model.path,
@@ -127,8 +127,13 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     return found
 
 
-def _add_packages(packages: PackageMap, path: Path) -> None:
-    """Makes packages known; without a package.xml, folders above the file by their names."""
+def add_named_packages(packages: PackageMap, path: Path) -> None:
+    """Makes packages known; without a package.xml, folders above the file by their names.
+
+    Args:
+        packages: The map, added to.
+        path: The model file that names packages.
+    """
     add_packages(packages, path, read_description(path).named_packages())
     for folder in path.resolve().parents:
         if folder.name and not packages.Contains(folder.name):

@@ -87,7 +87,8 @@ def play_page(
 
 def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_RobotCopy]:
     model = playback.models[-1].model
-    extent, shapes = Extent.of(model, model.positions(playback.q)), robot_shapes(model)
+    shapes = robot_shapes(model)
+    extent = Extent.of(model, model.positions(playback.q), shapes)
     copies = []
     for k, played in enumerate(playback.models):
         path = f"robot/{k} {path_part(played.title)}"

@@ -80,7 +80,7 @@ def _replayed(
         ]
         for k, scene in enumerate(scenes):  # so that surfaces at one place do not flicker
             meshcat.SetProperty(scene.path, "scale", [1.0 - _APART * k] * 3)
-        extent = Extent.of(model, np.concatenate(list(motions.values())))
+        extent = Extent.of(model, np.concatenate(list(motions.values())), shapes)
         draw_floor(meshcat, "ground", extent)
         place_camera(meshcat, extent)
         meshcat.StartRecording(frames_per_second=FRAMES, set_visualizations_while_recording=False)

@@ -17,7 +17,7 @@ from geodrake.inertia import Array, is_physical
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.ellipsoids import LEAST_THICKNESS
+from geodrake.report.ellipsoids import LEAST_THICKNESS, placed
 from geodrake.report.robot_shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0
@@ -27,6 +27,7 @@ _AWAY = np.array([0.9, -0.65, 0.4]) / np.linalg.norm([0.9, -0.65, 0.4])
 RIGHT = np.array([0.65, 0.9, 0.0]) / np.linalg.norm([0.65, 0.9])
 """What is right to the camera, in the world."""
 
+_SEE_THROUGH = Rgba(GRAY.r(), GRAY.g(), GRAY.b(), 0.6)  # marks of the joints are inside
 _FLOOR_THICKNESS = 0.004  # m
 _VIEW = np.tan(np.radians(37.5))  # half of MeshCat's view, over the distance
 _ASPECT = 1.4  # of the view, width over height, at which everything fits
@@ -163,13 +164,17 @@ class RobotScene:
             self._meshcat.SetTransform(place, one.X_BG)
 
     def _draw_ellipsoids(self, drawn: set[int], color: Rgba | None) -> None:
-        """Bodies none of whose links is drawn; those that cannot be as some body."""
-        phi = self._model.total_phi
-        phi = np.where(is_physical(phi)[:, None], phi, payload_reference(self._model.phi))
-        for lump, own in zip(self._lumps, phi, strict=True):
+        """Draws bodies none of whose links is drawn."""
+        for lump, own in zip(self._lumps, _shown_phi(self._model), strict=True):
             if not _is_drawn(lump, drawn):
                 place = f"{self.link_path(self._model.plant.get_body(lump.body_index))}/shapes/0"
-                draw_ellipsoid(self._meshcat, place, own, color or GRAY)
+                draw_ellipsoid(self._meshcat, place, own, color or _SEE_THROUGH)
+
+
+def _shown_phi(model: RobotModel) -> Array:
+    """(nb, 10) inertial parameters of the bodies; those that cannot be are some body's."""
+    phi = model.total_phi
+    return np.where(is_physical(phi)[:, None], phi, payload_reference(model.phi))
 
 
 def _is_drawn(lump: LumpedBody, drawn: set[int]) -> bool:
@@ -213,7 +218,7 @@ class Extent:
     """Where a robot goes.
 
     Attributes:
-        low: (3,) least coordinates of the origins of its links in the world, m.
+        low: (3,) least coordinates of its links' origins in the world, m.
         high: (3,) largest ones.
         left: The farthest that it goes to the left of the camera, m.
         right: The farthest that it goes to the right, m.
@@ -229,18 +234,21 @@ class Extent:
     size: float
 
     @classmethod
-    def of(cls, model: RobotModel, q: Array) -> Extent:
+    def of(cls, model: RobotModel, q: Array, shapes: RobotShapes) -> Extent:
         """The extent of some postures.
 
         Args:
             model: The robot.
             q: (N, nq) positions in the order of the model's plant.
+            shapes: Its shapes; where there are none, that of its ellipsoids counts.
         """
         plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
         bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
         for posture in q[:: max(1, len(q) // 60)]:
             plant.SetPositions(context, posture)
             origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
+            if not shapes.links:
+                origins += [*placed(plant, context, _shown_phi(model)).points(6).reshape(-1, 3)]
             points.append([np.zeros(3), *origins])
         cloud = np.array(points)
         across = cloud @ RIGHT

@@ -17,11 +17,10 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ModelError
+from geodrake.excitation.collision_geometry import add_named_packages
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.mesh_files import READERS, wavefront
-from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.packages import add_packages
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xml_text import parse_xml
 
@@ -98,7 +97,7 @@ def robot_shapes(model: RobotModel) -> RobotShapes:
 def _read(model: RobotModel, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
-    _add_packages(parser.package_map(), model.path)
+    add_named_packages(parser.package_map(), model.path)
     root = None if model.path.suffix.lower() in (".yaml", ".yml") else parse_xml(model.path)
     if root is None or root.tag not in ("robot", "sdf"):
         parser.AddModels(str(model.path))
@@ -125,14 +124,6 @@ def _read(model: RobotModel, folder: Path, lost: _Lost) -> dict[str, tuple[LinkS
             if shapes:
                 links[body.scoped_name().get_full()] = tuple(shapes)
     return links
-
-
-def _add_packages(packages: PackageMap, path: Path) -> None:
-    """Makes packages known; without a package.xml, folders above the file by their names."""
-    add_packages(packages, path, read_description(path).named_packages())
-    for folder in path.resolve().parents:
-        if folder.name and not packages.Contains(folder.name):
-            packages.Add(folder.name, str(folder))
 
 
 def _prepare(root: Element, packages: PackageMap, model: Path, folder: Path, lost: _Lost) -> None:
