@@ -232,8 +232,9 @@ class RobotModel(Short):
 
     def _joint_type(self, velocity: int) -> str:
         """Drake's name for the type of the joint that a velocity belongs to."""
-        joints = (self.plant.get_joint(index) for index in self.plant.GetJointIndices())
-        return next(j.type_name() for j in joints if j.velocity_start() == velocity)
+        joints = [self.plant.get_joint(index) for index in self.plant.GetJointIndices()]
+        moving = (joint for joint in joints if joint.num_velocities())  # welds have starts, too
+        return next(joint.type_name() for joint in moving if joint.velocity_start() == velocity)
 
     @cached_property
     def single_joints(self) -> tuple[str, ...]:

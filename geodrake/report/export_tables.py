@@ -64,9 +64,10 @@ def holds_table(found: ProvenExport, units: Units) -> Table:
                         f"{number(value)} {units.at(joint, unit)}" if value else "0"
                         for unit, value in terms.items()
                     ),
+                    f"{number(values.rest)} {units.at(joint, 'rad')}" if values.stiffness else "",
                 )
             )
-    head = ("joint", "damping", "dry friction", "rotor inertia", "spring")
+    head = ("joint", "damping", "dry friction", "rotor inertia", "spring", "at rest")
     return Table(head, tuple(rows))
 
 

@@ -253,6 +253,22 @@ def _reordered(values, order):
     return found
 
 
+def test_a_sliding_joint_with_welds_beside_it_slides(tmp_path):
+    """Welded joints have no velocities, but Drake gives them the start of another's."""
+    (tmp_path / "own").mkdir()
+    path = tmp_path / "own" / "arm.urdf"
+    weld = """<link name="tip"/><joint name="{0}" type="fixed"><parent link="{1}"/>
+      <child link="tip"/></joint>"""
+    path.write_text(URDF.replace('  <joint name="a"', weld.format("aa", "one") + '<joint name="a"'))
+    model = load_model(path)
+    assert model.sliding_joints == ("b",)
+    compiled = mujoco.MjModel.from_xml_path(str(exported(model, "mjcf", tmp_path / "out")[0]))
+    assert compiled.jnt_type.tolist() == [
+        int(mujoco.mjtJoint.mjJNT_HINGE),
+        int(mujoco.mjtJoint.mjJNT_SLIDE),
+    ]
+
+
 def test_pinocchio_reads_the_inertias_damping_and_friction(tmp_path):
     model = fitted(loaded(tmp_path, "urdf"), springs=False)
     path, _ = exported(model, "urdf", tmp_path / "out")

@@ -27,8 +27,8 @@ _SEVERAL = (
 )
 
 _IN_DRAKE = (
-    "in a Drake diagram, geodrake.control.EffectForce acts with all effects of the model, those of "
-    "the files included: then add it to a plant without them, as that of load_model"
+    "geodrake.control.EffectForce simulates all effects in Drake, on the plant of load_model: on "
+    "that of these files, those in them would count twice"
 )
 
 Progress = Callable[[str], object]
