@@ -54,7 +54,7 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
         ModelError: An effect cannot be written.
     """
     nv = len(model.joints)
-    q = Symbols.inputs("q", model.plant.num_positions())
+    q = Symbols.inputs("q", model.tree.num_positions)
     v, vd = Symbols.inputs("v", nv), Symbols.inputs("vd", nv)
     load = inverse_dynamics_formula(model.tree, q, v, vd, model.total_phi)
     seen = RobotMotion(

@@ -46,7 +46,8 @@ def inverse_dynamics_formula(
         n = n + cross(mobilizer.p_MoBo_B, f)
         f, n = motion.R_PB @ f, motion.R_PB @ n
         joint = mobilizer.motion
-        effort[mobilizer.velocities] = joint.angular.T @ n + joint.linear.T @ f
+        own = joint.angular.T @ n + joint.linear.T @ f
+        effort[mobilizer.velocities] = effort[mobilizer.velocities] + own
         if mobilizer.parent >= 0:
             f_P, n_P = wrenches[mobilizer.parent]
             wrenches[mobilizer.parent] = f_P + f, n_P + n + cross(motion.p_PMo, f)
@@ -173,12 +174,13 @@ def _carried(mobilizer: Mobilizer, inboard: BodyMotion, q: Formulas) -> BodyMoti
     R_WP, joint = inboard.rotation[0], mobilizer.motion
     R_WB, arm = R_WP @ R, R_WP @ p
     angular, linear = inboard.angular[0].copy(), inboard.linear[0].copy()
-    for k in inboard.dofs:
+    for k in set(inboard.dofs):
         linear[:, k] = linear[:, k] + cross(angular[:, k], arm)
-    angular[:, mobilizer.velocities] = R_WP @ joint.angular
-    linear[:, mobilizer.velocities] = R_WP @ joint.linear
+    own = mobilizer.velocities
+    angular[:, own] = angular[:, own] + R_WP @ joint.angular
+    linear[:, own] = linear[:, own] + R_WP @ joint.linear
     shift = R_WB @ mobilizer.p_MoBo_B
-    for k in mobilizer.dofs:
+    for k in set(mobilizer.dofs):
         linear[:, k] = linear[:, k] + cross(angular[:, k], shift)
     position = inboard.position[0] + arm + shift
     return BodyMotion(R_WB[None], position[None], angular[None], linear[None], mobilizer.dofs)
