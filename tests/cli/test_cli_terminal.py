@@ -1,14 +1,20 @@
 """What a terminal of 80 columns and a pipe show: every joint, every value, and the worst joint."""
 
 import io
+from dataclasses import replace
 from importlib.resources import files
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from geodrake import load_model
+from geodrake.cli.app import app
 from geodrake.cli.tables import _Console, show_comparison, show_diagnosis, show_explanation
 from geodrake.diagnosis import compare, diagnose
 from geodrake.diagnosis.add import add
+from geodrake.errors import LogError
+from geodrake.logs.files import read_log
 from geodrake.report.numbers import Units, number
 from geodrake.report.sections import joints_section
 
@@ -82,3 +88,27 @@ def test_terminal_and_page_round_alike(model, compared):
     for joint in compared.errors.joints:
         for value in (joint.std, joint.rms, joint.floor, joint.nrms):
             assert number(value) in text and number(value) in page
+
+
+def test_one_log_need_not_be_in_a_list(model, compared):
+    assert compare(model, LOG).errors.nrms == compare(model, [LOG]).errors.nrms
+    assert compared.errors.nrms == compare(model, read_log(LOG)).errors.nrms
+
+
+def test_degrees_are_named_where_a_log_is_too_short(model):
+    log = read_log(LOG)
+    part = slice(0, 120)
+    degrees = replace(
+        log,
+        time=log.time[part],
+        position=np.rad2deg(log.position[part]) + 90.0,
+        effort=log.effort[part],
+        velocity=None,
+    )
+    with pytest.raises(LogError, match=r"too short.* Positions are in degrees by the look of it"):
+        compare(model, degrees)
+
+
+def test_demo_says_how_long_it_takes():
+    done = CliRunner().invoke(app, ["demo", "--report", "no_folder/page.html"])
+    assert done.exit_code == 2 and done.stderr.startswith("Done within about ")
