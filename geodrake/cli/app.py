@@ -17,6 +17,7 @@ from geodrake.cli.options import (
     DemoOptions,
     ExplainOptions,
     IdentifyOptions,
+    LogCommandOptions,
     Options,
     RolloutOptions,
     taking,
@@ -189,14 +190,23 @@ def identifiable(options: IdentifiableOptions) -> None:
 
 
 @app.command()
+@taking(LogCommandOptions)
+def log(options: LogCommandOptions) -> None:
+    """What is understood of logs: joints, columns, units, rates, gaps, rest; no model needed."""
+    from geodrake.cli.log import run_log
+
+    run_log(options)
+
+
+@app.command()
 @taking(DemoOptions)
 def demo(options: DemoOptions) -> None:
     """Explain a log that comes with the package, made with an effect that its model lacks."""
     from geodrake.cli.explaining import run_explaining
 
     folder = files("geodrake") / "demo"
-    with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as log:
-        run_explaining(Options(model=model, logs=[log], json=options.json, report=options.report))
+    with as_file(folder / DEMO_MODEL) as model, as_file(folder / DEMO_LOG) as data:
+        run_explaining(Options(model=model, logs=[data], json=options.json, report=options.report))
 
 
 def _print_version(wanted: bool) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geodrake.errors import ArgumentError
-from geodrake.logs.files import read_log
+from geodrake.logs.files import Reading, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
 from geodrake.model.carried_payloads import carried_phi
@@ -21,7 +21,7 @@ _FORM = (
 
 
 def with_known_payloads(
-    logs: Sequence[Path], given: Sequence[str], model: RobotModel, selection: Mapping[str, Any]
+    logs: Sequence[Path], given: Sequence[str], model: RobotModel, reading: Reading
 ) -> tuple[JointLog | Path, ...]:
     """The logs, those read of which a known payload is given.
 
@@ -30,7 +30,7 @@ def with_known_payloads(
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
         model: The robot.
-        selection: Which parts of files are the logs, as keyword arguments of `read_log`.
+        reading: How logs are to be read.
 
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
@@ -43,7 +43,7 @@ def with_known_payloads(
     for payloads in carried.values():
         carried_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
     return tuple(
-        replace(read_log(log, joints=model.joints, **selection), payloads=tuple(carried[log]))
+        replace(read_log(log, joints=model.joints, reading=reading), payloads=tuple(carried[log]))
         if log in carried
         else log
         for log in logs
@@ -51,10 +51,7 @@ def with_known_payloads(
 
 
 def with_facts(
-    logs: Sequence[JointLog | Path],
-    facts: Mapping[str, Any],
-    model: RobotModel,
-    selection: Mapping[str, Any],
+    logs: Sequence[JointLog | Path], facts: Mapping[str, Any], model: RobotModel, reading: Reading
 ) -> tuple[JointLog | Path, ...]:
     """The logs with what is known of all of them.
 
@@ -62,13 +59,12 @@ def with_facts(
         logs: Logs or their files.
         facts: Fields of `JointLog` by name.
         model: The robot.
-        selection: Which parts of files are the logs; files are only read if this or facts say more
-            than they do.
+        reading: How logs are to be read; files are only read if it or facts say something.
     """
-    if not facts and not selection:
+    if not facts and reading == Reading():
         return tuple(logs)
     read = (
-        log if isinstance(log, JointLog) else read_log(log, joints=model.joints, **selection)
+        log if isinstance(log, JointLog) else read_log(log, joints=model.joints, reading=reading)
         for log in logs
     )
     return tuple(replace(log, **facts) for log in read)

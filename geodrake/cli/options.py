@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
+from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
+from geodrake.cli.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -27,8 +29,9 @@ LogFiles = Annotated[
     list[Path],
     typer.Argument(
         metavar="LOG...",
-        help="CSV or NPZ: time,<joint>.position[,<joint>.velocity],<joint>.effort in SI units; a "
-        "rosbag2 folder, .mcap or .bag; Parquet, LeRobot, LCM or .mat.",
+        help="CSV or NPZ with time, position and effort of each joint, under the names that "
+        "loggers give them; a.csv+b.csv are joined by time. Or a rosbag2 folder, .mcap or .bag; "
+        "Parquet, LeRobot, LCM or .mat.",
     ),
 ]
 JsonFile = Annotated[
@@ -53,7 +56,7 @@ EffectNames = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions:
+class LogOptions(AxisOptions):
     """Options of all commands on a model and logs."""
 
     model: ModelFile
@@ -82,25 +85,7 @@ class LogOptions:
             "Repeatable.",
         ),
     ] = None
-    topic: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Topic of a bag, or channel of an LCM log, where several have joints; such as x "
-            "lists them.",
-        ),
-    ] = None
-    episode: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Episode of a LeRobot dataset, from 0 on; all if absent."),
-    ] = None
     debug: Debug = False
-
-    @property
-    def selection(self) -> dict[str, Any]:
-        """Which parts of files are the logs, as keyword arguments of `read_log`."""
-        given = {"topic": self.topic, "episode": self.episode}
-        return {name: value for name, value in given.items() if value is not None}
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -270,6 +255,31 @@ class IdentifyOptions(Options):
         Path | None,
         typer.Option(metavar="FILE.html", help="The same as a page to turn around in a browser."),
     ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogCommandOptions(ReadingOptions):
+    """Options of log."""
+
+    logs: LogFiles
+    model: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL", help="A model, whose joints the columns are matched with."),
+    ] = None
+    convert: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv|.npz",
+            help="Write the log in SI units under geodrake's own names, without what sensors did "
+            "wrong.",
+        ),
+    ] = None
+    figure: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.png", help="Draw positions and efforts over time."),
+    ] = None
+    json: JsonFile = None
+    debug: Debug = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,11 @@ from typing import Any, Generic, TypeVar
 from rich.console import Console
 
 from geodrake.boundary.whole_files import Content
+from geodrake.cli.axis_model import written_axis
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Update, progress
+from geodrake.cli.reading_options import proposing
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
@@ -21,7 +23,7 @@ from geodrake.cli.version import version
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
-from geodrake.logs.files import check_log
+from geodrake.logs.files import check_log, parts_of
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import load_model
@@ -92,9 +94,15 @@ def run(command: Command[R], options: LogOptions) -> None:
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
+    with proposing(options.logs), written_axis(options, options.model, options.logs[0]):
+        _run(command, options)
+
+
+def _run(command: Command[R], options: LogOptions) -> None:
     targets = Targets(options.model_target, options.json, options.report, command.more)
-    read = [options.model, *options.logs, *(options.effects or ())]
-    _check_logs(options.logs)
+    files = [part for log in options.logs for part in parts_of(log)]
+    read = [options.model, *files, *filter(None, [options.mapping]), *(options.effects or ())]
+    check_logs(files)
     targets.check(read)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
@@ -104,9 +112,9 @@ def run(command: Command[R], options: LogOptions) -> None:
         targets.check([*read, model.path])  # a saved model reads another one
         command.check(model)
         update(command.working)
-        carried, selection = options.known_payload or (), options.selection
-        logs = with_known_payloads(options.logs, carried, model, selection)
-        logs = with_facts(logs, options.log_facts, model, selection)
+        carried, reading = options.known_payload or (), options.reading
+        logs = with_known_payloads(options.logs, carried, model, reading)
+        logs = with_facts(logs, options.log_facts, model, reading)
         result = command.work(Input(model, logs, extra, options.settings, update))
         fitted = getattr(result, "model", model)
         update("Writing")
@@ -150,7 +158,7 @@ def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:
     return tuple(found.values())
 
 
-def _check_logs(logs: Sequence[Path]) -> None:
+def check_logs(logs: Sequence[Path]) -> None:
     """Refuse what is no file, and a file that is there twice, by whatever path or link."""
     seen: set[tuple[int, int]] = set()
     for log in logs:

@@ -19,6 +19,7 @@ from geodrake.logs.filtering import (
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
 from geodrake.logs.uniform_log import UniformLog, make_uniform
+from geodrake.logs.unit_hints import position_unit_hint
 from geodrake.logs.white_noise import quiet_density
 
 Array = NDArray[np.float64]
@@ -133,11 +134,13 @@ def _check_outputs(uniform: UniformLog, low_pass: ZeroPhaseFilter, outputs: int)
     if outputs >= LEAST_OUTPUTS:
         return
     ends = 4 * low_pass.halfwidth * uniform.period
+    hint = position_unit_hint(uniform.log)
     raise LogError(
         f"Log {uniform.log.name!r} is too short: its {uniform.seconds:.3g} s give {outputs} "
         f"filtered samples at a bandwidth of {low_pass.bandwidth:.3g} Hz, and {LEAST_OUTPUTS} are "
         "needed.",
-        advice=f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
+        advice=(f"{hint} " if hint else "")
+        + f"Record at least {ends + LEAST_OUTPUTS * low_pass.output_period:.3g} s of "
         "motion in one piece, or ask for a larger bandwidth.",
         seconds=uniform.seconds,
         bandwidth=low_pass.bandwidth,

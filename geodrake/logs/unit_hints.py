@@ -49,7 +49,8 @@ def position_unit_hint(log: JointLog) -> str | None:
     if peaks[worst] > 4.0 * np.pi and np.mean(peaks > 10.0) > 0.5:
         return (
             f"Positions are in degrees by the look of it: {log.joints[worst]} reaches "
-            f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m."
+            f"{peaks[worst]:.4g}, and most joints go beyond 10. Positions are rad or m: "
+            "--units position=deg converts them."
         )
     return None
 

@@ -15,8 +15,8 @@ from hostile import HEADER, Row, table, write_log
 from numpy.lib import format as npy
 
 from geodrake.errors import LogError
-from geodrake.logs.files import column_names as columns
 from geodrake.logs.files import read_log
+from geodrake.logs.files import recording as columns
 
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"
@@ -148,8 +148,8 @@ ARCHIVES = [
     Row("empty member", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"")),
     Row("members of text", NPZ, (NO_ARCHIVE,), members(lambda *_: b"1,2,3", called="{}")),
     Row("nested", NPZ, ("no column 'time'",), members(called="a/b/{}.npy")),
-    Row("in the folder above", NPZ, ("no column 'time'",), members(called="../{}.npy")),
-    Row("absolute", NPZ, ("no column 'time'",), members(called="/{}.npy")),
+    Row("in the folder above", NPZ, (), members(called="../{}.npy"), code=0),
+    Row("absolute", NPZ, (), members(called="/{}.npy"), code=0),
     Row("columns twice", NPZ, ("more than once",), members(twice=True)),
     Row("format of the future", NPZ, ("version (9, 0)",), only(
         "time", lambda data: data[:6] + b"\x09\x00" + data[8:])),
@@ -253,10 +253,14 @@ TABLES = [
     Row("line separators", CSV, ("without effort of elbow",), text(BODY.replace("\n", "\u2028"))),
     Row("a cell too many", CSV, ("Row 6", "has 6 cells"), cell("0.05,1")),
     Row("a cell too few", CSV, ("Row 2401", "has 3 cells"), text(BODY + "24.0,1.0,1.0\n")),
-    Row("semicolons", CSV, ("columns by ';'",), text(BODY.replace(",", ";"))),
-    Row("tabs", CSV, ("separates its columns",), text(BODY.replace(",", "\t"))),
-    Row("decimal commas", CSV, ("no column 'time'",), text(
-        BODY.replace(",", ";").replace(".", ","))),
+    Row("semicolons", CSV, (), text(BODY.replace(",", ";")), code=0),
+    Row("tabs", CSV, (), text(BODY.replace(",", "\t")), code=0),
+    Row("spaces", CSV, (), text(BODY.replace(",", "  ")), code=0),
+    Row("decimal commas", CSV, (), text("\n".join(
+        [HEADER.replace(",", ";"), *(r.replace(",", ";").replace(".", ",") for r in LINES[1:])]
+    )), code=0),
+    Row("separators of two kinds", CSV, ("Row 1",), text(
+        HEADER.replace(",", ";") + "\n" + "\n".join(LINES[1:]))),
     Row("hexadecimal", CSV, (NO_NUMBER,), cell("0x1p-4")),
     Row("underscores", CSV, (NO_NUMBER,), cell("0.0_5")),
     Row("a date", CSV, (NO_NUMBER,), cell("2024-01-01")),
@@ -266,7 +270,9 @@ TABLES = [
     Row("text that turns round in a cell", CSV, (NO_NUMBER,), cell("\u202e")),
     Row("a cell of 200 kB", CSV, ("Row 6",), cell("z" * 200_000)),
     Row("a cell of 9 kB", CSV, ("Row 6", NO_NUMBER), cell("z" * 9000)),
-    Row("comments", CSV, ("no column 'time'",), text("# robot\n" + BODY)),
+    Row("comments", CSV, (), text(
+        "# robot\n" + BODY.replace("\n0.05,", "\n# here\n0.05,")), code=0),
+    Row("comments alone", CSV, ("no header",), text("# robot\n" * 20)),
     Row("a column twice", CSV, ("more than once: elbow.effort",), header(
         HEADER.replace("shoulder.effort", "elbow.effort"))),
     Row("a joint without a name", CSV, ("no joint ''",), header(HEADER.replace("elbow.", "."))),

@@ -12,6 +12,7 @@ from foreign_logs import FORMATS, joint_states, lerobot, ros2_header, ros2_store
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, log_of_frame, read_log, write_log
+from geodrake.logs.files import Reading
 from geodrake.model.saved_model import load_model
 
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
@@ -62,14 +63,14 @@ def test_episodes_of_a_dataset_are_one_log_with_gaps_or_one_of_them(tmp_path, lo
     assert np.allclose(every.effort, log.effort, atol=1e-5)
     assert np.flatnonzero(np.diff(every.time) > 0.5).tolist() == [399, 799]
     assert "3 episodes" in every.notes[0]
-    second = read_log(path, episode=1)
+    second = read_log(path, reading=Reading(episode=1))
     assert second.joints == JOINTS
     assert np.allclose(second.position, log.position[400:800], atol=1e-6)
     assert np.allclose(second.time, log.time[:400], atol=1e-5)
     with pytest.raises(LogError, match="no samples of episode 3"):
-        read_log(path, episode=3)
+        read_log(path, reading=Reading(episode=3))
     with pytest.raises(ArgumentError, match="episode"):
-        read_log(path, episode=-1)
+        read_log(path, reading=Reading(episode=-1))
 
 
 def test_dataset_without_efforts(tmp_path, log):
@@ -218,12 +219,16 @@ def test_several_topics_are_named_and_chosen(tmp_path, log):
     path = write_rosbag2(tmp_path / "bag", topics, store)
     with pytest.raises(LogError, match=r"2 topics.* /left/joint_states .*--topic /left"):
         read_log(path)
-    assert np.array_equal(read_log(path, topic="right/joint_states").effort, other.effort)
-    assert np.array_equal(read_log(path, topic="/joint_commands").effort, log.effort)
+    assert np.array_equal(
+        read_log(path, reading=Reading(topic="right/joint_states")).effort, other.effort
+    )
+    assert np.array_equal(
+        read_log(path, reading=Reading(topic="/joint_commands")).effort, log.effort
+    )
     with pytest.raises(LogError, match=r"/gripper/joint_states .*without effort"):
-        read_log(path, topic="/gripper/joint_states")
+        read_log(path, reading=Reading(topic="/gripper/joint_states"))
     with pytest.raises(LogError, match=r"no topic '/left/states' \(nearest: '/left/joint_states'"):
-        read_log(path, topic="/left/states")
+        read_log(path, reading=Reading(topic="/left/states"))
 
 
 def test_bag_whose_recorder_was_killed_has_no_metadata(tmp_path, log):
@@ -278,7 +283,7 @@ def test_channels_of_an_lcm_log(tmp_path, log):
     events.close()
     with pytest.raises(LogError, match=r"2 topics .*PANDA \(lcmt_panda_status, 2 joints\).*JACO"):
         read_log(path)
-    read = read_log(path, joints=JOINTS, topic="JACO")
+    read = read_log(path, joints=JOINTS, reading=Reading(topic="JACO"))
     assert np.array_equal(read.effort, log.effort)
     assert np.allclose(read.time, log.time)
     assert "time is that of receipt" in " ".join(read.notes)

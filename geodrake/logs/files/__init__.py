@@ -2,43 +2,80 @@
 
 The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
 `<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. What
-follows the last dot is the quantity, so joint names may contain dots.
+follows the last dot is the quantity, so joint names may contain dots. Columns of other names are
+understood as well, by `recognition`, or by what the user says of them, a `Reading`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
-from geodrake.boundary.arguments import file_path, instances
+from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.errors import LogError
+from geodrake.logs.files.column_names import HEADER_ADVICE, Columns
 from geodrake.logs.files.csv_file import read_csv
-from geodrake.logs.files.formats import check_log, read_table
+from geodrake.logs.files.formats import SUFFIXES, check_log, read_table, reader_of
+from geodrake.logs.files.joined_files import joined_table, parts_of
+from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.npz_file import read_npz
-from geodrake.logs.files.table_log import log_of_table
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.files.writing import log_content, write_log
 from geodrake.logs.motion import JointLog
 
-__all__ = ["check_log", "log_content", "read_log", "read_table", "write_log"]
+__all__ = [
+    "Reading",
+    "check_log",
+    "log_content",
+    "log_of",
+    "parts_of",
+    "read_log",
+    "read_mapping",
+    "read_table",
+    "understand",
+    "write_log",
+]
+
+
+class Reader(Protocol):
+    """What reads files of a format."""
+
+    def __call__(
+        self, path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
+    ) -> tuple[JointLog, Columns]:
+        """The log in a file, and what its columns were taken for."""
+
+
+_TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
+READERS: Mapping[str, Reader] = {**dict.fromkeys(_TEXT, read_csv), ".npz": read_npz}
+"""Suffix -> what reads such a file."""
 
 
 def read_log(
     path: str | Path,
     *,
     joints: Sequence[str] | None = None,
-    topic: str | None = None,
-    episode: int | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
 ) -> JointLog:
     """Read a log.
 
     Args:
-        path: A `.csv` (or `.txt`) file with a header, or an `.npz` file of 1-D arrays of the same
-            names. Columns may come in any order; others than those of the format are ignored and
-            noted. Empty cells and `nan` become NaN. Or a file or folder of `formats`: a bag of ROS,
-            MCAP, Parquet, Feather, a LeRobot dataset, an LCM log, MATLAB's .mat.
+        path: A table of text (`.csv`, `.txt`, `.tsv`, `.dat`) or an `.npz` file of 1-D arrays.
+            Columns may come in any order; which joint and quantity they are of is told by their
+            names, and others are ignored and noted. Empty cells and `nan` become NaN. Several
+            files with `+` between them, as in `positions.csv+efforts.csv`, are joined by time. Or
+            a file or folder of `formats`: a bag of ROS, MCAP, Parquet, Feather, a LeRobot dataset,
+            an LCM log, MATLAB's .mat.
         joints: Names of a model's joints, if the log must have the same and in their order.
-        topic: Topic of a bag or channel of an LCM log, where several fit.
-        episode: Episode of a dataset; None for all, one after the other.
+        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
+            still then are `JointLog.standing`.
+        reading: How the file is to be read, where its names do not say it.
 
     Returns:
         The log, its joints in the order given or of their position columns, named after the file.
@@ -47,16 +84,30 @@ def read_log(
         LogError: If the file is no regular one or cannot be read, a package for it is not
             installed, it lacks a needed column or joint, has one twice, has cells that are not
             numbers, has fewer than ten rows or more than fit into memory, or if its time does not
-            increase.
+            increase. Where names of columns are not understood, `evidence["proposal"]` is the text
+            of a mapping to be edited.
     """
+    return understand(path, joints=joints, partial=partial, reading=reading)[0]
+
+
+def understand(
+    path: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
+) -> tuple[JointLog, Columns]:
+    """A log, and what its columns were taken for; see `read_log`."""
     path = file_path(path)
     joints = None if joints is None else instances(joints, "joints", str)
-    text = {".csv": read_csv, ".txt": read_csv, ".npz": read_npz}.get(path.suffix.lower())
-    check_log(path)
+    reading = Reading() if reading is None else instance(reading, "reading", Reading)
+    parts = parts_of(path)
+    for part in parts:
+        check_log(part)
     try:
-        if text is None:
-            return log_of_table(read_table(path, topic=topic, episode=episode), joints)
-        return text(path, joints)
+        if len(parts) > 1:
+            return _understood(joined_table(parts, reading), joints, reading, partial=partial)
+        return _reader(path)(path, joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
             f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",
@@ -67,3 +118,57 @@ def read_log(
             f"Log {str(path)!r} cannot be read: {error}.",
             advice="Check the file's permissions, and that there is memory for it.",
         ) from error
+
+
+def log_of(
+    table: LogTable,
+    *,
+    joints: Sequence[str] | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
+) -> JointLog:
+    """The log that a table of columns is, whatever they are called; see `read_log`.
+
+    Args:
+        table: The columns.
+        joints: Names of a model's joints, if the log must have the same and in their order.
+        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
+            still then are `JointLog.standing`.
+        reading: What the user said of the table.
+
+    Raises:
+        LogError: A needed column or joint is missing or there twice, or time does not increase.
+    """
+    return _understood(table, joints, reading or Reading(), partial=partial)[0]
+
+
+def _understood(
+    table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
+) -> tuple[JointLog, Columns]:
+    columns = columns_of(
+        table.path, list(table.columns), joints, reading, table.units, partial=partial
+    )
+    recording = Recording(columns, len(table))
+    recording.put(slice(0, len(table)), table.columns)
+    log = recording.log(len(table))
+    return replace(log, notes=(*table.notes, *log.notes)), columns
+
+
+def _read_other(
+    path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
+) -> tuple[JointLog, Columns]:
+    table = read_table(path, topic=reading.topic, episode=reading.episode)
+    return _understood(table, joints, reading, partial=partial)
+
+
+def _reader(path: Path) -> Reader:
+    """What reads this file or folder: those of text and of arrays here, others by `formats`."""
+    if reader_of(path) is not None:
+        return _read_other
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise LogError(
+            f"Log {str(path)!r} ends in {path.suffix!r}, which geodrake does not read.",
+            advice=f"Convert it to .csv, .npz or one of {', '.join(SUFFIXES)}. {HEADER_ADVICE}",
+        )
+    return READERS[suffix]

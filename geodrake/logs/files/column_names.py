@@ -1,27 +1,40 @@
-"""The columns of a log file: which joints and quantities its names stand for."""
+"""The columns of a log: which of a file they come from."""
 
 from __future__ import annotations
 
-import difflib
-import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from geodrake.errors import LogError
-from geodrake.logs.motion import JointLog, check_joints
+from geodrake.logs.files.reading import QUANTITIES, Reading
+from geodrake.logs.files.units import Unit
 
-Array = NDArray[np.float64]
-
-LEAST_ROWS = 10
-QUANTITIES = ("position", "velocity", "acceleration", "effort")
-_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the numbers of a column of a log come from.
+
+    Attributes:
+        column: Column of the file.
+        factor: What its numbers are multiplied by.
+        unit: The unit that they are in; None for SI that nobody said.
+        nanoseconds: Column of what is to be added to time, ns.
+    """
+
+    column: str
+    factor: float = 1.0
+    unit: Unit | None = None
+    nanoseconds: str | None = None
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the file."""
+        return (self.column,) if self.nanoseconds is None else (self.column, self.nanoseconds)
 
 
 @dataclass(frozen=True)
@@ -32,162 +45,68 @@ class Columns:
         path: The file.
         joints: Names of the n joints, in the order of the log to be.
         quantities: Quantities that every joint has.
-        notes: What was left out, in words.
+        notes: What was left out or converted, in words.
+        sources: `time` and `<joint>.<quantity>` -> where its numbers come from; no time where a
+            rate says it.
+        rate: Rows a second, Hz, where there is no column of time.
+        reading: How the user said that the file is to be read.
+        standing: Further joints, of which there is the position alone.
     """
 
     path: Path
     joints: tuple[str, ...]
     quantities: tuple[str, ...]
     notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, path: Path, names: Sequence[str], joints: Sequence[str] | None) -> Columns:
-        """The columns of a file with these names, joints in the order given if any is.
-
-        Args:
-            path: The file, for messages.
-            names: All columns of the file, in its order.
-            joints: Names of the model's joints, which the log must have, in the order that it shall
-                have them in; None for the order of the file.
-
-        Raises:
-            LogError: Time, or a joint's position or effort, is missing, or the joints are others.
-        """
-        _check_names(path, names)
-        if "time" not in names:
-            close = difflib.get_close_matches("time", [n.lower() for n in names[:100]], cutoff=0.4)
-            raise LogError(
-                f"Log {str(path)!r} has no column 'time'; it has {_listed(names)}.",
-                advice=(f"Is it {close[0]!r}? " if close else "") + HEADER_ADVICE,
-            )
-        having = {
-            quantity: [n.rsplit(".", 1)[0] for n in names if n.endswith(f".{quantity}")]
-            for quantity in QUANTITIES
-        }
-        own = _joints(path, having)
-        if joints is not None:
-            check_joints(path.stem, own, joints)
-        quantities, notes = [], []
-        for quantity in QUANTITIES:
-            there = set(having[quantity])
-            missing = [f"{joint}.{quantity}" for joint in own if joint not in there]
-            if not missing:
-                quantities.append(quantity)
-            elif len(missing) < len(own):
-                notes.append(f"{quantity} is not used: there is no {_listed(missing)}")
-        known = {"time", *(f"{joint}.{quantity}" for joint in own for quantity in QUANTITIES)}
-        others = [name for name in names if name not in known]
-        if others:
-            notes.append(f"columns ignored: {_listed(others)}")
-        return cls(path, tuple(own if joints is None else joints), tuple(quantities), tuple(notes))
+    sources: Mapping[str, Source]
+    rate: float | None = None
+    reading: Reading = field(default_factory=Reading)
+    standing: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns to read, time first."""
+        """Names of the columns of the log to be, time first."""
         return (
             "time",
             *(f"{joint}.{quantity}" for quantity in self.quantities for joint in self.joints),
+            *(f"{joint}.position" for joint in self.standing),
         )
 
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """Columns of the file that are needed together, for one column of the log each."""
+        return tuple(self.sources[n].columns for n in self.names if n in self.sources)
 
-class Recording:
-    """Arrays of a log while its file is read, column by column or stretch by stretch.
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Columns of the file that are read."""
+        return tuple(dict.fromkeys(column for group in self.groups for column in group))
 
-    Every number is held once: ten million rows of seven joints fill more than a gigabyte.
+
+def check_text(path: Path, names: Sequence[str]) -> None:
+    """Refuse names that no text has, and those of the format that come twice.
+
+    Args:
+        path: The file, for messages.
+        names: Its columns.
     """
-
-    def __init__(self, columns: Columns, rows: int) -> None:
-        """Room for so many rows.
-
-        Raises:
-            LogError: There is none: with what is made of them they would fill the memory.
-        """
-        self.columns = columns
-        needed, there = 8 * rows * len(columns.names), _memory()
-        if needed > _LARGEST_SHARE * there:
-            raise LogError(
-                f"Log {str(columns.path)!r} has {rows} rows of {len(columns.names)} numbers, "
-                f"{needed / 1e9:.3g} GB; this machine has {there / 1e9:.3g} GB of memory.",
-                advice="Give excerpts of it, or fewer columns.",
-                rows=rows,
-            )
-        self.time = np.empty(rows)
-        self._places = {joint: place for place, joint in enumerate(columns.joints)}
-        shape = (rows, len(columns.joints))
-        self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
-
-    def put(self, name: str, rows: slice, numbers: Array) -> None:
-        """Put numbers into some rows of the column of that name.
-
-        Args:
-            name: `time`, or `<joint>.<quantity>`; one of `Columns.names`.
-            rows: Samples that the numbers are of.
-            numbers: (n,) values of the column in these rows, SI.
-        """
-        if name == "time":
-            self.time[rows] = numbers
-        else:
-            joint, quantity = name.rsplit(".", 1)
-            self.values[quantity][rows, self._places[joint]] = numbers
-
-    def log(self, rows: int) -> JointLog:
-        """The log of the first so many rows.
-
-        Raises:
-            LogError: They are too few.
-        """
-        path = self.columns.path
-        if rows < LEAST_ROWS:
-            raise LogError(
-                f"Log {str(path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
-                advice="Record several seconds of motion.",
-            )
-        values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
-        return JointLog(
-            path.stem,
-            self.columns.joints,
-            self.time[:rows],
-            values["position"],
-            values["effort"],
-            values.get("velocity"),
-            values.get("acceleration"),
-            self.columns.notes,
-        )
-
-
-def is_used(name: str) -> bool:
-    """Whether a column is one of the format's."""
-    return name == "time" or ("." in name and name.rsplit(".", 1)[1] in QUANTITIES)
-
-
-def _joints(path: Path, having: Mapping[str, Sequence[str]]) -> Sequence[str]:
-    """Joints with position and effort; an error if a position has no effort."""
-    joints, heard = having["position"], set(having["effort"])
-    silent = [joint for joint in joints if joint not in heard]
-    if not joints or len(silent) == len(joints):
-        raise LogError(
-            f"Log {str(path)!r} has no joint with both position and effort; positions: "
-            f"{_listed(joints)}; efforts: {_listed(having['effort'])}.",
-            advice=f"A log without effort says nothing about dynamics. {HEADER_ADVICE}",
-        )
-    if silent:
-        raise LogError(
-            f"Log {str(path)!r} is a log without effort of {', '.join(silent)}: the position is "
-            "there, the effort is not.",
-            advice="Log that joint's effort too, or leave its columns out.",
-            joints=silent,
-        )
-    return joints
-
-
-def _check_names(path: Path, names: Sequence[str]) -> None:
-    """Refuse names that a column of the format has twice, and those that no text has."""
     if any("\0" in name for name in names):
         raise LogError(
             f"The first line of log {str(path)!r} has null characters: it is no text in UTF-8.",
             advice="Is it UTF-16, or binary? Save it as CSV in UTF-8, or as .npz.",
         )
-    twice = sorted(name for name, count in Counter(names).items() if count > 1 and is_used(name))
+    check_twice(path, names, [name for name in names if is_used(name)])
+
+
+def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None:
+    """Refuse columns that are needed and there twice.
+
+    Args:
+        path: The file, for messages.
+        names: All its columns.
+        used: Those that are needed.
+    """
+    counts = Counter(names)
+    twice = sorted(name for name in set(used) if counts[name] > 1)
     if twice:
         raise LogError(
             f"Log {str(path)!r} has these columns more than once: {', '.join(twice)}.",
@@ -196,14 +115,11 @@ def _check_names(path: Path, names: Sequence[str]) -> None:
         )
 
 
-def _listed(names: Sequence[str]) -> str:
+def is_used(name: str) -> bool:
+    """Whether a column is one of the format's."""
+    return name == "time" or ("." in name and name.rsplit(".", 1)[1] in QUANTITIES)
+
+
+def listed(names: Sequence[str]) -> str:
     """The first few names."""
     return f"{', '.join(names[:8]) or 'none'}{' …' if len(names) > 8 else ''}"
-
-
-def _memory() -> int:
-    """Bytes of memory of this machine, where its system tells; else more than any log needs."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return 1 << 62

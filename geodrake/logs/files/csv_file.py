@@ -1,47 +1,97 @@
-"""Logs in CSV files."""
+"""Logs in CSV files and other tables of text."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.input_files import regular_file
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import HEADER_ADVICE, Columns, Recording
+from geodrake.logs.files.column_names import HEADER_ADVICE, Columns
+from geodrake.logs.files.csv_layout import CsvLayout, csv_layout
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.torn_rows import TornRows
+from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
 
 _LINES = 50_000  # that are read at once
 _BLOCK = 1 << 20  # bytes in which line ends are looked for
-_HEADER_LINES = 1000  # of a header whose names have line ends
 _LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
 
 
-def read_csv(path: Path, joints: Sequence[str] | None) -> JointLog:
-    """Read a log from a CSV file; see `read_log`."""
+def read_csv(
+    path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
+) -> tuple[JointLog, Columns]:
+    """Read a log from a table of text, and what its columns are; see `read_log`.
+
+    Args:
+        path: The file.
+        joints: Names of the model's joints, if the log must have them.
+        reading: What the user said of the file.
+        partial: Whether the log may lack some of the joints.
+    """
     most = 1 + _count_lines(path)
     with path.open(encoding="utf-8-sig", newline="") as file:
-        header, line = _read_header(path, file)
-        columns = Columns.of(path, header, joints)
+        layout, lines = csv_layout(path, file, reading, joints)
+        columns = columns_of(path, layout.names, joints, reading, partial=partial)
         recording = Recording(columns, most)
-        places = [header.index(name) for name in columns.names]
         rows = 0
-        while lines := list(islice(file, _LINES)):
-            table = _numbers(path, header, lines)
-            if table is None:
-                table = _cells(path, header, places, lines, (rows, line))
-            else:
-                table = table[:, places]
-            for name, numbers in zip(columns.names, table.T, strict=True):
-                recording.put(name, slice(rows, rows + len(table)), numbers)
-            rows, line = rows + len(table), line + len(lines)
-    return recording.log(rows)
+        for table in csv_blocks(path, layout, lines, columns.files, recording.torn):
+            numbers = dict(zip(columns.files, table.T, strict=True))
+            recording.put(slice(rows, rows + len(table)), numbers)
+            rows += len(table)
+    return recording.log(rows), columns
+
+
+def csv_table(path: Path, reading: Reading) -> LogTable:
+    """The columns of a table of text as they are, those of text left out.
+
+    Args:
+        path: The file.
+        reading: What the user said of it.
+    """
+    most = 1 + _count_lines(regular_file(path, "log", LogError))
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        layout, lines = csv_layout(path, file, reading, None, numbered=True)
+        torn = TornRows(path, most, reading.skip_bad_rows)
+        blocks = list(csv_blocks(path, layout, lines, layout.names, torn))
+    numbers = np.concatenate(blocks) if blocks else np.empty((0, len(layout.names)))
+    kept, notes = torn.settle(np.arange(float(len(numbers))))
+    columns = dict(zip(layout.names, (numbers if kept is None else numbers[kept]).T, strict=True))
+    return LogTable(path, columns, notes=notes)
+
+
+def csv_blocks(
+    path: Path, layout: CsvLayout, lines: Iterator[str], used: Sequence[str], torn: TornRows
+) -> Iterator[Array]:
+    """(K, used) numbers of some columns, block by block; NaN in the rows that are `torn`.
+
+    Args:
+        path: The file, for messages.
+        layout: How it is laid out.
+        lines: Its lines from the first row on.
+        used: Names of the columns.
+        torn: Takes bad rows in.
+    """
+    places = [layout.names.index(name) for name in used]
+    rows, line = 0, layout.lines
+    while block := list(islice(lines, _LINES)):
+        table = _numbers(layout, block)
+        if table is None:
+            table = _cells(path, layout, places, block, before=(rows, line), torn=torn)
+        else:
+            table = table[:, places]
+        yield table
+        rows, line = rows + len(table), line + len(block)
 
 
 def _count_lines(path: Path) -> int:
@@ -59,61 +109,57 @@ def _count_lines(path: Path) -> int:
     return count
 
 
-def _read_header(path: Path, file: TextIO) -> tuple[list[str], int]:
-    """Names of all columns, and how many lines they fill: a name in quotes may have line ends."""
-    reader = csv.reader(islice(file, _HEADER_LINES), strict=True)
-    try:
-        header = [name.strip() for name in next(reader, [])]
-    except csv.Error as error:
-        raise LogError(
-            f"The header of log {str(path)!r} cannot be read: {error}.",
-            advice=f"Is there a quote that never closes? {HEADER_ADVICE}",
-        ) from error
-    _check_header(path, header)
-    return header, reader.line_num
-
-
-def _numbers(path: Path, header: Sequence[str], lines: Sequence[str]) -> Array | None:
+def _numbers(layout: CsvLayout, lines: Sequence[str]) -> Array | None:
     """(K, columns) of lines with nothing but numbers; None for others."""
     if not any(line.strip() for line in lines):
-        return np.empty((0, len(header)))
+        return np.empty((0, len(layout.names)))
+    plain = [line.replace(",", ".") for line in lines] if layout.decimal == "," else lines
     try:
-        table = np.loadtxt(lines, delimiter=",", comments=None, ndmin=2)
+        table = np.loadtxt(plain, delimiter=layout.separator, comments=None, ndmin=2)
     except ValueError:
         return None  # empty cells, text or ragged rows: distinguished cell by cell
-    return table if table.shape[1] == len(header) else None
+    return table if table.shape[1] == len(layout.names) else None
 
 
 def _cells(
     path: Path,
-    header: Sequence[str],
+    layout: CsvLayout,
     places: Sequence[int],
     lines: Sequence[str],
+    *,
     before: tuple[int, int],
+    torn: TornRows,
 ) -> Array:
     """(K, used columns) of lines read cell by cell: slower, but exact about what is wrong where.
 
     `before` counts the rows and the lines of the file that come before them.
     """
     values: list[list[float]] = []
-    reader = csv.reader(lines)
     try:
-        for cells in filter(None, reader):
-            row = before[0] + len(values) + 1
-            if len(cells) != len(header):
-                raise LogError(
-                    f"Row {row} of log {str(path)!r} (line {before[1] + reader.line_num}) has "
-                    f"{len(cells)} cells; the header has {len(header)}.",
-                    advice="Was the recording cut off? Remove or repair that line.",
-                    row=row,
-                )
-            values.append([_number(cells[k], path, row, header[k]) for k in places])
+        for line, cells in layout.cells(lines):
+            row = before[0] + len(values)
+            try:
+                _check_count(path, layout, cells, row + 1, before[1] + line)
+                values.append([_number(cells[k], path, row + 1, layout.names[k]) for k in places])
+            except LogError as error:
+                torn.add(row, error)
+                values.append([np.nan] * len(places))
     except csv.Error as error:
         raise LogError(
             f"Row {before[0] + len(values) + 1} of log {str(path)!r} cannot be read: {error}.",
             advice="Is there a quote that never closes? Remove or repair that line.",
         ) from error
     return np.array(values, float).reshape(-1, len(places))
+
+
+def _check_count(path: Path, layout: CsvLayout, cells: Sequence[str], row: int, line: int) -> None:
+    if len(cells) != len(layout.names):
+        raise LogError(
+            f"Row {row} of log {str(path)!r} (line {line}) has {len(cells)} cells; the header has "
+            f"{len(layout.names)}.",
+            advice="Was the recording cut off? Remove or repair that line.",
+            row=row,
+        )
 
 
 def _number(cell: str, path: Path, row: int, column: str) -> float:
@@ -129,26 +175,3 @@ def _number(cell: str, path: Path, row: int, column: str) -> float:
             row=row,
             column=column,
         ) from None
-
-
-def _check_header(path: Path, header: Sequence[str]) -> None:
-    def is_number(cell: str) -> bool:
-        try:
-            float(cell)
-        except ValueError:
-            return False
-        return True
-
-    if not any(header) or all(map(is_number, header)):
-        first = ",".join(header)
-        raise LogError(
-            f"Log {str(path)!r} has no header: its first line is {first[:60]!r}.",
-            advice=HEADER_ADVICE,
-        )
-    separator = next((c for c in ";\t|" if c in header[0]), None)
-    if len(header) == 1 and separator is not None:
-        raise LogError(
-            f"Log {str(path)!r} separates its columns by {separator!r}: its first line is "
-            f"{header[0][:60]!r}.",
-            advice="Separate them by commas, with a point in decimal numbers.",
-        )

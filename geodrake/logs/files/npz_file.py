@@ -12,7 +12,10 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files.column_names import Columns, Recording
+from geodrake.logs.files.column_names import Columns
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.motion import JointLog
 
 Array = NDArray[np.float64]
@@ -21,21 +24,34 @@ _ADVICE = "Store one 1-D array for each column, all equally long."
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
-def read_npz(path: Path, joints: Sequence[str] | None) -> JointLog:
-    """Read a log from an NPZ file; see `read_log`."""
+def read_npz(
+    path: Path, joints: Sequence[str] | None, reading: Reading, *, partial: bool = False
+) -> tuple[JointLog, Columns]:
+    """Read a log from an NPZ file, and what its columns are; see `read_log`.
+
+    Args:
+        path: The file.
+        joints: Names of the model's joints, if the log must have them.
+        reading: What the user said of the file.
+        partial: Whether the log may lack some of the joints.
+    """
     with _reading(path), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         names = [entry.filename.removesuffix(".npy").strip() for entry in entries]
-        columns = Columns.of(path, names, joints)
-        members = {name: entries[names.index(name)] for name in columns.names}
+        columns = columns_of(path, names, joints, reading, partial=partial)
+        members = {name: entries[names.index(name)] for name in columns.files}
         lengths = {name: _length(path, archive, name, entry) for name, entry in members.items()}
         rows = _common(path, lengths)
         recording = Recording(columns, rows)
-        for name, entry in members.items():
-            with archive.open(entry) as file, np.errstate(over="ignore"):  # of long doubles
-                numbers = np.asarray(npy.read_array(file, allow_pickle=False), float)
-            recording.put(name, slice(0, rows), numbers)
-    return recording.log(rows)
+        for group in columns.groups:
+            arrays = {name: _array(archive, members[name]) for name in group}
+            recording.put(slice(0, rows), arrays)
+    return recording.log(rows), columns
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
+    with archive.open(entry) as file, np.errstate(over="ignore"):  # of long doubles
+        return np.asarray(npy.read_array(file, allow_pickle=False), float)
 
 
 @contextmanager
@@ -82,11 +98,11 @@ def _length(path: Path, archive: zipfile.ZipFile, name: str, entry: zipfile.ZipI
 
 def _common(path: Path, lengths: Mapping[str, int]) -> int:
     """The length that all arrays have."""
-    rows = lengths["time"]
+    first, rows = next(iter(lengths.items()))
     for name, length in lengths.items():
         if length != rows:
             raise LogError(
-                f"The arrays of log {str(path)!r} are not of one length: 'time' has {rows} "
+                f"The arrays of log {str(path)!r} are not of one length: {first!r} has {rows} "
                 f"numbers and {name!r} has {length}.",
                 advice=_ADVICE,
             )

@@ -1,0 +1,88 @@
+"""The command `geodrake log`: what was understood of logs, without a model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from geodrake.boundary.whole_files import Content, write_together
+from geodrake.cli.options import LogCommandOptions
+from geodrake.cli.progress import progress
+from geodrake.cli.reading_options import proposing
+from geodrake.cli.session import check_logs
+from geodrake.cli.surroundings import print_whole, printing
+from geodrake.cli.tables import head, make_console, show_list, show_saved, show_table
+from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.version import version
+from geodrake.errors import ArgumentError
+from geodrake.logs.files import log_content, parts_of
+from geodrake.logs.inspection import LogInspection, inspect_log
+from geodrake.model.saved_model import load_model
+from geodrake.report.json_output import to_json
+from geodrake.report.log_preview import (
+    columns_table,
+    inspection_dict,
+    inspection_words,
+    preview_figure,
+)
+from geodrake.report.style import png
+
+_SUFFIXES = {"convert": (".csv", ".npz", ".txt"), "figure": (".png",)}
+
+
+def run_log(options: LogCommandOptions) -> None:
+    """Run the command.
+
+    Raises:
+        GeodrakeError: A log cannot be read, or a file not be written.
+    """
+    with proposing(options.logs):
+        _run(options)
+
+
+def _run(options: LogCommandOptions) -> None:
+    files = [part for log in options.logs for part in parts_of(log)]
+    more = {"convert": options.convert, "figure": options.figure}
+    targets = Targets(json=options.json, more=more, suffixes=_SUFFIXES)
+    asked = [name for name, path in more.items() if path is not None]
+    if asked and len(options.logs) > 1:
+        raise ArgumentError(
+            f"--{asked[0]} is for one log; {len(options.logs)} are given.",
+            advice="Give them one by one.",
+        )
+    check_logs(files)
+    inputs = [*files, *filter(None, [options.mapping, options.model])]
+    targets.check(inputs)
+    with progress(f"Reading {options.logs[0].name}"):
+        joints = None if options.model is None else load_model(options.model).joints
+        found = [inspect_log(log, joints=joints, reading=options.reading) for log in options.logs]
+        numbers = {"logs": [inspection_dict(each) for each in found]}
+        text = to_json({"version": version(), "command": "log", **numbers})
+        written = _written(targets, found[0], text)
+    with printing():
+        if options.json == STDOUT:
+            print_whole(text)
+        console = make_console(stderr=options.json == STDOUT)
+        for path, each in zip(options.logs, found, strict=True):
+            _show(console, path.name, each)
+        show_saved(console, written, {"convert": "log", "figure": "preview"})
+
+
+def _written(targets: Targets, found: LogInspection, text: str) -> dict[str, Path]:
+    """Option -> file, of what was asked for."""
+    made: dict[Path, Content] = {}
+    for name, path in targets.files.items():
+        if name == "convert":
+            made[path] = log_content(found.log, path)
+        else:
+            made[path] = text if name == "json" else png(preview_figure(found))
+    write_together(made)
+    return targets.files
+
+
+def _show(console: Console, name: str, found: LogInspection) -> None:
+    head(console, name)
+    show_table(console, columns_table(found))
+    show_list(console, "Rows", inspection_words(found))
+    show_list(console, "Notes", found.notes)

@@ -1,0 +1,181 @@
+"""Options of all commands that take logs: how their columns are to be read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geodrake.errors import ArgumentError, LogError, OutputError
+
+if TYPE_CHECKING:
+    from geodrake.logs.files import Reading
+
+_PANEL = "How logs are read"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadingOptions:
+    """How logs are to be read, where names of columns do not say it."""
+
+    mapping: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="Which column is what. Where names are not understood, a proposal to edit is "
+            "written beside the log.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,…",
+            help="Names of the columns, for logs without a header: time,q1,q2,tau1,tau2; _ for "
+            "one that is not used.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", help="Rows a second, for logs without time.", rich_help_panel=_PANEL
+        ),
+    ] = None
+    units: Annotated[
+        str | None,
+        typer.Option(
+            metavar="QUANTITY=UNIT,…",
+            help="Units other than SI that names of columns do not say, such as "
+            "position=deg,velocity=rpm,time=ms,effort=mA.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    gain: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINT=VALUE",
+            help="What a joint's efforts are multiplied by, such as torque constant × gear ratio "
+            "for motor currents. Repeatable.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Topic of a bag, or channel of an LCM log, where several have joints; one that "
+            "is unknown, such as x, lists them.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Episode of a LeRobot dataset, from 0 on; all if absent.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    skip_bad_rows: Annotated[
+        bool,
+        typer.Option(
+            "--skip-bad-rows",
+            help="Leave out rows that no recorder meant, up to 1 %, and say how many.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = False
+
+    @property
+    def reading(self) -> Reading:
+        """How logs are to be read.
+
+        Raises:
+            GeodrakeError: An option, or the mapping, cannot be read.
+        """
+        from geodrake.logs.files import Reading, read_mapping
+
+        if self.columns is not None and self.mapping is not None:
+            raise ArgumentError(
+                "--columns and --mapping are given.", advice="A mapping has numbers of columns."
+            )
+        return Reading(
+            mapping=None if self.mapping is None else read_mapping(self.mapping),
+            columns=tuple(part.strip() for part in (self.columns or "").split(",") if part.strip()),
+            rate=self.rate,
+            units=dict(_pairs("--units", [self.units or ""], "position=deg,time=ms")),
+            gains={joint: _number(joint, text) for joint, text in self._gains},
+            skip_bad_rows=self.skip_bad_rows,
+            topic=self.topic,
+            episode=self.episode,
+        )
+
+    @property
+    def _gains(self) -> list[tuple[str, str]]:
+        return _pairs("--gain", self.gain or (), "elbow_joint=13.2")
+
+
+def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
+    """What is before and after each equals sign; each name once."""
+    found: dict[str, str] = {}
+    for part in filter(None, ",".join(given).split(",")):
+        name, sign, value = (word.strip() for word in part.rpartition("="))
+        if not (name and sign and value):
+            raise ArgumentError(f"{option} has {part!r}.", advice=f"Write {option} {example}.")
+        if name in found:
+            raise ArgumentError(f"{option} names {name!r} twice.", advice="Name it once.")
+        found[name] = value
+    return list(found.items())
+
+
+def _number(joint: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ArgumentError(
+            f"--gain of {joint!r} is {text!r}, which is not a number.",
+            advice="Write --gain JOINT=VALUE.",
+        ) from None
+
+
+@contextmanager
+def proposing(logs: Sequence[Path]) -> Iterator[None]:
+    """Write a proposed mapping beside a log whose columns are not understood, and say so.
+
+    Args:
+        logs: The logs of the command.
+
+    Raises:
+        LogError: What the body raised, with where the proposal is.
+    """
+    try:
+        yield
+    except LogError as error:
+        proposal, path = error.evidence.get("proposal"), error.evidence.get("path")
+        if proposal is None or path is None:
+            raise
+        words = _written(_beside(Path(path), logs), proposal)
+        raise LogError(error.problem, advice=f"{error.advice} {words}", **error.evidence) from error
+
+
+def _beside(path: Path, logs: Sequence[Path]) -> Path:
+    """Where the proposal for a log goes: files that were joined share one, beside the first."""
+    first = Path(str(next((log for log in logs if log.name == path.name), path)).split("+")[0])
+    return first.with_name(f"{first.stem}.mapping.yaml")
+
+
+def _written(target: Path, proposal: str) -> str:
+    """Write a proposal where there is nothing yet, and what to do then, in words."""
+    from geodrake.boundary.whole_files import write_whole
+
+    if target.exists() or target.is_symlink():
+        return f"Edit {target}, which is there, and give it by --mapping."
+    try:
+        write_whole(target, proposal)
+    except OutputError:
+        return "Or say which column is what by --mapping."
+    return f"A proposal is in {target}: edit it, and give it by --mapping."

@@ -1,0 +1,174 @@
+"""How a text table is laid out: comments, header, separator, decimal point."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, islice
+from pathlib import Path
+
+from geodrake.errors import LogError
+from geodrake.logs.files.column_names import HEADER_ADVICE, check_text
+from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
+from geodrake.logs.files.reading import Reading
+
+COMMENTS = ("#", "%", "//")
+_HEADER_LINES = 1000  # of a header whose names have line ends
+_WHITESPACE = None
+
+
+@dataclass(frozen=True)
+class CsvLayout:
+    """How a table is laid out.
+
+    Attributes:
+        names: Names of its columns.
+        separator: What is between cells; None for any white space.
+        decimal: The decimal point, or comma.
+        lines: Lines that come before the rows.
+    """
+
+    names: tuple[str, ...]
+    separator: str | None
+    decimal: str
+    lines: int
+
+    def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
+        """Cells of every line that has some and is no comment, with the number of its line.
+
+        Raises:
+            csv.Error: A quote never closes.
+        """
+        if self.separator is None:
+            rows = ((k, line.split()) for k, line in enumerate(lines, 1))
+        else:
+            reader = csv.reader(lines, delimiter=self.separator)
+            rows = ((reader.line_num, cells) for cells in reader)
+        for line, cells in rows:
+            if not cells or cells[0].lstrip().startswith(COMMENTS):
+                continue
+            trailing = len(cells) == len(self.names) + 1 and not cells[-1].strip()
+            kept = cells[:-1] if trailing else cells  # a separator behind the last cell
+            yield line, [c.replace(",", ".") for c in kept] if self.decimal == "," else kept
+
+
+def csv_layout(
+    path: Path,
+    file: Iterator[str],
+    reading: Reading,
+    joints: Sequence[str] | None,
+    *,
+    numbered: bool = False,
+) -> tuple[CsvLayout, Iterator[str]]:
+    """The layout of a table, and its lines from the first row on.
+
+    Args:
+        path: The file, for messages.
+        file: Its lines.
+        reading: What the user said of it.
+        joints: The model's joints, for a proposed mapping.
+        numbered: Whether columns without names may be called by their numbers.
+
+    Raises:
+        LogError: It has no header and nobody named its columns, or the header cannot be read.
+    """
+    comment, first, count = "", "", 0
+    for first in islice(file, _HEADER_LINES):
+        plain = first.strip()
+        if plain.startswith(COMMENTS) and not plain.startswith("%time"):
+            comment = plain.lstrip("#%/ \t")
+        elif plain:
+            break
+        count += 1
+    else:
+        first = ""
+    separator = _separator(first)
+    cells, used, rest = _header_cells(path, first, file, separator)
+    if not _are_numbers(cells):
+        header = _renamed(path, reading, cells) if reading.columns else cells
+        _check_names(path, header)
+        following = next(rest, "")
+        decimal = "," if separator == ";" and "," in following else "."
+        return CsvLayout(tuple(header), separator, decimal, count + used), chain([following], rest)
+    decimal = "," if separator == ";" and "," in first else "."
+    names = _renamed(path, reading, cells) if reading.columns else None
+    names = names or _names_in_comment(cells, comment)
+    if names is None and not (numbered or reading.mapping):
+        proposal = proposed_mapping(path, cells, joints, headed=False)
+        raise with_proposal(_no_header(path, cells), path, proposal)
+    names = names or [str(k) for k in range(1, len(cells) + 1)]
+    return CsvLayout(tuple(names), separator, decimal, count), chain([first], rest)
+
+
+def _separator(line: str) -> str | None:
+    """What is between the cells of a line; commas may be decimal ones."""
+    counts = {mark: line.count(mark) for mark in (",", ";", "\t", "|")}
+    most = max(counts, key=lambda mark: counts[mark])
+    if counts[";"] and _are_numbers([c.replace(",", ".") for c in line.strip().split(";")]):
+        return ";"
+    if counts[most]:
+        return most
+    return _WHITESPACE if len(line.split()) > 1 else ","
+
+
+def _header_cells(
+    path: Path, first: str, file: Iterator[str], separator: str | None
+) -> tuple[list[str], int, Iterator[str]]:
+    """Cells of the first line, how many lines they fill, and the lines after it."""
+    if separator is None:
+        return first.split(), 1, file
+    reader = csv.reader(
+        chain([first], islice(file, _HEADER_LINES)), strict=True, delimiter=separator
+    )
+    try:
+        cells = [name.strip() for name in next(reader, [])]
+    except csv.Error as error:
+        raise LogError(
+            f"The header of log {str(path)!r} cannot be read: {error}.",
+            advice=f"Is there a quote that never closes? {HEADER_ADVICE}",
+        ) from error
+    return cells, reader.line_num, file
+
+
+def _are_numbers(cells: Sequence[str]) -> bool:
+    def is_number(cell: str) -> bool:
+        try:
+            float(cell.replace(",", "."))
+        except ValueError:
+            return False
+        return True
+
+    return any(cells) and all(map(is_number, cells))
+
+
+def _check_names(path: Path, names: Sequence[str]) -> None:
+    check_text(path, names)
+    if not any(names):
+        raise _no_header(path, names)
+
+
+def _no_header(path: Path, cells: Sequence[str]) -> LogError:
+    return LogError(
+        f"Log {str(path)!r} has no header: its first line is {','.join(cells)[:60]!r}.",
+        advice=f"{HEADER_ADVICE} Or name its columns by --columns, or by --mapping.",
+    )
+
+
+def _renamed(path: Path, reading: Reading, cells: Sequence[str]) -> Sequence[str]:
+    """The names that the user gave, as many as there are columns."""
+    if len(reading.columns) != len(cells):
+        raise LogError(
+            f"Log {str(path)!r} has {len(cells)} columns, and {len(reading.columns)} are named.",
+            advice="Name every column, in order; _ for those that are not used.",
+        )
+    return [f"_{k}" if name == "_" else name for k, name in enumerate(reading.columns, 1)]
+
+
+def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | None:
+    """Names in the comment before a first line of numbers, if they are as many."""
+    named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
+    for names in (named, comment.split()):
+        if len(names) == len(cells) and not _are_numbers(names):
+            return names
+    return None

@@ -1,0 +1,192 @@
+"""Files that say which column of a log is what: read, and proposed where names say too little."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+
+from geodrake.boundary.yaml_text import yaml_text
+from geodrake.errors import ArgumentError, LogError, ModelError
+from geodrake.logs.files.joint_matching import matched
+from geodrake.logs.files.reading import (
+    QUANTITIES,
+    ColumnMapping,
+    MappedColumn,
+    check_gain,
+    check_rate,
+)
+from geodrake.logs.files.recognition import Meaning, meaning_of
+from geodrake.logs.files.units import UNITS, unit_of
+
+MOST_COLUMNS = 500  # of a file for which a mapping is proposed
+_ASKED = ("position", "velocity", "effort")
+_FORM = (
+    "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` and "
+    "the name or number of a column, or {column: NAME, unit: deg, gain: 1.0}."
+)
+
+
+def read_mapping(path: Path) -> ColumnMapping:
+    """Read a mapping file.
+
+    Raises:
+        LogError: It cannot be read, has other keys or kinds of values, names a column twice, or
+            a unit that is not known.
+    """
+    try:
+        content = yaml.safe_load(yaml_text(path))
+    except ModelError as error:
+        raise LogError(
+            error.problem.replace("model file", "mapping"), advice=error.advice
+        ) from error
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())[:300]
+        raise LogError(f"Mapping {path} is no YAML: {reason}.", advice=_FORM) from error
+    try:
+        return _mapping(path, content)
+    except ArgumentError as error:
+        raise LogError(f"Mapping {path}: {error.problem}", advice=error.advice) from error
+
+
+def _mapping(path: Path, content: object) -> ColumnMapping:
+    content = _table(content, ("time", "rate", "joints"), "it")
+    joints = {
+        str(joint): {
+            quantity: _column(column, quantity, f"{joint}.{quantity}")
+            for quantity, column in _table(columns, QUANTITIES, f"joint {joint!r}").items()
+            if column is not None
+        }
+        for joint, columns in _table(content.get("joints"), None, "`joints`").items()
+    }
+    time = content.get("time")
+    rate = content.get("rate")
+    check_rate(rate, "`rate`")
+    mapping = ColumnMapping(
+        joints, None if time is None else _column(time, "time", "time"), rate, f"mapping {path}"
+    )
+    _check_once(mapping)
+    if time is None and rate is None:
+        raise ArgumentError("it has neither `time` nor `rate`.", advice=_FORM)
+    return mapping
+
+
+def _table(content: object, keys: Sequence[str] | None, what: str) -> Mapping[str, Any]:
+    if not isinstance(content, dict) or not content:
+        raise ArgumentError(f"{what} is {content!r:.60}, no table of keys.", advice=_FORM)
+    for key in content:
+        if keys is not None and key not in keys:
+            raise ArgumentError(f"{what} has the key {key!r}; it may have {', '.join(keys)}.")
+    return content
+
+
+def _column(content: object, quantity: str, what: str) -> MappedColumn:
+    if not isinstance(content, dict):
+        content = {"column": content}
+    _table(content, ("column", "unit", "gain"), f"{what!r}")
+    column, unit = content.get("column"), content.get("unit")
+    gain: Any = content.get("gain", 1.0)
+    if isinstance(column, bool) or not isinstance(column, str | int):
+        raise ArgumentError(f"{what!r} has the column {column!r}, no name or number.", advice=_FORM)
+    if unit is not None:
+        unit_of(str(unit), quantity)
+    check_gain(gain, f"the gain of {what!r}")
+    return MappedColumn(column, None if unit is None else str(unit), float(gain))
+
+
+def _check_once(mapping: ColumnMapping) -> None:
+    seen: dict[str | int, str] = {}
+    for name, mapped in mapping:
+        if mapped.column in seen:
+            raise ArgumentError(
+                f"it names column {mapped.column!r} twice, for {seen[mapped.column]!r} and for "
+                f"{name!r}.",
+                advice="Each column is of one quantity of one joint.",
+            )
+        seen[mapped.column] = name
+
+
+def proposed_mapping(
+    path: Path, names: Sequence[str], joints: Sequence[str] | None, *, headed: bool = True
+) -> str | None:
+    """A mapping as text, to be edited, filled in as far as the names of columns are understood.
+
+    Args:
+        path: The log, for its first line.
+        names: Its columns.
+        joints: The model's joints, if there is a model.
+        headed: Whether the file has these names; columns of others are given by their numbers.
+
+    Returns:
+        YAML with comments; None for files with too many columns for that.
+    """
+    if len(names) > MOST_COLUMNS:
+        return None
+    meanings = [m for name in names if headed and (m := meaning_of(name)) is not None]
+    time = next((m.column for m in meanings if m.quantity == "time"), None)
+    of_joints = sorted((m for m in meanings if m.quantity in QUANTITIES), key=lambda m: m.role)
+    found, _ = matched(of_joints, joints)
+    places = {(found[m.column], m.quantity): m for m in reversed(of_joints) if m.column in found}
+    own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
+    guessed = {} if meanings else _guess(names, own, headed=headed)
+    lines = [f"# How geodrake is to read {path.name!r}: edit this, and give it by --mapping."]
+    lines += ["# Columns are given by name, or by number from 1 on. Its columns are:"]
+    lines += [f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1)]
+    units = (f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
+    lines += [f"# Units: {'; '.join(units)}."]
+    lines += ["# gain: such as torque constant times gear ratio, for motor currents.", ""]
+    if guessed:
+        lines += ["# A guess by the count of the columns, to be checked:"]
+    timed = guessed.get(("", "time"), _filled(time))
+    lines += [f"time: {timed}", "# rate: 500  # Hz, in place of time", "joints:"]
+    for joint in own:
+        lines.append(f"  {_word(joint)}:")
+        for quantity in _ASKED:
+            column = guessed.get((joint, quantity), _filled_column(places.get((joint, quantity))))
+            lines.append(f"    {quantity}: {column}")
+    return "\n".join(lines) + "\n"
+
+
+def _guess(
+    names: Sequence[str], joints: Sequence[str], *, headed: bool
+) -> dict[tuple[str, str], str]:
+    """(joint, quantity) -> column, if there are as many as time and quantities of all joints."""
+    for timed in (True, False):
+        for quantities in (_ASKED, ("position", "effort")):
+            if len(names) == timed + len(joints) * len(quantities):
+                order = [("", "time")] * timed + [(j, q) for q in quantities for j in joints]
+                columns = [_word(n) if headed else str(k) for k, n in enumerate(names, 1)]
+                return dict(zip(order, columns, strict=True))
+    return {}
+
+
+def _filled_column(meaning: Meaning | None) -> str:
+    if meaning is None:
+        return _filled(None)
+    unit = f", unit: {_word(meaning.unit.name)}" if meaning.unit else ""
+    return f"{{column: {_word(meaning.column)}{unit}}}" if unit else _word(meaning.column)
+
+
+def _filled(name: str | None) -> str:
+    return "  # which column?" if name is None else _word(name)
+
+
+def _word(text: str) -> str:
+    """A text as one scalar of YAML, also within braces."""
+    return str(yaml.safe_dump([text], default_flow_style=True, width=1e9).strip()[1:-1])
+
+
+def with_proposal(error: LogError, path: Path, proposal: str | None) -> LogError:
+    """The error of a failed reading with a proposed mapping as evidence, where there is one.
+
+    Args:
+        error: What went wrong.
+        path: The log.
+        proposal: Text of the mapping.
+    """
+    if proposal is None:
+        return error
+    evidence = {**error.evidence, "path": path, "proposal": proposal}
+    return LogError(error.problem, advice=error.advice, **evidence)

@@ -1,0 +1,256 @@
+"""What the name of a column says: quantity, joint, unit, and whether it was measured.
+
+Loggers name columns as they like: `actual_q_0`, `tau_J[0]`, `AxisPos1`, `vel_shoulder`,
+`/joint_states/elbow/effort`. The names are made of few words, though, which are listed here.
+`RULES` are asked one after the other.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import zip_longest
+
+from geodrake.logs.files.reading import QUANTITIES
+from geodrake.logs.files.units import Unit, find_unit
+
+Words = tuple[str | int, ...]
+
+QUANTITY_WORDS: Mapping[str, str] = {
+    **dict.fromkeys(["position", "positions", "pos", "q", "angle", "angles", "theta"], "position"),
+    **dict.fromkeys(["qm", "qg", "qj"], "position"),
+    **dict.fromkeys(["velocity", "velocities", "vel", "qd", "dq", "qdot", "speed"], "velocity"),
+    **dict.fromkeys(["omega", "dtheta", "v"], "velocity"),
+    **dict.fromkeys(
+        ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
+    ),
+    **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
+    **dict.fromkeys(["trq", "tq", "force", "current", "currents", "cur", "load"], "effort"),
+}
+"""Words that name a quantity."""
+
+_STRONGEST = ("acceleration", "velocity", "effort", "position")  # as in q1_torque
+_DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
+_CURRENT = ("current", "currents", "cur")
+
+MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
+ROLE_WORDS: Mapping[str, int] = {
+    **dict.fromkeys(["measured", "meas", "msr", "actual", "act", "present", "feedback"], MEASURED),
+    **dict.fromkeys(["fbk", "ai", "ma", "state", "sensed", "observed"], MEASURED),
+    **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor", "qm"], MOTOR),
+    **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd"], DESIRED),
+    **dict.fromkeys(["target", "tgt", "reference", "ref", "goal", "setpoint", "set", "d"], DESIRED),
+    **dict.fromkeys(["ipo", "as", "nominal", "planned", "action"], DESIRED),
+    **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
+    **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
+    **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
+    **dict.fromkeys(["fraction", "scaling", "temperature", "voltage", "contact"], OTHER),
+}
+"""Words that say whether numbers were measured at the joint, and so which of several are taken."""
+
+ROLES = ("measured", "", "of motors", "desired", "of something else")
+_FILLERS = frozenset(
+    ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
+) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt"}
+_TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
+_NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
+_BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
+_BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[^\W\d_A-Z]+|[A-Z]+|\d+")
+_BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\])>}]*?)\s*[\])>}]\s*$")
+_INDEX = re.compile(r"\[(\d+)\]")
+_LONGEST_NAME = 200  # letters of a name of words
+_SAMPLES = ("actual", "measured", "feedback", "state", "desired", "target", "command", "reference")
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """What a column is, by its name.
+
+    Attributes:
+        column: Its name in the file.
+        quantity: time, position, velocity, acceleration or effort; nanoseconds beside seconds.
+        joint: What the name calls the joint; "" if it has a number at most.
+        words: The words of that, without those that say nothing, and its number.
+        role: Whether it was measured: the least is the best.
+        unit: Its unit, if the name says one.
+        style: What columns have in common whose joints are told apart by words alone.
+    """
+
+    column: str
+    quantity: str
+    joint: str = ""
+    words: Words = ()
+    role: int = PLAIN
+    unit: Unit | None = None
+    style: tuple[str, ...] = ()
+
+    @property
+    def number(self) -> int | None:
+        """The number of the joint, where the name has nothing else of it."""
+        only = self.words[0] if len(self.words) == 1 else None
+        return only if isinstance(only, int) else None
+
+    @property
+    def is_current(self) -> bool:
+        """Whether it is the current of a motor, by a word of its name or its unit."""
+        return bool(set(_CURRENT).intersection(self.style)) or (
+            self.unit is not None and self.unit.is_current
+        )
+
+
+def meaning_of(name: str) -> Meaning | None:
+    """What a column of that name is; None if it is none of a joint, and no time."""
+    own = _own(name)
+    if own is not None or len(name) > _LONGEST_NAME:
+        return own
+    return next((found for rule in RULES if (found := rule(name)) is not None), None)
+
+
+def quantity_of(text: str) -> str | None:
+    """The quantity that a text names, such as the name of a file."""
+    return _quantity(_split(text))
+
+
+def words_of(text: str) -> Words:
+    """The words of a joint's name that tell it from others, and its numbers."""
+    words = _split(text)
+    return _telling(words) or words
+
+
+def _telling(words: Words) -> Words:
+    """Words without those that any joint may have; `a` and `j` are such before a number."""
+    return tuple(
+        word
+        for word, following in zip_longest(words, words[1:])
+        if word not in _FILLERS and not (word in ("a", "j") and isinstance(following, int))
+    )
+
+
+def _has_name(text: str) -> bool:
+    """Whether a text has more than a number and words that any joint may have."""
+    return any(isinstance(word, str) for word in _telling(_split(text)))
+
+
+def _split(text: str) -> Words:
+    return tuple(int(w) if w.isdecimal() else w.lower() for w in _WORD.findall(text))
+
+
+def _own(name: str) -> Meaning | None:
+    """`time` and `<joint>.<quantity>`, the names of geodrake's own format."""
+    if name == "time":
+        return Meaning(name, "time", role=MEASURED, style=("time",))
+    joint, dot, quantity = name.rpartition(".")
+    if not dot or quantity not in QUANTITIES:
+        return None
+    if joint.rpartition(".")[2] in _SAMPLES and "." in joint:
+        return None  # of states and references of one joint
+    return Meaning(name, quantity, joint, words_of(joint), MEASURED, style=("own", quantity))
+
+
+def _time(name: str) -> Meaning | None:
+    """Names of time stamps, such as `Time (ms)`, `header.stamp.secs` and `%time`."""
+    plain, unit = _without_brackets(name, "time")
+    parts = [part for part in re.split(r"[_\s./]+", plain) if part]
+    if unit is None and len(parts) > 1 and parts[-1].lower() not in _TIMES | _NANOSECONDS:
+        unit = find_unit(parts[-1], "time")
+        plain = "_".join(parts[:-1]) if unit else plain
+    words = _split(plain)
+    if not words or not _BESIDE_TIME.issuperset(words):
+        return None
+    context = tuple(map(str, words[:-1]))
+    if words[-1] in _NANOSECONDS:
+        return Meaning(name, "nanoseconds", style=context)
+    if not _TIMES.intersection(words):
+        return None
+    if name.startswith("%"):
+        unit = find_unit("ns", "time")  # of `rostopic echo -p`
+    rank = 0 if "header" in words else 1 if not name.startswith(("_", "%")) else 2
+    return Meaning(name, "time", role=1 + rank, unit=unit, style=context)
+
+
+def _joint(column: str) -> Meaning | None:
+    """Names of a quantity of a joint, in whatever order."""
+    name = _INDEX.sub(r"_\1", column)
+    brackets = _BRACKETS.search(name)
+    cut = brackets.start() if brackets else len(name)
+    parts = [part for part in name[:cut].split("/") if part] or [name]
+    parts[-1] += name[cut:] if parts[-1] != name else ""
+    place = next((k for k in reversed(range(len(parts))) if _quantity(_split(parts[k]))), None)
+    if place is None:
+        return None
+    quantity = _quantity(_split(parts[place])) or ""
+    plain, unit = _without_unit(parts[place], quantity)
+    used = _used(_split(plain))
+    joint = _rest(plain, used)
+    numbers = [w for w in _split(plain) if isinstance(w, int)]
+    if not _has_name(joint) and not numbers and place > 0:
+        place -= 1
+        joint = parts[place]
+        numbers = [w for w in _split(joint) if isinstance(w, int)]
+    named = _has_name(joint)
+    words = words_of(joint) if named else tuple(numbers[-1:])
+    roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
+    role = max(roles, default=PLAIN)
+    style = (quantity, *sorted(used), *parts[:place])
+    return Meaning(column, quantity, joint if named else "", words, role, unit, style)
+
+
+RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint)
+"""What is asked of a name that is none of geodrake's own, from the most certain on."""
+
+
+def _quantity(words: Words) -> str | None:
+    """The quantity that words name."""
+    named = [w for w in words if w in QUANTITY_WORDS]
+    if len(named) > 1:  # the current position is no motor current
+        named = [w for w in named if w not in _CURRENT] or named
+    if named == ["v"] and not any(isinstance(w, int) for w in words):
+        return None
+    found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
+    quantity = next((each for each in _STRONGEST if each in found), None)
+    for word, derived in _DERIVED.items():
+        if word in words:
+            quantity = derived.get(quantity or "", quantity)
+    return quantity
+
+
+def _used(words: Words) -> frozenset[str]:
+    """The words that say the quantity and the role."""
+    return frozenset(
+        w
+        for w in words
+        if isinstance(w, str) and (w in QUANTITY_WORDS or w in ROLE_WORDS or w in _DERIVED)
+    )
+
+
+def _rest(text: str, used: frozenset[str]) -> str:
+    """What is left of a name without these words."""
+    kept = _WORD.sub(lambda found: "\0" if found[0].lower() in used else found[0], text)
+    return re.sub(r"[\s_.\-\[\]()]*\0[\s_.\-]*", "_", kept).strip(" _.-[]()")
+
+
+def _without_brackets(name: str, quantity: str) -> tuple[str, Unit | None]:
+    """A name, and the unit that was in brackets behind it."""
+    found = _BRACKETS.search(name)
+    unit = find_unit(found[1], quantity) if found else None
+    return (name[: found.start()], unit) if found and unit else (name, None)
+
+
+def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
+    """A name without its unit, in brackets or as a part of its own: `q_deg_1`, `torque_Nmm`."""
+    plain, unit = _without_brackets(name, quantity)
+    if unit is not None:
+        return plain, unit
+    parts = re.split(r"[_\s]+", name)
+    for count in (2, 1):
+        for first in range(len(parts) - count, 0, -1):
+            text = "_".join(parts[first : first + count])
+            last = first + count == len(parts)
+            if len(text) < 2 and not (last and len(parts) > 2 and text in ("A", "N")):
+                continue
+            unit = find_unit(text, quantity)
+            if unit is not None and (last or parts[-1].isdecimal()):
+                return "_".join(parts[:first] + parts[first + count :]), unit
+    return name, None

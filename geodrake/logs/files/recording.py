@@ -1,0 +1,140 @@
+"""The numbers of a log while its file is read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.files.column_names import Columns, Source
+from geodrake.logs.files.torn_rows import TornRows
+from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
+
+LEAST_ROWS = 10
+_LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
+_EPOCH = {1e-9: 1e17, 1e-6: 1e14, 1e-3: 1e11}  # factor to s of stamps that are larger than this
+
+
+class Recording:
+    """Arrays of a log while its file is read, block by block or at once.
+
+    Every number is held once: ten million rows of seven joints fill more than a gigabyte.
+    """
+
+    def __init__(self, columns: Columns, rows: int) -> None:
+        """Room for so many rows.
+
+        Raises:
+            LogError: There is none: with what is made of them they would fill the memory.
+        """
+        self.columns = columns
+        needed, there = 8 * rows * len(columns.names), _memory()
+        if needed > _LARGEST_SHARE * there:
+            raise LogError(
+                f"Log {str(columns.path)!r} has {rows} rows of {len(columns.names)} numbers, "
+                f"{needed / 1e9:.3g} GB; this machine has {there / 1e9:.3g} GB of memory.",
+                advice="Give excerpts of it, or fewer columns.",
+                rows=rows,
+            )
+        self.torn = TornRows(columns.path, rows, columns.reading.skip_bad_rows)
+        self.time = np.empty(rows)
+        self._start: float | None = None
+        self._places = {joint: place for place, joint in enumerate(columns.joints)}
+        shape = (rows, len(columns.joints))
+        self._standing = {joint: np.empty(rows) for joint in columns.standing}
+        self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
+
+    def put(self, rows: slice, numbers: Mapping[str, Array]) -> None:
+        """Put numbers into some rows.
+
+        Args:
+            rows: Samples that the numbers are of.
+            numbers: Column of the file -> (n,) its numbers in these rows; those of
+                `Columns.files`, or some of them.
+        """
+        for name in self.columns.names:
+            source = self.columns.sources.get(name)
+            if source is not None and numbers.keys() >= set(source.columns):
+                self._target(name)[rows] = self._converted(source, numbers)
+
+    def _target(self, name: str) -> Array:
+        """(N,) where the numbers of a column go."""
+        if name == "time":
+            return self.time
+        joint, quantity = name.rsplit(".", 1)
+        if joint in self._standing:
+            return self._standing[joint]
+        return self.values[quantity][:, self._places[joint]]
+
+    def _converted(self, source: Source, numbers: Mapping[str, Array]) -> Array:
+        values = numbers[source.column]
+        if source.nanoseconds is not None:  # from the first second on, so that no digits are lost
+            if self._start is None:
+                self._start = float(values[np.isfinite(values)][:1].sum())
+            values = (values - self._start) + 1e-9 * numbers[source.nanoseconds]
+        return values if source.factor == 1.0 else source.factor * values
+
+    def log(self, rows: int) -> JointLog:
+        """The log of the first so many rows.
+
+        Raises:
+            LogError: They are too few, or some are bad.
+        """
+        path = self.columns.path
+        if rows < LEAST_ROWS:
+            raise LogError(
+                f"Log {str(path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
+                advice="Record several seconds of motion.",
+            )
+        if self.columns.rate is not None:
+            self.time[:rows] = np.arange(rows) / self.columns.rate
+        time, notes = self._seconds(self.time[:rows])
+        kept, torn = self.torn.settle(time)
+        values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
+        if kept is not None:
+            time = time[kept]
+            values = {quantity: numbers[kept] for quantity, numbers in values.items()}
+        return JointLog(
+            path.stem,
+            self.columns.joints,
+            time,
+            values["position"],
+            values["effort"],
+            values.get("velocity"),
+            values.get("acceleration"),
+            (*self.columns.notes, *notes, *torn),
+            standing={joint: self._place(joint, rows) for joint in self._standing},
+        )
+
+    def _place(self, joint: str, rows: int) -> float:
+        """Where a joint stands whose effort is not there; NaN if it moves."""
+        numbers = self._standing[joint][:rows]
+        numbers = numbers[np.isfinite(numbers)]
+        still = len(numbers) and np.ptp(numbers) <= _STILL
+        return float(numbers.mean()) if still else np.nan
+
+    def _seconds(self, time: Array) -> tuple[Array, tuple[str, ...]]:
+        """Time stamps in s, where they are of an epoch in ms, µs or ns, and a note of that."""
+        source = self.columns.sources.get("time")
+        if source is None or source.unit is not None or source.nanoseconds is not None:
+            return time, ()
+        typical = float(np.nanmedian(time)) if np.isfinite(time).any() else 0.0
+        for factor, least in _EPOCH.items():
+            if typical > least:
+                name = {1e-9: "ns", 1e-6: "µs", 1e-3: "ms"}[factor]
+                return factor * time, (f"time is in {name} since 1970, by its size: converted",)
+        return time, ()
+
+
+def _memory() -> int:
+    """Bytes of memory of this machine, where its system tells; else more than any log needs."""
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 1 << 62

@@ -1,0 +1,282 @@
+"""Which column of a file is which quantity of which joint: by names, or by a mapping."""
+
+from __future__ import annotations
+
+import difflib
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geodrake.errors import LogError
+from geodrake.logs.files.column_names import (
+    HEADER_ADVICE,
+    Columns,
+    Source,
+    check_text,
+    check_twice,
+    listed,
+)
+from geodrake.logs.files.column_words import choice_words, unit_words
+from geodrake.logs.files.joint_matching import matched
+from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
+from geodrake.logs.files.reading import QUANTITIES, ColumnMapping, Reading
+from geodrake.logs.files.recognition import Meaning, meaning_of
+from geodrake.logs.files.units import Unit, find_unit, unit_of
+from geodrake.logs.motion import check_joints
+
+_MAPPING_ADVICE = "Or say which column is what by --mapping."
+
+
+def columns_of(
+    path: Path,
+    names: Sequence[str],
+    joints: Sequence[str] | None,
+    reading: Reading | None = None,
+    units: Mapping[str, str] | None = None,
+    *,
+    partial: bool = False,
+) -> Columns:
+    """The columns of a file with these names, joints in the order given if any is.
+
+    Args:
+        path: The file, for messages.
+        names: All columns of the file, in its order.
+        joints: Names of the model's joints, which the log must have, in the order that it shall
+            have them in; None for the order of the file.
+        reading: What the user said of the file.
+        units: Units of columns, where the file states them.
+        partial: Whether the log may lack some of the model's joints, or their efforts.
+
+    Raises:
+        LogError: Time, or a joint's position or effort, is missing, or the joints are others.
+    """
+    reading = reading or Reading()
+    check_text(path, names)
+    if reading.mapping is not None:
+        understood = _Understood.by_mapping(path, names, reading, reading.mapping)
+        return understood.columns(*understood.joints(joints, partial=partial))
+    understood = _Understood.by_names(path, names, joints, reading, units or {})
+    try:
+        own, standing = understood.joints(joints, partial=partial)
+    except LogError as error:
+        raise with_proposal(error, path, proposed_mapping(path, names, joints)) from error
+    return understood.columns(own, standing)
+
+
+@dataclass(frozen=True)
+class _Understood:
+    """Which column of a file is which quantity of which joint, before that is checked.
+
+    Attributes:
+        path: The file.
+        names: Its columns.
+        reading: What the user said of it.
+        places: (joint, quantity) -> source, in the order of the file; `("", "time")` is time.
+        notes: What was noticed.
+        rate: Rows a second, Hz.
+        own: Whether joints are those of geodrake's own names, of which none is left out unasked.
+    """
+
+    path: Path
+    names: Sequence[str]
+    reading: Reading
+    places: Mapping[tuple[str, str], Source]
+    notes: tuple[str, ...]
+    rate: float | None
+    own: frozenset[str]
+
+    @classmethod
+    def by_names(
+        cls,
+        path: Path,
+        names: Sequence[str],
+        joints: Sequence[str] | None,
+        reading: Reading,
+        units: Mapping[str, str],
+    ) -> _Understood:
+        """What the names of the columns say."""
+        meanings = [meaning for name in names if (meaning := meaning_of(name)) is not None]
+        of_joints = [meaning for meaning in meanings if meaning.quantity in QUANTITIES]
+        found, notes = matched(of_joints, joints)
+        best: dict[tuple[str, str], list[Meaning]] = defaultdict(list)
+        for meaning in of_joints:
+            if meaning.column in found:
+                best[found[meaning.column], meaning.quantity].append(meaning)
+        for same in best.values():
+            same.sort(key=_preference)
+        places = {}
+        for (joint, quantity), same in best.items():
+            unit = _unit(same[0], quantity, reading, units)
+            places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
+        if reading.rate is None:
+            places |= _time(path, names, meanings, reading, units)
+        own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
+        notes = (*notes, *choice_words(best))
+        return cls(path, names, reading, places, notes, reading.rate, own)
+
+    @classmethod
+    def by_mapping(
+        cls, path: Path, names: Sequence[str], reading: Reading, mapping: ColumnMapping
+    ) -> _Understood:
+        """What a mapping says."""
+        places = {}
+        for name, mapped in mapping:
+            column, (joint, _, quantity) = mapped.column, name.rpartition(".")
+            if isinstance(column, int):  # by number, unless that is a name
+                by_number = names[column - 1] if 0 < column <= len(names) else str(column)
+                column = str(column) if str(column) in names else by_number
+            if column not in names:
+                raise LogError(
+                    f"Log {str(path)!r} has no column {column!r}, which {mapping.source} names for "
+                    f"{name!r}; it has {listed(names)}.",
+                    advice="Correct the mapping.",
+                )
+            text = mapped.unit or reading.units.get(quantity)
+            unit = unit_of(text, quantity) if text else None
+            factor = mapped.gain * (unit.factor if unit else 1.0)
+            places[joint, quantity] = Source(column, factor, unit)
+        rate = reading.rate or mapping.rate
+        if rate is not None:
+            places.pop(("", "time"), None)
+        return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
+
+    def joints(
+        self, wanted: Sequence[str] | None, *, partial: bool
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Joints of the log to be, in their order, and those of which there is the position alone.
+
+        Args:
+            wanted: The model's joints, if the log must have them.
+            partial: Whether it may lack some of them, or their efforts.
+
+        Raises:
+            LogError: Time, a position, an effort or a joint is missing.
+        """
+        if self.rate is None and ("", "time") not in self.places:
+            close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1, 0.4)
+            raise LogError(
+                f"Log {str(self.path)!r} has no column 'time'; it has {listed(self.names)}.",
+                advice=(f"Is it {close[0]!r}? " if close else "")
+                + f"{HEADER_ADVICE} Without time, give the rows a second by --rate.",
+            )
+        moved, heard = self._having("position"), set(self._having("effort"))
+        silent = [joint for joint in moved if joint not in heard]
+        if len(silent) == len(moved):
+            raise LogError(
+                f"Log {str(self.path)!r} has no joint with both position and effort; positions: "
+                f"{listed(moved)}; efforts: {listed(self._having('effort'))}.",
+                advice="A log without effort says nothing about dynamics. "
+                f"{HEADER_ADVICE} {_MAPPING_ADVICE}",
+            )
+        standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
+        if standing and not partial:
+            raise LogError(
+                f"Log {str(self.path)!r} is a log without effort of {', '.join(standing)}: the "
+                "position is there, the effort is not.",
+                advice="Log that joint's effort too, or leave its columns out.",
+                joints=standing,
+            )
+        own = tuple(joint for joint in moved if joint in heard)
+        if wanted is None:
+            return own, standing
+        check_joints(self.path.stem, [*own, *standing], wanted, partial=partial)
+        return tuple(joint for joint in wanted if joint in own), standing
+
+    def columns(self, joints: Sequence[str], standing: Sequence[str]) -> Columns:
+        """What is read for these joints.
+
+        Args:
+            joints: Joints with position and effort.
+            standing: Joints with positions alone.
+
+        Raises:
+            LogError: A column that is needed is there twice, or a gain is of no joint.
+        """
+        used = {c for source in self.places.values() for c in source.columns}
+        check_twice(self.path, self.names, used)
+        _check_gains(self.reading.gains, joints)
+        quantities, notes = [], list(self.notes)
+        for quantity in QUANTITIES:
+            missing = [f"{j}.{quantity}" for j in joints if (j, quantity) not in self.places]
+            if not missing:
+                quantities.append(quantity)
+            elif len(missing) < len(joints):
+                notes.append(f"{quantity} is not used: there is no {listed(missing)}")
+        sources = {
+            f"{joint}.{quantity}" if joint else quantity: self._scaled(joint, quantity)
+            for joint, quantity in self.places
+            if quantity == "time"
+            or (joint in joints and quantity in quantities)
+            or (joint in standing and quantity == "position")
+        }
+        notes += unit_words(sources, self.reading)
+        kept = {
+            c
+            for (j, _), source in self.places.items()
+            if j in ("", *joints, *standing)
+            for c in source.columns
+        }
+        others = [name for name in self.names if name not in kept]
+        notes += [f"columns ignored: {listed(others)}"] if others else []
+        return Columns(
+            self.path,
+            tuple(joints),
+            tuple(quantities),
+            tuple(notes),
+            sources,
+            self.rate,
+            self.reading,
+            tuple(standing),
+        )
+
+    def _having(self, quantity: str) -> list[str]:
+        """Joints with a quantity, in the order of the file."""
+        return [joint for joint, other in self.places if other == quantity]
+
+    def _scaled(self, joint: str, quantity: str) -> Source:
+        """The source of a column, with the gain of efforts."""
+        source = self.places[joint, quantity]
+        gain = self.reading.gains.get(joint, 1.0) if quantity == "effort" else 1.0
+        return source if gain == 1.0 else replace(source, factor=gain * source.factor)
+
+
+def _preference(meaning: Meaning) -> tuple[bool, int, bool]:
+    """The least is taken, of several columns of one quantity of one joint."""
+    return meaning.style[0] != "own", meaning.role, meaning.is_current
+
+
+def _unit(
+    meaning: Meaning, quantity: str, reading: Reading, units: Mapping[str, str]
+) -> Unit | None:
+    """The unit of a column: as the user says, as its name says, as the file states."""
+    if quantity in reading.units:
+        return unit_of(reading.units[quantity], quantity)
+    return meaning.unit or find_unit(units.get(meaning.column, ""), quantity)
+
+
+def _time(
+    path: Path,
+    names: Sequence[str],
+    meanings: Sequence[Meaning],
+    reading: Reading,
+    units: Mapping[str, str],
+) -> dict[tuple[str, str], Source]:
+    """The column of time, the likeliest of several; with one of nanoseconds beside it."""
+    times = sorted((m for m in meanings if m.quantity == "time"), key=lambda m: m.role)
+    if not times:
+        return {}
+    time = times[0]
+    beside = [m for m in meanings if m.quantity == "nanoseconds" and m.style == time.style]
+    unit = _unit(time, "time", reading, units)
+    nanoseconds = beside[0].column if beside else None
+    return {("", "time"): Source(time.column, unit.factor if unit else 1.0, unit, nanoseconds)}
+
+
+def _check_gains(gains: Mapping[str, float], joints: Sequence[str]) -> None:
+    for joint in gains:
+        if joint not in joints:
+            raise LogError(
+                f"There is a gain of {joint!r}, which is no joint of the log.",
+                advice=f"Its joints are: {listed(joints)}.",
+            )

@@ -1,0 +1,122 @@
+"""Units that columns of a log may be in, and how many SI units each is."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from geodrake.errors import ArgumentError
+
+_ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+_EFFORTS = {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "kN": 1e3}
+_CURRENTS = {"A": 1.0, "mA": 1e-3}
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": _TIMES,
+    "position": _ANGLES | _LENGTHS,
+    "velocity": {f"{unit}/s": factor for unit, factor in (_ANGLES | _LENGTHS).items()}
+    | {"rpm": 2 * math.pi / 60},
+    "acceleration": {f"{unit}/s²": factor for unit, factor in (_ANGLES | _LENGTHS).items()},
+    "effort": _EFFORTS | _CURRENTS,
+}
+"""Quantity -> unit -> how many rad, m, s, N·m, N (or A) it is."""
+
+_SPELLINGS = {
+    "°": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "rads": "rad/s",
+    "degs": "deg/s",
+    "rps": "rev/s",
+    "turn": "rev",
+    "turns": "rev",
+    "revs": "rev",
+    "1/min": "rpm",
+    "sec": "s",
+    "secs": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "millis": "ms",
+    "milliseconds": "ms",
+    "µs": "us",
+    "μs": "us",
+    "usec": "us",
+    "nsec": "ns",
+    "nsecs": "ns",
+    "nanosec": "ns",
+    "nanosecs": "ns",
+    "amp": "A",
+    "amps": "A",
+}
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit of a quantity.
+
+    Attributes:
+        name: How it is written here.
+        factor: How many SI units it is.
+    """
+
+    name: str
+    factor: float
+
+    @property
+    def is_current(self) -> bool:
+        """Whether it is one of motor currents, which no factor alone makes efforts."""
+        return self.name in _CURRENTS
+
+
+def unit_of(text: str, quantity: str) -> Unit:
+    """The unit that a text stands for.
+
+    Args:
+        text: A unit as people write it, such as `deg`, `°/s`, `N·mm` or `rad_s`.
+        quantity: What is in it: time, position, velocity, acceleration or effort.
+
+    Raises:
+        ArgumentError: There is no such unit, or no such quantity.
+    """
+    if quantity not in UNITS:
+        raise ArgumentError(
+            f"There is no quantity {quantity!r} that has a unit.",
+            advice=f"Quantities are {', '.join(UNITS)}.",
+        )
+    unit = find_unit(text, quantity)
+    if unit is None:
+        raise ArgumentError(
+            f"{text!r} is no known unit of {quantity}.",
+            advice=f"Known are {', '.join(UNITS[quantity])}; others as a gain to SI.",
+        )
+    return unit
+
+
+def find_unit(text: str, quantity: str) -> Unit | None:
+    """The unit that a text stands for, or None; see `unit_of`."""
+    known = UNITS.get(quantity, {})
+    for name in _spelled(text.strip()):
+        if name in known:
+            return Unit(name, known[name])
+    return None
+
+
+def _spelled(text: str) -> list[str]:
+    """How a unit may be written here: as it is, without dots, with a stroke, in small letters."""
+    plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
+    over = re.sub(r"(?:_|per)(s|min)", r"/\1", plain)
+    over = over.replace("/s/s", "/s²").replace("/sec", "/s")
+    found = [plain, over]
+    for each in (plain, over):
+        head, stroke, tail = each.partition("/")
+        found += [_SPELLINGS.get(each.lower(), each), _SPELLINGS.get(head.lower(), head)]
+        found[-1] += stroke + tail
+        found.append(found[-1].lower())
+    return ["rev/s" if each == "rev/s" else each.replace("rev/min", "rpm") for each in found]

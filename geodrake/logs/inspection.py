@@ -1,0 +1,162 @@
+"""What was understood of a log: columns, rates, gaps, units, rest, and what sensors did wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.files import Reading, understand
+from geodrake.logs.files.column_names import Columns
+from geodrake.logs.motion import JointLog
+from geodrake.logs.sensor_faults import without_faults
+from geodrake.logs.unit_hints import position_unit_hint
+
+Array = NDArray[np.float64]
+
+_GAP_STEPS, _GAP_SECONDS = 5.0, 0.02  # a longer step is a gap, as for UniformLog
+_WINDOW, _STILL = 0.25, 2e-3  # s, and rad or m by which a joint at rest may move in them
+_SHORTEST_REST = 0.5  # s
+
+
+@dataclass(frozen=True)
+class UnderstoodColumn:
+    """A column of a log and where it comes from.
+
+    Attributes:
+        joint: The joint.
+        quantity: What is measured.
+        column: Name of the column in the file.
+        unit: The unit that it was in; "" for SI.
+        factor: What its numbers were multiplied by.
+        lowest: Least value, SI; NaN if there is none.
+        highest: Largest value, SI; NaN if there is none.
+        empty: How many cells are empty.
+    """
+
+    joint: str
+    quantity: str
+    column: str
+    unit: str
+    factor: float
+    lowest: float
+    highest: float
+    empty: int
+
+
+@dataclass(frozen=True, eq=False)
+class LogInspection:
+    """What was understood of a log.
+
+    Attributes:
+        log: The log, without what its sensors did wrong.
+        time_column: The column of time; "" where a rate says it.
+        columns: Columns of all joints and quantities, in the order of the joints.
+        period: Typical time between rows, s.
+        jitter: Standard deviation of the time between rows, gaps left out, s.
+        gaps: Instant and length of every gap, s.
+        rests: First and last instant of stretches in which no joint moves, s.
+        notes: What was noticed while reading, and what sensors did wrong.
+    """
+
+    log: JointLog
+    time_column: str
+    columns: tuple[UnderstoodColumn, ...]
+    period: float
+    jitter: float
+    gaps: tuple[tuple[float, float], ...]
+    rests: tuple[tuple[float, float], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def seconds(self) -> float:
+        """From the first row to the last, s."""
+        time = _known(self.log.time)
+        return float(time[-1] - time[0])
+
+    @property
+    def rest(self) -> float:
+        """Time at rest, s."""
+        return sum(last - first for first, last in self.rests)
+
+
+def inspect_log(
+    path: str | Path,
+    *,
+    joints: Sequence[str] | None = None,
+    partial: bool = False,
+    reading: Reading | None = None,
+) -> LogInspection:
+    """Read a log, and find out what there is to say of it without a model.
+
+    Args:
+        path: The file; see `read_log`.
+        joints: Names of a model's joints, if the log must have them.
+        partial: Whether it may lack some of these.
+        reading: How the file is to be read.
+
+    Raises:
+        LogError: It cannot be read.
+    """
+    raw, columns = understand(path, joints=joints, partial=partial, reading=reading)
+    notes = []
+    try:
+        log = without_faults(raw)
+    except LogError as error:  # of sensors that failed for good: there is still much to show
+        log, notes = raw, [error.problem]
+    steps = np.diff(_known(log.time))
+    period = float(np.median(steps))
+    gap = steps > max(_GAP_STEPS * period, _GAP_SECONDS)
+    hint = position_unit_hint(log)
+    return LogInspection(
+        log,
+        columns.sources["time"].column if "time" in columns.sources else "",
+        tuple(_columns(raw, columns)),
+        period,
+        float(steps[~gap].std()) if (~gap).any() else 0.0,
+        tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
+        tuple(_rests(log, period)),
+        (*log.notes, *notes, *([hint] if hint else [])),
+    )
+
+
+def _known(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
+def _columns(log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
+    for place, joint in enumerate(log.joints):
+        for quantity in columns.quantities:
+            source = columns.sources[f"{joint}.{quantity}"]
+            values = getattr(log, quantity)[:, place]
+            known = _known(values)
+            ends = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
+            yield UnderstoodColumn(
+                joint,
+                quantity,
+                source.column,
+                source.unit.name if source.unit else "",
+                source.factor,
+                *ends,
+                len(values) - len(known),
+            )
+
+
+def _rests(log: JointLog, period: float) -> Iterator[tuple[float, float]]:
+    """Stretches in which the positions of all joints stay."""
+    rows = max(2, round(_WINDOW / period)) if period > 0 else 2
+    count = len(log) // rows
+    blocks = log.position[: count * rows].reshape(count, rows, -1)
+    with np.errstate(invalid="ignore"):
+        still = np.all(blocks.max(axis=1) - blocks.min(axis=1) <= _STILL, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    for first, last in pairwise(edges.tolist()):
+        if still[first]:
+            start, end = log.time[first * rows], log.time[min(last * rows, len(log) - 1)]
+            if end - start >= _SHORTEST_REST:
+                yield float(start), float(end)

@@ -1,0 +1,148 @@
+"""What names of columns say, and which joints of a model they are of."""
+
+import pytest
+
+from geodrake.logs.files.joint_matching import matched
+from geodrake.logs.files.recognition import MEASURED, meaning_of
+
+UR = tuple(
+    f"{name}_joint"
+    for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+)
+PANDA = tuple(f"panda_joint{k}" for k in range(1, 8))
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+IIWA = tuple(f"iiwa_joint_{k}" for k in range(1, 8))
+
+NAMES = [
+    ("elbow.position", "position", "elbow", None),
+    ("actual_q_0", "position", "", 0),
+    ("actual_qd_0", "velocity", "", 0),
+    ("actual_current_0", "effort", "", 0),
+    ("target_moment_0", "effort", "", 0),
+    ("q1", "position", "", 1),
+    ("q_1", "position", "", 1),
+    ("dq1", "velocity", "", 1),
+    ("q_dot_1", "velocity", "", 1),
+    ("tau1", "effort", "", 1),
+    ("tau_J[3]", "effort", "", 3),
+    ("/joint_states/position[2]", "position", "", 2),
+    ("/joint_states/elbow_joint/velocity", "velocity", "elbow_joint", None),
+    ("pos_shoulder", "position", "shoulder", None),
+    ("vel_shoulder", "velocity", "shoulder", None),
+    ("shoulder_eff", "effort", "shoulder", None),
+    ("AxisPos1", "position", "", 1),
+    ("MeasuredJointPosition_A1", "position", "", 1),
+    ("MACur.A1", "effort", "", 1),
+    ("joint_position_measured_3", "position", "", 3),
+    ("field.effort4", "effort", "", 4),
+    ("q1_torque", "effort", "", 1),
+    ("present_position_2", "position", "", 2),
+    ("motor_current_2", "effort", "", 2),
+    ("acc_2", "acceleration", "", 2),
+]
+
+
+@pytest.mark.parametrize(("name", "quantity", "joint", "number"), NAMES)
+def test_names_of_loggers(name, quantity, joint, number):
+    meaning = meaning_of(name)
+    assert (meaning.quantity, meaning.joint, meaning.number) == (quantity, joint, number)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("time", "Time", "t", "timestamp", "stamp", "__time", "%time", "header.stamp"),
+        *("header.stamp.secs", "/joint_states/header/stamp/sec", "Time (ms)", "time_us"),
+        "elapsed time [s]",
+    ],
+)
+def test_names_of_time(name):
+    assert meaning_of(name).quantity == "time"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("O_T_EE[3]", "actual_execution_time", "mode", "robot_status", "", "é", "col7"),
+        *("speed_of_light/", "[]", "///", "q" * 500, "x" * 10_000, "_", "1", "v"),
+    ],
+)
+def test_names_that_say_nothing_or_are_odd(name):
+    meaning = meaning_of(name)
+    assert meaning is None or meaning.quantity != "time"
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "factor"),
+    [
+        ("position_deg", "deg", 0.017453292519943295),
+        ("q1[deg]", "deg", 0.017453292519943295),
+        ("q_deg_1", "deg", 0.017453292519943295),
+        ("speed1 (rpm)", "rpm", 0.10471975511965977),
+        ("vel_1[deg/s]", "deg/s", 0.017453292519943295),
+        ("velocity_1_rad_s", "rad/s", 1.0),
+        ("torque_1_Nmm", "Nmm", 1e-3),
+        ("tau1 [N·m]", "Nm", 1.0),
+        ("current_mA_2", "mA", 1e-3),
+        ("time_ms", "ms", 1e-3),
+        ("Time[us]", "us", 1e-6),
+        ("%time", "ns", 1e-9),
+        ("pos_1 (mm)", "mm", 1e-3),
+    ],
+)
+def test_units_in_names(name, unit, factor):
+    found = meaning_of(name).unit
+    assert found.name == unit
+    assert found.factor == pytest.approx(factor)
+
+
+def joints_of(names, joints):
+    return matched([meaning_of(name) for name in names], joints)
+
+
+@pytest.mark.parametrize(
+    ("names", "joints"),
+    [
+        ([f"actual_q_{k}" for k in range(6)], UR),
+        ([f"q{k}" for k in range(1, 7)], UR),
+        ([f"pos_{joint.removesuffix('_joint')}" for joint in UR], UR),
+        ([f"/joint_states/{joint}/position" for joint in UR], UR),
+        ([f"q[{k}]" for k in range(7)], PANDA),
+        ([f"joint{k}.position" for k in range(1, 8)], PANDA),
+        ([f"axisQMsr_LBR_iiwa_7_R800_1[{k}]" for k in range(7)], IIWA),
+        ([f"AIPos.A{k}" for k in range(1, 8)], IIWA),
+        (["position"], ("axis",)),
+        (["wrist_1_pos", "wrist_2_pos"], ("left_wrist_1", "left_wrist_2")),
+    ],
+)
+def test_joints_in_the_models_order(names, joints):
+    found, _ = joints_of(names, joints)
+    assert tuple(found[name] for name in names) == joints
+
+
+def test_the_order_is_said_to_be_assumed():
+    _, notes = joints_of([f"actual_q_{k}" for k in range(6)], UR)
+    assert "actual_q_0 … actual_q_5" in notes[0]
+    assert "model's order" in notes[0]
+    assert not joints_of([f"q[{k}]" for k in range(7)], PANDA)[1]  # their names have the numbers
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_fewer_columns_than_joints_only_by_their_numbers(first):
+    names = [f"q{k + first}" for k in range(7)]
+    found, _ = joints_of(names, PANDA + FINGERS)
+    assert tuple(found[name] for name in names) == PANDA
+    found, _ = joints_of([f"q{k + first}" for k in range(5)], UR)
+    assert not set(UR).intersection(found.values())
+
+
+def test_names_that_may_be_of_two_joints_are_of_none():
+    joints = ("left_wrist_1", "right_wrist_1")
+    found, _ = joints_of(["wrist_1_pos"], joints)
+    assert not set(joints).intersection(found.values())
+
+
+def test_measured_before_desired():
+    assert meaning_of("actual_q_0").role == MEASURED
+    roles = [meaning_of(n).role for n in ("tau_J[0]", "tau_J_d[0]", "tau_ext_hat_filtered[0]")]
+    assert roles == sorted(set(roles))

@@ -1,0 +1,397 @@
+"""Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs.files import log_of, read_log, read_mapping
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.table import LogTable
+
+UR = tuple(
+    f"{name}_joint"
+    for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+)
+PANDA = tuple(f"panda_joint{k}" for k in range(1, 8))
+IIWA = tuple(f"iiwa_joint_{k}" for k in range(1, 8))
+ROWS = 200
+
+
+def motion(joints, rate=500.0):
+    """Time (N,), and positions, velocities and efforts (N, n) of a motion in plain formulas."""
+    time = np.arange(ROWS) / rate
+    speed = 2.0 + np.arange(len(joints))
+    angle = time[:, None] * speed
+    return time, 0.4 * np.sin(angle), 0.4 * speed * np.cos(angle), 3.0 * np.sin(angle) + speed
+
+
+def write(path, names, columns, separator=",", head=""):
+    table = np.column_stack(columns)
+    lines = [separator.join(repr(float(x)) for x in row) for row in table]
+    path.write_text(head + "\n".join([separator.join(names), *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def indexed(name, count, form="{}_{}", first=0):
+    return [form.format(name, k) for k in range(first, first + count)]
+
+
+def check(log, joints, q, v, tau):
+    assert log.joints == joints
+    assert np.allclose(log.position, q, atol=1e-12)
+    assert (v is None) == (log.velocity is None)
+    assert v is None or np.allclose(log.velocity, v, atol=1e-12)
+    assert np.allclose(log.effort, tau, atol=1e-12)
+
+
+def test_universal_robots_rtde(tmp_path):
+    """As `record.py` of Universal Robots' RTDE client library writes it: one space between."""
+    time, q, v, tau = motion(UR)
+    other = np.zeros((ROWS, 6))
+    blocks = {
+        "target_q": q + 0.01,
+        "target_qd": v + 0.01,
+        "target_moment": tau + 0.1,
+        "actual_q": q,
+        "actual_qd": v,
+        "actual_current": tau / 10,
+        "actual_TCP_pose": other,
+        "actual_TCP_speed": other,
+        "actual_TCP_force": other,
+    }
+    names = ["timestamp", *(n for block in blocks for n in indexed(block, 6)), "robot_mode"]
+    columns = [time + 5000.0, *blocks.values(), np.full(ROWS, 7.0)]
+    path = write(tmp_path / "robot_data.csv", names, columns, " ")
+    gains = dict.fromkeys(UR, 10.0)
+    log = read_log(path, joints=UR, reading=Reading(gains=gains))
+    check(log, UR, q, v, tau)
+    assert log.time[0] == 5000.0
+    said = " ".join(log.notes)
+    for words in ("actual_q_0 … actual_q_5 taken", "target_q_0", "desired", "model's order"):
+        assert words in said
+    without = " ".join(read_log(path, joints=UR).notes)
+    assert "motor currents" in without
+    assert "motor currents" not in said
+
+
+def test_franka_control_records(tmp_path):
+    """As libfranka's `logToCSV` names the columns of a record."""
+    time, q, v, tau = motion(PANDA, rate=1000.0)
+    form, columns, names = "{}[{}]", [1000.0 * time], ["time"]
+    for block, values in {
+        "q_d": q + 1,
+        "dq_d": v + 1,
+        "q": q,
+        "dq": v,
+        "tau_J_d": tau + 1,
+        "tau_J": tau,
+        "dtau_J": tau + 2,
+        "tau_ext_hat_filtered": tau + 3,
+    }.items():
+        names += indexed(block, 7, form)
+        columns.append(values)
+    names += indexed("O_T_EE", 16, form)
+    path = write(tmp_path / "log.csv", names, [*columns, np.zeros((ROWS, 16))])
+    log = read_log(path, joints=PANDA, reading=Reading(units={"time": "ms"}))
+    check(log, PANDA, q, v, tau)
+    assert np.allclose(log.time, time)
+    assert "time is in ms, as asked for: converted" in log.notes
+
+
+@pytest.mark.parametrize("layout", ["measured", "axis", "lcm", "sunrise"])
+def test_kuka(tmp_path, layout):
+    time, q, _, tau = motion(IIWA, rate=200.0)
+    deg = np.rad2deg(q)
+    blocks = {
+        "measured": ("{}_A{}", 1, {"MeasuredJointPosition": q, "MeasuredTorque": tau}),
+        "axis": ("{}{} [deg]", 1, {"AxisPos": deg}),
+        "lcm": (
+            "{}[{}]",
+            0,
+            {
+                "joint_position_measured": q,
+                "joint_position_commanded": q + 1,
+                "joint_position_ipo": q + 2,
+                "joint_torque_measured": tau,
+                "joint_torque_commanded": tau + 1,
+                "joint_torque_external": tau + 2,
+            },
+        ),
+        "sunrise": (
+            "{}_LBR_iiwa_7_R800_1[{}]",
+            0,
+            {"axisQMsr": q, "axisTauMsr": tau, "axisTauExtMsr": tau + 1},
+        ),
+    }[layout]
+    form, first, values = blocks
+    names = [n for block in values for n in indexed(block, 7, form, first)]
+    columns = list(values.values())
+    if layout == "axis":
+        names += indexed("AxisTorque", 7, "{}{} [Nm]", 1)
+        columns.append(tau)
+    path = write(tmp_path / "kuka.log", ["Time", *names], [time, *columns], "\t")
+    log = read_log(path, joints=IIWA)
+    check(log, IIWA, q, None, tau)
+    assert any("deg" in note for note in log.notes) == (layout == "axis")
+
+
+def test_stamps_of_ros_and_arrays_of_joint_states(tmp_path):
+    time, q, v, tau = motion(UR)
+    seconds, rest = np.divmod(np.round(1e9 * time).astype(int), 10**9)
+    names = ["/joint_states/header/stamp/sec", "/joint_states/header/stamp/nanosec"]
+    for block in ("position", "velocity", "effort"):
+        names += [f"/joint_states/{joint}/{block}" for joint in UR[::-1]]
+    flipped = [values[:, ::-1] for values in (q, v, tau)]
+    path = write(tmp_path / "plot.csv", names, [seconds + 1_700_000_000, rest, *flipped])
+    log = read_log(path, joints=UR)
+    check(log, UR, q, v, tau)
+    assert np.allclose(log.time, time, atol=1e-9)  # all digits, though stamps are of today
+    nanoseconds = write(
+        tmp_path / "epoch.csv",
+        ["timestamp", *(n.replace("/", ".") for n in names[2:])],
+        [1.7e18 + 1e9 * time, *flipped],
+    )
+    log = read_log(nanoseconds, joints=UR)
+    assert np.allclose(np.diff(log.time), np.diff(time), atol=1e-6)
+    assert any("since 1970" in note for note in log.notes)
+
+
+def test_joints_have_the_files_names_without_a_model(tmp_path):
+    time, q, _, tau = motion(("a", "b"))
+    names = ["t", "pos_a", "pos_b", "eff_a", "eff_b", "pos_gripper", "mode"]
+    path = write(tmp_path / "log.csv", names, [time, q, tau, time, time])
+    log = read_log(path)
+    check(log, ("a", "b"), q, None, tau)
+    assert "columns ignored: pos_gripper, mode" in log.notes
+    numbered = write(tmp_path / "n.csv", ["t", "q1", "q2", "tau1", "tau2"], [time, q, tau])
+    assert read_log(numbered).joints == ("joint_1", "joint_2")
+
+
+@pytest.mark.parametrize(
+    ("separator", "head"),
+    [(",", "# rig 7\n# 24.11.\n\n"), (";", ""), ("\t", ""), ("   ", ""), (",", "% of Octave\n")],
+)
+def test_separators_and_comments(tmp_path, separator, head):
+    time, q, _, tau = motion(("a", "b"))
+    names = ["time", "a.position", "b.position", "a.effort", "b.effort"]
+    path = write(tmp_path / "log.txt", names, [time, q, tau], separator, head)
+    check(read_log(path), ("a", "b"), q, None, tau)
+
+
+def test_names_in_a_comment_and_decimal_commas(tmp_path):
+    time, q, _, tau = motion(("a", "b"))
+    path = tmp_path / "log.txt"
+    np.savetxt(path, np.column_stack([time, q, tau]), header="t q1 q2 tau1 tau2")
+    check(read_log(path, joints=("a", "b")), ("a", "b"), q, None, tau)
+    text = "time;a.position;a.effort\n" + "".join(
+        f"{t:.4f};{x:.9f};{y:.9f}\n" for t, x, y in zip(time, q[:, 0], tau[:, 0], strict=True)
+    ).replace(".", ",")
+    path.write_text(text)
+    log = read_log(path)
+    assert np.allclose(log.effort[:, 0], tau[:, 0], atol=1e-8)
+
+
+def test_no_header_and_no_time(tmp_path):
+    _, q, _, tau = motion(("a",))
+    path = tmp_path / "log.csv"
+    np.savetxt(path, np.column_stack([q, 7 * q, tau]), delimiter=",")
+    with pytest.raises(LogError, match=r"has no header.*--columns"):
+        read_log(path)
+    names = ("a.position", "_", "a.effort")
+    with pytest.raises(LogError, match="rows a second by --rate"):
+        read_log(path, reading=Reading(columns=names))
+    log = read_log(path, reading=Reading(columns=names, rate=250.0))
+    check(log, ("a",), q, None, tau)
+    assert np.allclose(log.time, np.arange(ROWS) / 250.0)
+    with pytest.raises(LogError, match="has 3 columns, and 2 are named"):
+        read_log(path, reading=Reading(columns=names[:2]))
+
+
+def test_units_by_option(tmp_path):
+    time, q, v, tau = motion(("a",))
+    names = ["time", "a.position", "a.velocity", "a.effort"]
+    path = write(
+        tmp_path / "log.csv", names, [1e3 * time, np.rad2deg(q), v * 30 / np.pi, 1e3 * tau / 2]
+    )
+    units = {"time": "ms", "position": "°", "velocity": "rpm", "effort": "mA"}
+    log = read_log(path, reading=Reading(units=units, gains={"a": 2.0}))
+    check(log, ("a",), q, v, tau)
+    assert np.allclose(log.time, time)
+    for words in ("position is in deg", "velocity is in rpm", "effort is in mA", "time is in ms"):
+        assert any(words in note for note in log.notes)
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"units": {"position": "furlong"}}, "'furlong' is no known unit of position"),
+        ({"units": {"colour": "rad"}}, "no quantity 'colour'"),
+        ({"rate": 0.0}, "positive number of rows"),
+        ({"rate": float("nan")}, "positive number of rows"),
+        ({"gains": {"a": 0.0}}, "other than 0"),
+        ({"gains": {"a": float("inf")}}, "other than 0"),
+        ({"columns": "time"}, "columns must be a tuple"),
+    ],
+)
+def test_readings_that_cannot_be(settings, words):
+    with pytest.raises(ArgumentError, match=words):
+        Reading(**settings)
+
+
+def test_a_gain_of_no_joint(tmp_path):
+    time, q, _, tau = motion(("a",))
+    path = write(tmp_path / "log.csv", ["t", "q", "tau"], [time, q, tau])
+    with pytest.raises(LogError, match=r"gain of 'b'.*joints are: joint"):
+        read_log(path, reading=Reading(gains={"b": 2.0}))
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_position_and_effort_in_two_files(tmp_path, stamped):
+    time, q, _, tau = motion(("a", "b"))
+    every = 2 if stamped else 1
+    first, second = tmp_path / "positions.csv", tmp_path / "efforts.csv"
+    if stamped:
+        write(first, ["time", "a", "b"], [time, q])
+        write(second, ["time", "a", "b"], [time[::every], tau[::every]])
+    else:
+        np.savetxt(first, q, delimiter=",")
+        np.savetxt(second, tau, delimiter=",")
+    reading = Reading() if stamped else Reading(rate=500.0)
+    log = read_log(f"{first}+{second}", joints=("a", "b"), reading=reading)
+    check(log, ("a", "b"), q[::every], None, tau[::every])
+    assert np.allclose(log.time, time[::every])
+
+
+def test_two_files_that_do_not_fit(tmp_path):
+    time, q, _, tau = motion(("a",))
+    first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])
+    path = tmp_path / "efforts.csv"
+    for table, words in (
+        ([time[::50], tau[::50]], "mixed rates: positions.csv 500 Hz, efforts.csv 10 Hz"),
+        ([time + 1e3, tau], "times that do not meet"),
+    ):
+        write(path, ["time", "a"], table)
+        with pytest.raises(LogError, match=words):
+            read_log(f"{first}+{path}")
+    write(path, ["a"], [tau[:50]])
+    with pytest.raises(LogError, match="have 50, 200 rows, and no time"):
+        read_log(f"{first}+{path}")
+    with pytest.raises(LogError, match="does not exist"):
+        read_log(f"{first}+{tmp_path / 'missing.csv'}")
+
+
+def test_a_table_of_any_format():
+    time, q, v, tau = motion(UR)
+    columns = {"stamp": time}
+    for block, values in (("position", np.rad2deg(q)), ("velocity", v), ("effort", tau)):
+        columns |= {f"{block}[{k}]": values[:, k] for k in range(6)}
+    units = {f"position[{k}]": "deg" for k in range(6)}
+    log = log_of(LogTable(Path("x.bag"), columns, units, ("from a bag",)), joints=UR)
+    check(log, UR, q, v, tau)
+    assert log.notes[0] == "from a bag"
+
+
+GARBAGE = {
+    "text in a cell": (lambda rows: rows.__setitem__(300, "3.00,oops,1.0"), "301"),
+    "a row cut off": (lambda rows: rows.__setitem__(300, "3.0"), "301"),
+    "time that jumps back": (
+        lambda rows: rows.__setitem__(slice(500, 503), [f"1.0{k},1,1" for k in range(3)]),
+        "501 to 503",
+    ),
+    "time that jumps ahead": (lambda rows: rows.__setitem__(700, "9e9,1.0,1.0"), "701"),
+    "garbage twice": (
+        lambda rows: (rows.__setitem__(10, "\x01\x02"), rows.__setitem__(20, "x,y,z")),
+        "11, 21",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", GARBAGE)
+def test_torn_rows_are_named_and_left_out_if_asked(tmp_path, kind):
+    tear, numbers = GARBAGE[kind]
+    rows = [f"{0.01 * k:.2f},{np.sin(0.1 * k)},{k % 7}" for k in range(1000)]
+    whole = len(rows)
+    tear(rows)
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,a.position,a.effort", *rows]) + "\n")
+    with pytest.raises(LogError) as caught:
+        read_log(path)
+    assert "--skip-bad-rows" in str(caught.value)
+    assert numbers.split(",")[0] in str(caught.value).lower()
+    log = read_log(path, reading=Reading(skip_bad_rows=True))
+    count = {"501 to 503": 3, "11, 21": 2}.get(numbers, 1)
+    assert log.notes == (f"left out {count} bad rows of {whole}: {numbers}",)
+    assert len(log) == whole - count
+    assert np.all(np.diff(log.time) > 0)
+
+
+def test_more_than_one_per_cent_is_not_left_out(tmp_path):
+    rows = [f"{0.01 * k:.2f},{k},{k}" for k in range(1000)]
+    for k in range(0, 1000, 50):
+        rows[k] = "x,y,z"
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,a.position,a.effort", *rows]) + "\n")
+    with pytest.raises(LogError, match=r"Row 1,.*Bad rows are 1, 51, 101.* At most 1 %"):
+        read_log(path, reading=Reading(skip_bad_rows=True))
+
+
+MAPPING = """
+time: {column: ticks, unit: ms}
+joints:
+  shoulder: {position: {column: phi_s, unit: deg}, effort: {column: 4, gain: 3.0}}
+  elbow: {position: {column: phi_e, unit: deg}, effort: {column: i_e, gain: -2.0}}
+"""
+
+
+def test_mapping(tmp_path):
+    time, q, _, tau = motion(("shoulder", "elbow"))
+    names = ["ticks", "phi_s", "phi_e", "i_s", "i_e", "junk"]
+    currents = tau / np.array([3.0, -2.0])
+    path = write(tmp_path / "log.csv", names, [1e3 * time, np.rad2deg(q), currents, np.zeros(ROWS)])
+    (tmp_path / "m.yaml").write_text(MAPPING)
+    mapping = read_mapping(tmp_path / "m.yaml")
+    log = read_log(path, joints=("elbow", "shoulder"), reading=Reading(mapping=mapping))
+    check(log, ("elbow", "shoulder"), q[:, ::-1], None, tau[:, ::-1])
+    assert np.allclose(log.time, time)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("column: i_e", "column: phi_e"), "names column 'phi_e' twice"),
+        (("unit: ms", "unit: fortnight"), "'fortnight' is no known unit of time"),
+        (("gain: 3.0", "gain: 0"), "other than 0"),
+        (("gain: 3.0", "gain: many"), "other than 0"),
+        (("time:", "zeit:"), "has the key 'zeit'"),
+        (("time: {column: ticks, unit: ms}", ""), "neither `time` nor `rate`"),
+        (("column: 4", "column: [4]"), "no name or number"),
+        (("joints:", "joints: none #"), "is no YAML"),
+        (("position", "colour"), "has the key 'colour'"),
+        (("shoulder:", "shoulder: ["), "is no YAML"),
+    ],
+)
+def test_mappings_that_cannot_be(tmp_path, change, words):
+    (tmp_path / "m.yaml").write_text(MAPPING.replace(*change))
+    with pytest.raises(LogError, match=words):
+        read_mapping(tmp_path / "m.yaml")
+
+
+def test_a_mapping_of_other_columns(tmp_path):
+    time, q, _, tau = motion(("shoulder", "elbow"))
+    path = write(tmp_path / "log.csv", ["t", "a", "b", "c", "d"], [time, q, tau])
+    (tmp_path / "m.yaml").write_text(MAPPING)
+    with pytest.raises(LogError, match=r"no column 'ticks', which mapping .*m\.yaml names"):
+        read_log(path, reading=Reading(mapping=read_mapping(tmp_path / "m.yaml")))
+
+
+def test_the_proposal_of_a_failed_reading_reads_the_log(tmp_path):
+    time, q, _, tau = motion(("shoulder", "elbow"))
+    path = write(tmp_path / "log.csv", ["x1", "x2", "x3", "x4", "x5"], [time, q, tau])
+    with pytest.raises(LogError) as caught:
+        read_log(path, joints=("shoulder", "elbow"))
+    (tmp_path / "m.yaml").write_text(caught.value.evidence["proposal"])
+    mapping = read_mapping(tmp_path / "m.yaml")
+    log = read_log(path, joints=("shoulder", "elbow"), reading=Reading(mapping=mapping))
+    check(log, ("shoulder", "elbow"), q, None, tau)
