@@ -86,8 +86,8 @@ class LogOptions:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Topic of a bag, or channel of an LCM log, where several have joints; such as x "
-            "lists them.",
+            help="Topic of a bag, or channel of an LCM log, where several have joints; an "
+            "unknown one such as x lists them.",
         ),
     ] = None
     episode: Annotated[
