@@ -68,8 +68,8 @@ class ReadingOptions:
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Topic of a bag, or channel of an LCM log, where several have joints; one that "
-            "is unknown, such as x, lists them.",
+            help="Topic of a bag, or channel of an LCM log, where several have joints; an "
+            "unknown one such as x lists them.",
             rich_help_panel=_PANEL,
         ),
     ] = None
