@@ -56,7 +56,10 @@ def _run(options: LogCommandOptions) -> None:
     targets.check(inputs)
     with progress(f"Reading {options.logs[0].name}"):
         joints = None if options.model is None else load_model(options.model).joints
-        found = [inspect_log(log, joints=joints, reading=options.reading) for log in options.logs]
+        found = [
+            inspect_log(log, joints=joints, partial=True, reading=options.reading)
+            for log in options.logs
+        ]
         numbers = {"logs": [inspection_dict(each) for each in found]}
         text = to_json({"version": version(), "command": "log", **numbers})
         written = _written(targets, found[0], text)

@@ -1,8 +1,17 @@
 """Measurements of a robot: read, checked, filtered, prepared, and cut into blocks."""
 
-from geodrake.logs.files import read_log, write_log
+from geodrake.logs.files import Reading, read_log, read_mapping, write_log
 from geodrake.logs.frames import log_of_frame
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog, Motion
 
-__all__ = ["JointLog", "KnownPayload", "Motion", "log_of_frame", "read_log", "write_log"]
+__all__ = [
+    "JointLog",
+    "KnownPayload",
+    "Motion",
+    "Reading",
+    "log_of_frame",
+    "read_log",
+    "read_mapping",
+    "write_log",
+]

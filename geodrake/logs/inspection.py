@@ -112,11 +112,14 @@ def inspect_log(
     steps = np.diff(_known(log.time))
     period = float(np.median(steps))
     gap = steps > max(_GAP_STEPS * period, _GAP_SECONDS)
-    hint = position_unit_hint(log)
+    missing = [joint for joint in joints or () if joint not in log.joints]
+    notes += [f"nothing is measured of the model's {', '.join(missing)}"] if missing else []
+    converted = any(s.unit for n, s in columns.sources.items() if n.endswith(".position"))
+    hint = None if converted else position_unit_hint(log)
     return LogInspection(
         log,
         columns.sources["time"].column if "time" in columns.sources else "",
-        tuple(_columns(raw, columns)),
+        tuple(_columns(raw, log, columns)),
         period,
         float(steps[~gap].std()) if (~gap).any() else 0.0,
         tuple((float(_known(log.time)[k]), float(steps[k])) for k in np.flatnonzero(gap).tolist()),
@@ -129,12 +132,12 @@ def _known(values: Array) -> Array:
     return values[np.isfinite(values)]
 
 
-def _columns(log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
+def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
     for place, joint in enumerate(log.joints):
         for quantity in columns.quantities:
             source = columns.sources[f"{joint}.{quantity}"]
-            values = getattr(log, quantity)[:, place]
-            known = _known(values)
+            known = _known(getattr(log, quantity)[:, place])
+            cells = getattr(raw, quantity)[:, place]
             ends = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
             yield UnderstoodColumn(
                 joint,
@@ -143,7 +146,7 @@ def _columns(log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
                 source.unit.name if source.unit else "",
                 source.factor,
                 *ends,
-                len(values) - len(known),
+                len(cells) - len(_known(cells)),
             )
 
 

@@ -76,10 +76,11 @@ def inspection_words(found: LogInspection) -> tuple[str, ...]:
     Args:
         found: What was understood of the log.
     """
-    log, rate = found.log, 1.0 / found.period if found.period else 0.0
+    log, mean = found.log, len(found.log) / found.seconds
     source = f"time from {found.time_column}" if found.time_column else "time by --rate"
     words = [
-        f"{len(log)} rows in {number(found.seconds)} s, {number(rate, 4)} a second; {source}",
+        f"{len(log)} rows in {number(found.seconds)} s, typically every "
+        f"{number(1e3 * found.period)} ms, {number(mean, 4)} a second on average; {source}",
     ]
     if found.jitter > 1e-3 * found.period:
         words.append(

@@ -117,10 +117,10 @@ def test_nan_in_some_cells_splits_the_log(tmp_path):
 @pytest.mark.parametrize(
     ("header", "words"),
     [
-        (HEADER.replace("effort", "current"), "without effort"),
+        (HEADER.replace("effort", "colour"), "without effort"),
         (HEADER.replace("elbow", "elbw"), "(nearest: 'elbow')"),
-        (HEADER.replace("time", "stamp"), "no column 'time'"),
-        (HEADER.replace("elbow.effort", "elbow.current"), "without effort of elbow"),
+        (HEADER.replace("time", "instant"), "no column 'time'"),
+        (HEADER.replace("elbow.effort", "elbow.colour"), "without effort of elbow"),
         ("0,0.1,0.1,0.1,0.1", "has no header"),
     ],
 )

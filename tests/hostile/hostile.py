@@ -55,7 +55,7 @@ class Row:
         says: Words that must be in what is printed; on standard error if the command fails.
         make: Makes the input in the folder.
         code: Exit code.
-        writes: Files that a command which ends well writes.
+        writes: Files that the command writes; one that fails writes a proposed mapping at most.
         apart: Whether it runs in a copy of this process, such as what once ended the process.
         environment: Variables of that copy, or else of a process that is started for it, of
             which None takes one out.
@@ -97,9 +97,8 @@ class Row:
         for words in self.says:
             assert words in (err if code else out + err), f"no {words!r} in:\n{out}\n{err}"
         after = contents(folder)
-        written = self.writes if code == 0 else ()
-        assert changed(before, after) <= set(written), changed(before, after) - set(written)
-        for name in written:
+        assert changed(before, after) <= set(self.writes), changed(before, after)
+        for name in self.writes if code == 0 else ():
             if name.endswith(".json"):
                 read_json(folder / name)
 

@@ -21,6 +21,7 @@ from geodrake.logs.files import recording as columns
 NAMES = HEADER.split(",")
 NPZ, CSV = "compare robot.urdf x.npz", "compare robot.urdf x.csv"
 MISSING = object()
+PROPOSAL = ("x.mapping.yaml",)
 
 
 def arrays(**changes):
@@ -147,7 +148,7 @@ ARCHIVES = [
     Row("member of text", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"hello")),
     Row("empty member", NPZ, (NO_ARCHIVE,), only("time", lambda data: b"")),
     Row("members of text", NPZ, (NO_ARCHIVE,), members(lambda *_: b"1,2,3", called="{}")),
-    Row("nested", NPZ, ("no column 'time'",), members(called="a/b/{}.npy")),
+    Row("nested", NPZ, ("no column 'time'",), members(called="a/b/{}.npy"), writes=PROPOSAL),
     Row("in the folder above", NPZ, (), members(called="../{}.npy"), code=0),
     Row("absolute", NPZ, (), members(called="/{}.npy"), code=0),
     Row("columns twice", NPZ, ("more than once",), members(twice=True)),
@@ -172,8 +173,8 @@ ARCHIVES = [
     Row("a matrix of one column", NPZ, ("not 1-D",), archive(time=table()[:, :1])),
     Row("one is short", NPZ, ("not of one length",), archive(time=effort[:5])),
     Row("no numbers", NPZ, ("has 0 rows",), archive(**dict.fromkeys(NAMES, np.empty(0)))),
-    Row("no time", NPZ, ("no column 'time'",), archive(time=MISSING)),
-    Row("no arrays", NPZ, ("no column 'time'",), lambda f: np.savez(f / "x.npz")),
+    Row("no time", NPZ, ("no column 'time'",), archive(time=MISSING), writes=PROPOSAL),
+    Row("no arrays", NPZ, ("no column 'time'",), lambda f: np.savez(f / "x.npz"), writes=PROPOSAL),
     Row("time in ns", NPZ, ("ms, µs or ns",), archive(time=(np.arange(2400) * 10**7))),
     Row("big-endian", NPZ, (), archive(**{"elbow.effort": effort.astype(">f8")}), code=0),
     Row("every other number", NPZ, (), archive(**{
@@ -275,10 +276,13 @@ TABLES = [
     Row("comments alone", CSV, ("no header",), text("# robot\n" * 20)),
     Row("a column twice", CSV, ("more than once: elbow.effort",), header(
         HEADER.replace("shoulder.effort", "elbow.effort"))),
-    Row("a joint without a name", CSV, ("no joint ''",), header(HEADER.replace("elbow.", "."))),
-    Row("another joint", CSV, ("nearest: 'elbow'",), header(HEADER.replace("elbow", "elbwo"))),
-    Row("no efforts", CSV, ("both position and effort",), header(HEADER.replace("effort", "amps"))),
-    Row("no header", CSV, ("no header",), text("\n".join(LINES[1:]))),
+    Row("a joint without a name", CSV, ("no joint ''",),
+        header(HEADER.replace("elbow.", ".")), writes=PROPOSAL),
+    Row("another joint", CSV, ("nearest: 'elbow'",),
+        header(HEADER.replace("elbow", "elbwo")), writes=PROPOSAL),
+    Row("no efforts", CSV, ("both position and effort",),
+        header(HEADER.replace("effort", "amps")), writes=PROPOSAL),
+    Row("no header", CSV, ("no header",), text("\n".join(LINES[1:])), writes=PROPOSAL),
     Row("a byte order mark", CSV, (), text(BODY, "utf-8-sig"), code=0),
     Row("quoted cells", CSV, (), text("\n".join(
         ",".join(f'"{part}"' for part in line.split(",")) for line in LINES)), code=0),

@@ -169,6 +169,17 @@ def test_joints_have_the_files_names_without_a_model(tmp_path):
     assert read_log(numbered).joints == ("joint_1", "joint_2")
 
 
+def test_a_joint_without_a_name(tmp_path):
+    time, q, _, tau = motion(("",))
+    check(
+        read_log(write(tmp_path / "log.csv", ["time", ".position", ".effort"], [time, q, tau])),
+        ("",),
+        q,
+        None,
+        tau,
+    )
+
+
 @pytest.mark.parametrize(
     ("separator", "head"),
     [(",", "# rig 7\n# 24.11.\n\n"), (";", ""), ("\t", ""), ("   ", ""), (",", "% of Octave\n")],
@@ -395,3 +406,28 @@ def test_the_proposal_of_a_failed_reading_reads_the_log(tmp_path):
     mapping = read_mapping(tmp_path / "m.yaml")
     log = read_log(path, joints=("shoulder", "elbow"), reading=Reading(mapping=mapping))
     check(log, ("shoulder", "elbow"), q, None, tau)
+
+
+def test_a_line_of_units_below_the_header(tmp_path):
+    time, q, _, tau = motion(("a",))
+    table = np.column_stack([1e3 * time, np.rad2deg(q), tau])
+    lines = [
+        "Time,A Position,A Torque",
+        "[ms],[°],[N·m]",
+        *(",".join(map(repr, r)) for r in table.tolist()),
+    ]
+    (tmp_path / "log.csv").write_text("\n".join(lines), encoding="utf-8")
+    log = read_log(tmp_path / "log.csv", joints=("a",))
+    check(log, ("a",), q, None, tau)
+    assert np.allclose(log.time, time)
+
+
+def test_matrices_in_archives(tmp_path):
+    time, q, v, tau = motion(PANDA)
+    np.savez(tmp_path / "log.npz", t=time, q=q, dq=v, tau=tau, O_T_EE=np.zeros((3, 4, 4)))
+    check(read_log(tmp_path / "log.npz", joints=PANDA), PANDA, q, v, tau)
+    np.savez(tmp_path / "log.npz", t=time, q=q[:50], dq=v, tau=tau)
+    with pytest.raises(
+        LogError, match=r"not of one length: 't' has 200 numbers and 'q\[0\]' has 50"
+    ):
+        read_log(tmp_path / "log.npz", joints=PANDA)

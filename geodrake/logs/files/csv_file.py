@@ -42,7 +42,7 @@ def read_csv(
     most = 1 + _count_lines(path)
     with path.open(encoding="utf-8-sig", newline="") as file:
         layout, lines = csv_layout(path, file, reading, joints)
-        columns = columns_of(path, layout.names, joints, reading, partial=partial)
+        columns = columns_of(path, layout.names, joints, reading, layout.units, partial=partial)
         recording = Recording(columns, most)
         rows = 0
         for table in csv_blocks(path, layout, lines, columns.files, recording.torn):
@@ -67,7 +67,7 @@ def csv_table(path: Path, reading: Reading) -> LogTable:
     numbers = np.concatenate(blocks) if blocks else np.empty((0, len(layout.names)))
     kept, notes = torn.settle(np.arange(float(len(numbers))))
     columns = dict(zip(layout.names, (numbers if kept is None else numbers[kept]).T, strict=True))
-    return LogTable(path, columns, notes=notes)
+    return LogTable(path, columns, layout.units, notes)
 
 
 def csv_blocks(

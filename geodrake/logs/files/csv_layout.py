@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from geodrake.errors import LogError
 from geodrake.logs.files.column_names import HEADER_ADVICE, check_text
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.units import UNITS, find_unit
 
 COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
@@ -27,12 +28,14 @@ class CsvLayout:
         separator: What is between cells; None for any white space.
         decimal: The decimal point, or comma.
         lines: Lines that come before the rows.
+        units: Units of columns, where the line after the header has them.
     """
 
     names: tuple[str, ...]
     separator: str | None
     decimal: str
     lines: int
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
         """Cells of every line that has some and is no comment, with the number of its line.
@@ -89,8 +92,12 @@ def csv_layout(
         header = _renamed(path, reading, cells) if reading.columns else cells
         _check_names(path, header)
         following = next(rest, "")
+        units = _units(header, following, separator)
+        if units:
+            following, used = next(rest, ""), used + 1
         decimal = "," if separator == ";" and "," in following else "."
-        return CsvLayout(tuple(header), separator, decimal, count + used), chain([following], rest)
+        layout = CsvLayout(tuple(header), separator, decimal, count + used, units)
+        return layout, chain([following], rest)
     decimal = "," if separator == ";" and "," in first else "."
     names = _renamed(path, reading, cells) if reading.columns else None
     names = names or _names_in_comment(cells, comment)
@@ -99,6 +106,15 @@ def csv_layout(
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
     return CsvLayout(tuple(names), separator, decimal, count), chain([first], rest)
+
+
+def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
+    """Units in a line below the header: as many as names, most of them known ones."""
+    cells = [cell.strip(' \t\r\n[]()"') for cell in line.split(separator)]
+    known = [any(find_unit(cell, quantity) for quantity in UNITS) for cell in cells]
+    if len(cells) != len(header) or 2 * sum(known) <= len(cells):
+        return {}
+    return dict(zip(header, cells, strict=True))
 
 
 def _separator(line: str) -> str | None:
@@ -169,6 +185,6 @@ def _names_in_comment(cells: Sequence[str], comment: str) -> Sequence[str] | Non
     """Names in the comment before a first line of numbers, if they are as many."""
     named = [name.strip() for name in comment.replace(";", ",").replace("\t", ",").split(",")]
     for names in (named, comment.split()):
-        if len(names) == len(cells) and not _are_numbers(names):
+        if len(names) == len(cells) and all(names) and not _are_numbers(names):
             return names
     return None

@@ -42,11 +42,12 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """
     tables = [_table(path, reading) for path in paths]
     name = Path("+".join(path.name for path in paths))
+    units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
     times = [_time(table, reading) for table in tables]
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
-        return LogTable(name, _side_by_side(name, tables), notes=noted)
+        return LogTable(name, _side_by_side(name, tables), units, noted)
     if len(stamped) < len(tables):
         bare = [table.path.name for table, time in zip(tables, times, strict=True) if time is None]
         raise LogError(
@@ -65,7 +66,7 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
                 columns[column] = _at(known[base], time, values)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path.name}"
-    return LogTable(name, columns, notes=(note, *noted))
+    return LogTable(name, columns, units, (note, *noted))
 
 
 def _table(path: Path, reading: Reading) -> LogTable:
@@ -86,7 +87,8 @@ def _table(path: Path, reading: Reading) -> LogTable:
         return f"{quantity}_{column}" if column.isdecimal() else f"{column}.{quantity}"
 
     columns = {named(name): values for name, values in table.columns.items()}
-    return LogTable(path, columns, notes=table.notes)
+    units = {named(name): unit for name, unit in table.units.items()}
+    return LogTable(path, columns, units, table.notes)
 
 
 def _meanings(table: LogTable) -> list[Meaning]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +14,9 @@ from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from geodrake.errors import GeodrakeError, LogError
-from geodrake.logs.files.column_names import Columns
+from geodrake.logs.files.column_names import Columns, is_used
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recognition import meaning_of
 from geodrake.logs.files.recording import Recording
 from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.motion import JointLog
@@ -21,6 +24,7 @@ from geodrake.logs.motion import JointLog
 Array = NDArray[np.float64]
 
 _ADVICE = "Store one 1-D array for each column, all equally long."
+_MOST_JOINTS = 1000  # columns of a matrix
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
@@ -37,21 +41,62 @@ def read_npz(
     """
     with _reading(path), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
-        names = [entry.filename.removesuffix(".npy").strip() for entry in entries]
+        places = [place for entry in entries for place in _places(archive, entry)]
+        names = [place.name for place in places]
         columns = columns_of(path, names, joints, reading, partial=partial)
-        members = {name: entries[names.index(name)] for name in columns.files}
-        lengths = {name: _length(path, archive, name, entry) for name, entry in members.items()}
+        members = {name: places[names.index(name)] for name in columns.files}
+        lengths = {name: _length(path, archive, name, place) for name, place in members.items()}
         rows = _common(path, lengths)
         recording = Recording(columns, rows)
+        last = _Read()
         for group in columns.groups:
-            arrays = {name: _array(archive, members[name]) for name in group}
+            arrays = {name: last.column(archive, members[name]) for name in group}
             recording.put(slice(0, rows), arrays)
     return recording.log(rows), columns
 
 
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
-    with archive.open(entry) as file, np.errstate(over="ignore"):  # of long doubles
-        return np.asarray(npy.read_array(file, allow_pickle=False), float)
+@dataclass(frozen=True)
+class _Place:
+    """Where the numbers of a column are: in an array, or in a column of one.
+
+    Attributes:
+        name: Name of the column.
+        entry: The member of the archive.
+        column: Which column of a matrix; None for an array of numbers.
+    """
+
+    name: str
+    entry: zipfile.ZipInfo
+    column: int | None = None
+
+
+class _Read:
+    """The array that was read last, of which further columns may be asked for."""
+
+    def __init__(self) -> None:
+        self._entry: zipfile.ZipInfo | None = None
+        self._array: Array = np.empty(0)
+
+    def column(self, archive: zipfile.ZipFile, place: _Place) -> Array:
+        if place.entry is not self._entry:
+            self._array = np.empty(0)  # its memory is free before the next is read
+            with archive.open(place.entry) as file, np.errstate(over="ignore"):  # of long doubles
+                self._array = np.asarray(npy.read_array(file, allow_pickle=False), float)
+            self._entry = place.entry
+        return self._array if place.column is None else self._array[:, place.column]
+
+
+def _places(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> list[_Place]:
+    """The columns of a member: those of a matrix (N, n) are `q[0]`, `q[1]` and so on."""
+    name = entry.filename.removesuffix(".npy").strip()
+    shape: tuple[int, ...] = ()
+    if not is_used(name) and meaning_of(name) is not None:
+        with suppress(Exception), archive.open(entry) as file:  # what is damaged is said later
+            version = npy.read_magic(file)
+            shape = _HEADERS[version](file)[0]
+    if len(shape) == 2 and 0 < shape[1] <= _MOST_JOINTS:
+        return [_Place(f"{name}[{k}]", entry, k) for k in range(shape[1])]
+    return [_Place(name, entry)]
 
 
 @contextmanager
@@ -68,15 +113,16 @@ def _reading(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _length(path: Path, archive: zipfile.ZipFile, name: str, entry: zipfile.ZipInfo) -> int:
-    """How many numbers a member has, by its header and by its declared size."""
+def _length(path: Path, archive: zipfile.ZipFile, name: str, place: _Place) -> int:
+    """How many rows a member has, by its header and by its declared size."""
+    entry = place.entry
     with archive.open(entry) as file:
         version = npy.read_magic(file)
         if version not in _HEADERS:
             raise ValueError(f"array {name!r} is of version {version} of the NPY format")
         shape, _, dtype = _HEADERS[version](file)
         header = file.tell()
-    if len(shape) != 1:
+    if len(shape) != (1 if place.column is None else 2):
         raise LogError(
             f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
             advice=_ADVICE,
@@ -87,7 +133,7 @@ def _length(path: Path, archive: zipfile.ZipFile, name: str, entry: zipfile.ZipI
             advice="Store numbers such as float64, in SI units.",
         )
     rows = int(shape[0])
-    if header + dtype.itemsize * rows != entry.file_size:
+    if header + dtype.itemsize * math.prod(shape) != entry.file_size:
         raise LogError(
             f"Array {name!r} of log {str(path)!r} is to have {rows} numbers of {dtype.itemsize} "
             f"bytes, but takes {entry.file_size - header} bytes.",

@@ -26,13 +26,14 @@ QUANTITY_WORDS: Mapping[str, str] = {
         ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
     ),
     **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
-    **dict.fromkeys(["trq", "tq", "force", "current", "currents", "cur", "load"], "effort"),
+    **dict.fromkeys(["trq", "tq", "force", "load", "current", "currents", "cur", "i"], "effort"),
 }
 """Words that name a quantity."""
 
 _STRONGEST = ("acceleration", "velocity", "effort", "position")  # as in q1_torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
-_CURRENT = ("current", "currents", "cur")
+_CURRENT = ("current", "currents", "cur", "i")
+_SHORT = ("v", "i")  # which say something before a number alone
 
 MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
 ROLE_WORDS: Mapping[str, int] = {
@@ -203,11 +204,10 @@ RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint)
 
 def _quantity(words: Words) -> str | None:
     """The quantity that words name."""
-    named = [w for w in words if w in QUANTITY_WORDS]
+    counted = any(isinstance(w, int) for w in words)
+    named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in _SHORT)]
     if len(named) > 1:  # the current position is no motor current
         named = [w for w in named if w not in _CURRENT] or named
-    if named == ["v"] and not any(isinstance(w, int) for w in words):
-        return None
     found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
     quantity = next((each for each in _STRONGEST if each in found), None)
     for word, derived in _DERIVED.items():

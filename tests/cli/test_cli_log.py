@@ -1,0 +1,182 @@
+"""`geodrake log`, and how commands read logs under other names."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+from geodrake.logs.files import read_log
+
+PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
+
+
+def table(seconds=24.0, rate=100.0):
+    """(N, 5) time, positions and efforts of the pendulum in plain formulas; at rest for 2 s."""
+    time = np.arange(round(seconds * rate)) / rate
+    angle = np.maximum(time - 2.0, 0.0)[:, None] * np.array([1.3, 2.1])
+    q = np.sin(angle)
+    noise = np.random.default_rng(0).standard_normal((len(time), 2))
+    return np.column_stack([time, q, 3.0 * np.sin(q) + 0.01 * noise])
+
+
+def write(path, header, rows, separator=","):
+    lines = [separator.join(map(repr, row)) for row in rows.tolist()]
+    path.write_text("\n".join([separator.join(header.split(",")), *lines]) + "\n")
+    return path
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def refused(*arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2, result.output
+    assert len(result.stderr.strip().splitlines()) == 1, result.stderr
+    assert "Traceback" not in result.output
+    return result.stderr
+
+
+def nrms(*arguments):
+    result = run("compare", PENDULUM, *arguments, "--bandwidth", "5", "--json", "-")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)["error"]["nrms"]
+
+
+def test_what_is_understood(tmp_path):
+    rows = table()
+    rows = np.delete(rows, slice(1000, 1100), axis=0)
+    rows[300, 1] = 1e7
+    rows[:, 1:3] = np.rad2deg(rows[:, 1:3])
+    log = write(tmp_path / "log.csv", "t,q1_deg,q2_deg,tau1,tau2", rows)
+    saved = {name: tmp_path / f"x.{name}" for name in ("json", "csv", "png")}
+    result = run(
+        *("log", log, "--model", PENDULUM, "--json", saved["json"]),
+        *("--convert", saved["csv"], "--figure", saved["png"]),
+    )
+    assert result.exit_code == 0, result.output
+    for words in (
+        *("shoulder", "q1_deg", "deg × 0.01745", "2300 rows in 24.0 s", "time from t"),
+        *("1 gaps: 1.01 s at t = 9.99 s", "at rest for", "position is in deg", "jumps and comes"),
+    ):
+        assert words in result.output
+    found = json.loads(saved["json"].read_text())["logs"][0]
+    assert found["joints"] == ["shoulder", "elbow"]
+    assert found["period"] == pytest.approx(0.01)
+    assert found["rests"][0]["to"] == pytest.approx(2.0, abs=0.3)
+    with Image.open(saved["png"]) as image:
+        assert image.size[0] > 800
+    again = read_log(saved["csv"])
+    assert again.joints == ("shoulder", "elbow")
+    assert np.nanmax(np.abs(again.position)) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_joints_of_the_model_that_the_log_lacks(tmp_path):
+    log = write(tmp_path / "log.csv", "t,q1,tau1", table(seconds=1.0)[:, [0, 1, 3]])
+    (tmp_path / "two.urdf").write_text(
+        PENDULUM.read_text().replace('"shoulder"', '"arm_1"').replace('"elbow"', '"arm_2"')
+    )
+    result = run("log", log, "--model", tmp_path / "two.urdf")
+    assert result.exit_code == 0, result.output
+    assert "arm_1" in result.output
+    assert "nothing is measured of the model's arm_2" in result.output
+
+
+def test_other_names_give_the_same_numbers(tmp_path):
+    rows = table()
+    own = write(tmp_path / "own.csv", OWN, rows)
+    theirs = write(tmp_path / "theirs.csv", "timestamp,q_0,q_1,tau_0,tau_1", rows, " ")
+    scaled = rows * np.array([1e3, 180 / np.pi, 180 / np.pi, 0.5, 0.25])
+    bare = tmp_path / "bare.csv"
+    np.savetxt(bare, scaled, delimiter=";")
+    expected = nrms(own)
+    assert nrms(theirs) == pytest.approx(expected, rel=1e-9)
+    options = ["--columns", "t,q1,q2,i1,i2", "--units", "time=ms,position=deg,effort=A"]
+    gains = ["--gain", "shoulder=2", "--gain", "elbow=4"]
+    assert nrms(bare, *options, *gains) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_failed_reading_proposes_a_mapping(tmp_path):
+    rows = table()
+    log = write(tmp_path / "log.csv", "x1,x2,x3,x4,x5", rows)
+    proposal = tmp_path / "log.mapping.yaml"
+    assert f"A proposal is in {proposal}" in refused("compare", PENDULUM, log)
+    expected = nrms(write(tmp_path / "own.csv", OWN, rows))
+    assert nrms(log, "--mapping", proposal) == pytest.approx(expected, rel=1e-9)
+    proposal.write_text(proposal.read_text().replace("x3", "x2"))
+    edited = proposal.read_text()
+    assert "which is there" in refused("compare", PENDULUM, log)
+    assert "names column 'x2' twice" in refused("compare", PENDULUM, log, "--mapping", proposal)
+    assert proposal.read_text() == edited
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--units", "position=furlong"), "no known unit of position"),
+        (("--units", "position"), "--units has 'position'"),
+        (("--units", "time=s,time=ms"), "names 'time' twice"),
+        (("--gain", "shoulder"), "--gain has 'shoulder'"),
+        (("--gain", "shoulder=much"), "which is not a number"),
+        (("--gain", "wrist=2"), "gain of 'wrist'"),
+        (("--rate", "-1"), "positive number"),
+        (("--columns", "time,a"), "2 are named"),
+        (("--mapping", "missing.yaml"), "missing.yaml does not exist"),
+        (("--mapping", "log.csv"), "log.csv"),
+        (("--mass", "3"), "--mass is for --axis"),
+        (("--axis", "prismatic", "--mass", "3"), "is there"),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "log"])
+def test_options_that_cannot_be(tmp_path, monkeypatch, command, options, words):
+    if command == "log" and options[0] in ("--mass", "--axis"):
+        return
+    write(tmp_path / "log.csv", OWN, table(seconds=1.0))
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    given = [PENDULUM, "log.csv"] if command == "compare" else ["log.csv"]
+    assert words in refused(command, *given, *options)
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_bad_rows_are_left_out_if_asked(tmp_path):
+    log = write(tmp_path / "log.csv", OWN, table())
+    lines = log.read_text().splitlines()
+    lines[700] = "0.0,garbage"
+    log.write_text("\n".join(lines) + "\n")
+    message = refused("compare", PENDULUM, log)
+    assert "Row 700" in message
+    assert "--skip-bad-rows" in message
+    result = run("compare", PENDULUM, log, "--skip-bad-rows", "--bandwidth", "5")
+    assert result.exit_code == 0
+    assert "left out 1 bad rows of 2400: 700" in result.output
+
+
+def test_one_axis_without_a_model(tmp_path):
+    time = np.arange(4000) / 200.0
+    q, v, vd = (f(1.7 * time + np.pi / 2 * k) * 1.7**k for k, f in enumerate([np.sin] * 3))
+    force = 90.0 * vd + 20.0 * np.tanh(100 * v) + 0.1 * np.random.default_rng(0).normal(size=4000)
+    np.savetxt(tmp_path / "q.csv", q)
+    np.savetxt(tmp_path / "force.csv", force)
+    log, model = f"{tmp_path / 'q.csv'}+{tmp_path / 'force.csv'}", tmp_path / "axis.urdf"
+    given = [log, "--rate", "200", "--axis", "prismatic", "--mass", "70"]
+    result = run("identify", model, *given, "--effects", "coulomb_friction", "--json", "-")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["bodies"]["moving"]["mass"] == pytest.approx(90.0, rel=0.02)
+    assert "is there" in refused("identify", model, *given)
+    other = tmp_path / "other.urdf"
+    assert "too short" in refused("compare", other, *given, "--bandwidth", "0.02")
+    assert not other.exists()
+
+
+def test_figures_and_conversions_are_of_one_log(tmp_path):
+    logs = [write(tmp_path / f"{k}.csv", OWN, table(seconds=1.0)) for k in range(2)]
+    assert run("log", *logs).exit_code == 0
+    assert "is for one log; 2 are given" in refused("log", *logs, "--figure", tmp_path / "x.png")
+    assert "does not end in" in refused("log", logs[0], "--convert", tmp_path / "x.bag")
+    assert "is an input" in refused("log", logs[0], "--convert", logs[0])
