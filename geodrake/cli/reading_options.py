@@ -64,6 +64,23 @@ class ReadingOptions:
             rich_help_panel=_PANEL,
         ),
     ] = None
+    topic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Topic of a bag, or channel of an LCM log, where several have joints; an "
+            "unknown one such as x lists them.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    episode: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Episode of a LeRobot dataset, from 0 on; all if absent.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
     skip_bad_rows: Annotated[
         bool,
         typer.Option(

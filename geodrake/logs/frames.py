@@ -10,14 +10,18 @@ import numpy as np
 
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError
-from geodrake.logs.files import log_of
+from geodrake.logs.files import Reading, log_of
 from geodrake.logs.files.numeric_columns import numbers, numeric_columns
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.motion import JointLog
 
 
 def log_of_frame(
-    frame: Any, *, joints: Sequence[str] | None = None, name: str = "frame"
+    frame: Any,
+    *,
+    joints: Sequence[str] | None = None,
+    name: str = "frame",
+    reading: Reading | None = None,
 ) -> JointLog:
     """The log in a data frame, or in arrays by name.
 
@@ -29,6 +33,7 @@ def log_of_frame(
             durations or seconds.
         joints: Names of a model's joints, if the log must have the same and in their order.
         name: What messages call the log.
+        reading: How columns are to be read, where their names do not say it.
 
     Raises:
         ArgumentError: It is no frame.
@@ -41,7 +46,7 @@ def log_of_frame(
     columns, notes = numeric_columns(arrays, rows)
     if "time" not in columns and (index := _time_index(frame)) is not None:
         columns["time"] = index
-    return log_of(LogTable(Path(name), columns, notes=notes), joints=joints)
+    return log_of(LogTable(Path(name), columns, notes=notes), joints=joints, reading=reading)
 
 
 def _arrays(frame: Any) -> dict[str, Any]:

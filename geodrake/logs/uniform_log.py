@@ -117,7 +117,8 @@ def _check_period(log: JointLog, period: float) -> None:
         raise LogError(
             f"Log {log.name!r} has a sample every {period:.4g} s, {span}: too rarely for "
             "accelerations.",
-            advice="Is time in ms, µs or ns? It must be in s. If it is, record at 50 Hz or more.",
+            advice="Is time in ms, µs or ns? It must be in s: --units time=ms converts it. If it "
+            "is, record at 50 Hz or more.",
             period=period,
         )
     if period < _SHORTEST_PERIOD:

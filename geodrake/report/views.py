@@ -239,9 +239,10 @@ def _(result: ExcitationResult) -> Columns:
 
 @figure.register(ExcitationResult)
 def _(result: ExcitationResult) -> Figure:
-    from geodrake.report.excitation import motion_figure
+    from geodrake.report.chart_figure import chart_figure
+    from geodrake.report.excitation import motion_chart
 
-    return motion_figure(result)
+    return chart_figure(motion_chart(result, Units.of(result.objective.target.model)))
 
 
 @tables.register
@@ -285,9 +286,10 @@ def _(result: tuple) -> Columns:  # type: ignore[type-arg]
 
 @figure.register(Rollout)
 def _(result: Rollout) -> Figure:
-    from geodrake.report.rollout import rollout_figure
+    from geodrake.report.chart_figure import chart_figure
+    from geodrake.report.rollout import rollout_chart
 
-    return rollout_figure(result)
+    return chart_figure(rollout_chart(result, None, Units()))
 
 
 def _error_records(stages: Mapping[str, ErrorTable]) -> Records:

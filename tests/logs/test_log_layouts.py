@@ -169,6 +169,17 @@ def test_joints_have_the_files_names_without_a_model(tmp_path):
     assert read_log(numbered).joints == ("joint_1", "joint_2")
 
 
+def test_a_joint_without_a_name(tmp_path):
+    time, q, _, tau = motion(("",))
+    check(
+        read_log(write(tmp_path / "log.csv", ["time", ".position", ".effort"], [time, q, tau])),
+        ("",),
+        q,
+        None,
+        tau,
+    )
+
+
 @pytest.mark.parametrize(
     ("separator", "head"),
     [(",", "# rig 7\n# 24.11.\n\n"), (";", ""), ("\t", ""), ("   ", ""), (",", "% of Octave\n")],

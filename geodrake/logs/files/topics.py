@@ -123,7 +123,8 @@ def _named(path: Path, topics: Sequence[Topic], name: str) -> Topic:
         f"Log {str(path)!r} has no topic {name!r}"
         + (f" (nearest: {close[0]!r})" if close else "")
         + f"; it has {_listed(topics)}.",
-        advice=_offer([topic for topic in topics if topic.fits]),
+        advice="Names are those of the bag or the LCM log; without --topic, the one that fits is "
+        "taken.",
         topic=name,
     )
 

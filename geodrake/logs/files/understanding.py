@@ -204,7 +204,7 @@ class _Understood:
             elif len(missing) < len(joints):
                 notes.append(f"{quantity} is not used: there is no {listed(missing)}")
         sources = {
-            f"{joint}.{quantity}" if joint else quantity: self._scaled(joint, quantity)
+            quantity if quantity == "time" else f"{joint}.{quantity}": self._scaled(joint, quantity)
             for joint, quantity in self.places
             if quantity == "time"
             or (joint in joints and quantity in quantities)
@@ -213,8 +213,8 @@ class _Understood:
         notes += unit_words(sources, self.reading)
         kept = {
             c
-            for (j, _), source in self.places.items()
-            if j in ("", *joints, *standing)
+            for (j, quantity), source in self.places.items()
+            if quantity == "time" or j in joints or j in standing
             for c in source.columns
         }
         others = [name for name in self.names if name not in kept]
