@@ -102,7 +102,7 @@ def unit_of(text: str, quantity: str) -> Unit:
 def find_unit(text: str, quantity: str) -> Unit | None:
     """The unit that a text stands for, or None; see `unit_of`."""
     known = UNITS.get(quantity, {})
-    for name in _spelled(text.strip()):
+    for name in _spelled(text.strip()) if text else ():
         if name in known:
             return Unit(name, known[name])
     return None
