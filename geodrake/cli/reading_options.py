@@ -90,24 +90,6 @@ class ReadingOptions:
         ),
     ] = False
 
-    topic: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Topic of a bag, or channel of an LCM log, where several have joints; such as x "
-            "lists them.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-    episode: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            help="Episode of a LeRobot dataset, from 0 on; all if absent.",
-            rich_help_panel=_PANEL,
-        ),
-    ] = None
-
     @property
     def reading(self) -> Reading:
         """How logs are to be read.
