@@ -32,7 +32,7 @@ class ExportOptions:
         typer.Option(
             metavar="FORMAT",
             help="urdf, sdf, mjcf, drake (with model directives), isaac (a URDF, and values of "
-            "actuators); an unknown name lists them.",
+            "actuators), python, cpp (a function effort(q, v, vd)); an unknown name lists them.",
         ),
     ]
     force: Annotated[

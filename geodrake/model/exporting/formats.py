@@ -21,6 +21,7 @@ from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
 from geodrake.model.exporting.model_text import model_file, written_kind
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.source import effort_source, is_written
 
 _JOINT_TERMS = (ViscousFriction, CoulombFriction, RotorInertia)
 _WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
@@ -67,6 +68,21 @@ def _file(kind: str) -> Write:
     return write
 
 
+def _source(language: str) -> Write:
+    """Writes the effort as a function in a language."""
+
+    def write(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
+        source = effort_source(held.model, language)
+        notes = tuple(f"not included: {effect}" for effect in source.left_out)
+        return Exported({source.file_name: source.text.encode()}, notes)
+
+    return write
+
+
+def _written(model: RobotModel) -> Callable[[Effect], bool]:
+    return is_written
+
+
 _URDF_ENGINES = ("drake", "pinocchio")
 
 FORMATS = {
@@ -79,6 +95,8 @@ FORMATS = {
             "drake", _and(_joints(*KINDS), GravityTilt, stands_free), drake_files, ("drake",)
         ),
         ExportFormat("isaac", _and(_joints("urdf"), EffortDelay), isaac_files, _URDF_ENGINES),
+        ExportFormat("python", _written, _source("python"), ("python",)),
+        ExportFormat("cpp", _written, _source("cpp")),
     )
 }
 """By name; a further format is one more entry."""

@@ -14,6 +14,7 @@ _ENGINES = {
     "drake": ("pydrake", "DrakeEngine"),
     "mujoco": ("mujoco", "MujocoEngine"),
     "pinocchio": ("pinocchio", "PinocchioEngine"),
+    "python": ("math", "PythonEngine"),
 }
 """Name -> the package that it needs, and its class in the module `<name>_engine`."""
 
