@@ -144,3 +144,15 @@ def test_every_format_says_which_simulators_try_it():
         "mujoco",
         "pinocchio",
     }
+
+
+def test_a_function_in_python_is_the_model(chain, tmp_path):
+    elbow = chain.joints[1]
+    effects = (
+        FittedEffect(ViscousFriction(elbow), np.array([0.7])),
+        FittedEffect(JointSpring(elbow, 3, 0.2), np.array([4.0, 0.1])),
+    )
+    proven = export_to("python", replace(chain, effects=effects), tmp_path / "there")
+    (difference,) = proven.proof.differences
+    assert difference.is_rounding and difference.compared == 1.0
+    assert [path.name for path in (tmp_path / "there").iterdir()] == ["chain_effort.py"]

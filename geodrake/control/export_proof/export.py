@@ -27,8 +27,8 @@ _SEVERAL = (
 )
 
 _IN_DRAKE = (
-    "geodrake.control.EffectForce simulates all effects in Drake, on the plant of load_model: on "
-    "that of these files, those in them would count twice"
+    "model.add_to_builder simulates all effects in Drake, each once: beside these files, those in "
+    "them would count twice"
 )
 
 Progress = Callable[[str], object]
