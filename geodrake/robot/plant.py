@@ -8,7 +8,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +24,17 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import real_array
+from geodrake.boundary.arguments import instance, number, real_array
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, to_spatial_inertia
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.files import ModelDescription, read_description
+from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.holding import Arrangement, checked_held, standing_poses, weld_joints
 from geodrake.robot.repairs import Repair, repair_inertias
+from geodrake.robot.several_robots import chosen_robot, robots_of
+from geodrake.robot.several_robots import scoped as _scoped
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class LoadedPlant:
         file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m.
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
+        held: Joint that does not move, though it does in the file -> where it is held, rad or m.
+        given: How the file was to be read.
     """
 
     plant: MultibodyPlant
@@ -55,6 +60,8 @@ class LoadedPlant:
     file_damping: Array
     file_friction: Array
     file_rotor_inertia: Array
+    held: Mapping[str, float]
+    given: Given
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -66,7 +73,13 @@ class LoadedPlant:
         }
 
 
-def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
+def load_plant(
+    path: str | Path,
+    *,
+    floating: bool = False,
+    held: Mapping[str, float] | None = None,
+    given: Given | None = None,
+) -> LoadedPlant:
     """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
@@ -76,16 +89,21 @@ def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
         path: The model file; the root element, not the suffix, decides between the XML formats.
         floating: Leave bodies free that the file does not attach to the world; otherwise each
             root is welded to the world where the file puts it.
+        held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
+            the bodies on both sides of it are one.
+        given: How the file is to be read.
 
     Raises:
-        ModelError: The file cannot be read, is no robot description, or nothing moves in it.
+        ModelError: The file cannot be read, is no robot description, or nothing moves in it; or a
+            joint cannot be held.
     """
-    path = Path(path)
+    path, given = Path(path), instance(given or Given(), "given", Given)
+    held = {n: number(x, f"held[{n!r}]") for n, x in instance(held or {}, "held", Mapping).items()}
     with drake_messages() as messages:
-        description = read_description(path)
-        draft = _build(description, floating=floating)
+        description = read_description(path, given)
+        draft, arrangement = _draft(description, floating=floating, held=held, given=given)
         repairs, repair_notes, changed = repair_inertias(description, draft.plant)
-        built = _build(description, floating=floating) if changed else draft
+        built = _build(description, arrangement) if changed else draft
     notes = (*description.notes, *built.notes, *repair_notes, *_relevant(messages))
     return LoadedPlant(
         built.plant,
@@ -95,7 +113,41 @@ def load_plant(path: str | Path, *, floating: bool = False) -> LoadedPlant:
         built.damping,
         built.friction,
         built.rotor_inertia,
+        held,
+        given,
     )
+
+
+def _draft(
+    description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
+) -> tuple[_Built, Arrangement]:
+    """The plant before repairs, of the robot asked for, with its joints held."""
+    arrangement = Arrangement(floating)
+    draft = _build(description, arrangement)
+    if given.robot is not None:
+        robot = chosen_robot(draft.plant, given.robot, description.path)
+        others = [joint for r in robots_of(draft.plant) if r != robot for joint in r.joints]
+        aside = standing_poses(draft.plant, frozenset(others))
+        arrangement = replace(arrangement, aside=aside, robot=robot.bodies)
+        draft = _build(description, arrangement)
+    if held:
+        poses = checked_held(draft.plant, _single_joints(draft.plant), held, description.path)
+        if len(poses) == draft.plant.num_velocities():
+            raise ModelError(
+                f"All joints of {description.path} are held, so nothing moves.",
+                advice="Leave out at least one of them.",
+                path=description.path,
+            )
+        arrangement = replace(arrangement, held=poses)
+        draft = _build(description, arrangement)
+    return draft, arrangement
+
+
+def _single_joints(plant: MultibodyPlant) -> dict[str, int]:
+    """Names of the joints of one degree of freedom, with their velocities."""
+    names = joint_names(plant)
+    starts = (j.velocity_start() for j in _joints(plant) if j.num_velocities() == 1)
+    return {names[start]: start for start in starts}
 
 
 @dataclass(frozen=True)
@@ -107,11 +159,13 @@ class _Built:
     rotor_inertia: Array
 
 
-def _build(description: ModelDescription, *, floating: bool) -> _Built:
+def _build(description: ModelDescription, arrangement: Arrangement) -> _Built:
     plant = MultibodyPlant(time_step=0.0)
     description.add_to(plant)
     with drake_errors(description.path):
-        notes = [*_root_notes(plant, floating=floating)]
+        weld_joints(plant, arrangement.held)
+        weld_joints(plant, arrangement.aside, aside=True)
+        notes = [*_root_notes(plant, arrangement)]
         _limit_efforts(plant, description)
         damping = {
             j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
@@ -149,16 +203,25 @@ def _build(description: ModelDescription, *, floating: bool) -> _Built:
     return _Built(plant, tuple(notes), *arrays)
 
 
-def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:
+def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     """Welds the free roots to the world unless they shall float; says what is worth saying."""
-    roots = free_roots(plant)
-    if floating:
-        return [] if roots else ["The file attaches the robot to the world, so nothing floats."]
+    roots, floating = free_roots(plant), arrangement.floating
+    own = [b for b in roots if arrangement.is_of_robot(int(b.index()))]
     for body in roots:
-        X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-        plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
-    names = ", ".join(body.name() for body in roots)
-    return [f"{names} are roots of their own; each is welded to the world."] if roots[1:] else []
+        if not floating or body not in own:
+            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+    if floating:
+        return [] if own else ["The file attaches the robot to the world, so nothing floats."]
+    if not own[1:]:
+        return []
+    names = ", ".join(body.name() for body in own)
+    robots = [robot.name for robot in robots_of(plant)]
+    choice = f" Robots in the file are {', '.join(robots)}; choose one by its name."
+    return [
+        f"{names} are roots of their own; each is welded to the world."
+        + (choice if robots[1:] else "")
+    ]
 
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
@@ -220,11 +283,6 @@ def _actuators(plant: MultibodyPlant) -> list[JointActuatorIndex]:
     return [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
 
 
-def _scoped(joint: Joint) -> str:
-    instance = joint.GetParentPlant().GetModelInstanceName(joint.model_instance())
-    return f"{instance}::{joint.name()}"
-
-
 def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayLike) -> None:
     """Writes inertial parameters into a plant's context.
 
@@ -254,12 +312,15 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Names of the velocities (nv): the joint's, with a suffix where it has several.
 
-    A name that several model instances use is preceded by its instance, `left_elbow`.
+    A name that several model instances use is preceded by its instance, `left_elbow`; also where
+    the joint is held in the others.
     """
     names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
     full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
+    held = [joint.name() for joint in _joints(plant) if not joint.num_velocities()]
     return tuple(
-        long if names.count(short) > 1 else short for short, long in zip(names, full, strict=True)
+        long if names.count(short) > 1 or short in held else short
+        for short, long in zip(names, full, strict=True)
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
@@ -33,13 +34,16 @@ class ModelText(abc.ABC):
         armature: Scoped joint names with their reflected inertia, kg·m² or kg.
         effort: Scoped joint names with their largest effort, N or N·m.
         packages: Names of packages whose files are left for Drake to include.
+        folders: Package -> folder, which come before those that are found.
     """
 
     kind: ClassVar[str]
     numeric: ClassVar[Numeric]
 
-    def __init__(self, root: Element, path: Path, scope: str | None) -> None:
-        self.root, self.path, self.scope = root, path, scope
+    def __init__(
+        self, root: Element, path: Path, scope: str | None, folders: Mapping[str, Path]
+    ) -> None:
+        self.root, self.path, self.scope, self.folders = root, path, scope, folders
         self.notes: list[str] = []
         self.friction: dict[str, float] = {}
         self.armature: dict[str, float] = {}

@@ -36,7 +36,7 @@ class MjcfText(ModelText):
     numeric = MJCF_NUMBERS
 
     def _read(self) -> None:
-        Includes(self.path).insert_elements(self.root)
+        Includes(self.path, self.folders).insert_elements(self.root)
         drop(self.root, *_IGNORED)
         if self.root.find("equality") is not None:
             drop(self.root, "equality")

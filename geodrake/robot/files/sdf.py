@@ -30,7 +30,7 @@ class SdfText(ModelText):
     numeric = SDF_NUMBERS
 
     def _read(self) -> None:
-        includes = Includes(self.path)
+        includes = Includes(self.path, self.folders)
         includes.insert(self.root, self.path.parent)
         self.packages = includes.names
         for link in self.root.iter("link"):
