@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
+from geodrake.cli.model_options import read_model
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.progress import Update, progress
 from geodrake.cli.session import Maker, own_effects
@@ -43,7 +44,6 @@ from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
 from geodrake.excitation.trajectory_files import trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.saved_model import load_model
 from geodrake.report.excitation_json import excitation_dict
 from geodrake.report.json_output import to_json
 from geodrake.robot.plant import effort_limits
@@ -74,7 +74,7 @@ def run_excite(options: ExciteOptions) -> None:
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}") as update:
         extra = own_effects(files)
-        model = load_model(options.model, floating=options.floating, extra=extra)
+        model = read_model(options.model, options, extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
         result = _designed(options, model, _Effects(names, extra), family, update)
         update("Writing")

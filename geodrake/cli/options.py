@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 import typer
 
 from geodrake.cli.guard import guarded
+from geodrake.cli.model_options import ModelOptions
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -36,9 +37,6 @@ JsonFile = Annotated[
 ReportFile = Annotated[
     Path | None, typer.Option(metavar="FILE.html", help="Write one page with the figures.")
 ]
-Floating = Annotated[
-    bool, typer.Option("--floating", help="Leave roots free that nothing fixes to the world.")
-]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
 EffectNames = Annotated[
     list[Path] | None,
@@ -52,14 +50,13 @@ EffectNames = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions:
+class LogOptions(ModelOptions):
     """Options of all commands on a model and logs."""
 
     model: ModelFile
     logs: LogFiles
     json: JsonFile = None
     report: ReportFile = None
-    floating: Floating = False
     effects: Annotated[
         list[Path] | None,
         typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),

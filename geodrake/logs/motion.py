@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ class JointLog:
         payloads: What the robot carried all the time, of known mass, and its model does not have.
         effort_uncertainty: How well the gains of the efforts are known: 5 % by default, as torque
             constants are; 0 for calibrated torque sensors.
+        standing: Other joint, of which only positions are known -> where it stands, rad or m; NaN
+            if it moves.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -57,6 +59,7 @@ class JointLog:
     notes: tuple[str, ...] = ()
     payloads: tuple[KnownPayload, ...] = ()
     effort_uncertainty: float = 0.05
+    standing: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         number(self.effort_uncertainty, "effort_uncertainty", lower=0.0, upper=1.0)
@@ -218,13 +221,16 @@ def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:
     return log.select(model_joints)
 
 
-def check_joints(name: str, joints: Sequence[str], model_joints: Sequence[str]) -> None:
+def check_joints(
+    name: str, joints: Sequence[str], model_joints: Sequence[str], *, partial: bool = False
+) -> None:
     """Raise a LogError unless the joints of the log of that name are the model's, in any order.
 
     Args:
         name: Name of the log, for messages.
         joints: Names of the log's joints.
         model_joints: Names of the model's joints.
+        partial: Whether the log may lack some of them.
     """
     for joint in joints:
         if joint not in model_joints:
@@ -235,14 +241,15 @@ def check_joints(name: str, joints: Sequence[str], model_joints: Sequence[str]) 
                 joint=joint,
             )
     for joint in model_joints:
-        if joint not in joints:
+        if joint not in joints and not partial:
             raise _missing(name, joint, joints)
 
 
 def _missing(name: str, joint: str, joints: Sequence[str]) -> LogError:
     return LogError(
         f"Log {name!r} has no joint {joint!r}{_nearest(joint, joints)}.",
-        advice="Rename the log's columns, or record that joint too.",
+        advice="Rename the log's columns, record that joint too, or hold it: --lock "
+        f"{joint}=POSITION.",
         joint=joint,
     )
 

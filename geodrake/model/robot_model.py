@@ -21,8 +21,16 @@ from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.robot.files import Given
+from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
+from geodrake.robot.plant import (
+    LoadedPlant,
+    joint_names,
+    load_plant,
+    position_limits,
+    set_inertial_parameters,
+)
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 
 Array = NDArray[np.float64]
@@ -52,6 +60,8 @@ class RobotModel:
         fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
             where it was not seen to.
         notes: What was noticed while loading: repairs, things left out.
+        held: Joint of the file that is held, and none of the model -> where, rad or m.
+        given: How the file was to be read.
     """
 
     plant: MultibodyPlant
@@ -65,6 +75,8 @@ class RobotModel:
     fading_speed: Array | None = None
     notes: tuple[str, ...] = ()
     bandwidths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict)
+    given: Given = field(default_factory=Given)
 
     @cached_property
     def tree(self) -> KinematicTree:
@@ -218,8 +230,27 @@ class RobotModel:
 
     def _joint_type(self, velocity: int) -> str:
         """Drake's name for the type of the joint that a velocity belongs to."""
-        joints = (self.plant.get_joint(index) for index in self.plant.GetJointIndices())
+        joints = moving_joints(self.plant)  # welds begin where the next joint does
         return next(j.type_name() for j in joints if j.velocity_start() == velocity)
+
+    @property
+    def known_joints(self) -> tuple[str, ...]:
+        """Names of the joints that logs may have: the model's, and those that are held."""
+        return (*self.joints, *self.held)
+
+    def default_position(self, joint: str) -> float:
+        """Where the model file puts a joint of one degree of freedom, rad or m."""
+        return float(self.plant.GetPositions(self.plant.CreateDefaultContext())[self._at(joint)])
+
+    def limits_of(self, joint: str) -> tuple[float, float]:
+        """The positions between which a joint of one degree of freedom stays, rad or m."""
+        lower, upper = position_limits(self.plant)
+        return float(lower[self._at(joint)]), float(upper[self._at(joint)])
+
+    def _at(self, joint: str) -> int:
+        """Where the position of a joint of one degree of freedom is in q."""
+        at_velocity, at_position = self._single_joints
+        return at_position[at_velocity.index(self.joints.index(joint))]
 
     @cached_property
     def single_joints(self) -> tuple[str, ...]:
@@ -302,9 +333,25 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
             listed = ", ".join(f"{joint} {value:g}" for joint, value in stated)
             notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
     phi = inertial_parameters(loaded.plant)
-    return RobotModel(loaded.plant, loaded.path, floating, phi, tuple(effects), notes=tuple(notes))
+    return RobotModel(
+        loaded.plant,
+        loaded.path,
+        floating,
+        phi,
+        tuple(effects),
+        notes=tuple(notes),
+        held=loaded.held,
+        given=loaded.given,
+    )
 
 
-def load_description(path: str | Path, *, floating: bool = False) -> RobotModel:
+def load_description(
+    path: str | Path,
+    *,
+    floating: bool = False,
+    held: Mapping[str, float] | None = None,
+    given: Given | None = None,
+) -> RobotModel:
     """The model of a URDF, SDF, MJCF or Drake directives file; see `geodrake.robot.load_plant`."""
-    return from_loaded_plant(load_plant(path, floating=floating), floating=floating)
+    loaded = load_plant(path, floating=floating, held=held, given=given)
+    return from_loaded_plant(loaded, floating=floating)

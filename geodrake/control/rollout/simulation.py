@@ -69,7 +69,8 @@ class Simulation:
         self._model, self._sign_width = model, sign_width
         self._fastest, self._steps = fastest, steps
         builder = DiagramBuilder()
-        self._plant = builder.AddSystem(load_plant(model.path, floating=model.floating).plant)
+        loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
+        self._plant = builder.AddSystem(loaded.plant)
         effects = [(fitted.effect, fitted.parameters) for fitted in _forces(model)]
         self._force = builder.AddSystem(
             EffectForce(self._plant, effects, sign_width=sign_width, phi=model.total_phi, log=log)

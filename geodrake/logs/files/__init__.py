@@ -22,7 +22,9 @@ from geodrake.logs.motion import JointLog
 __all__ = ["log_content", "read_log", "write_log"]
 
 
-def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointLog:
+def read_log(
+    path: str | Path, *, joints: Sequence[str] | None = None, partial: bool = False
+) -> JointLog:
     """Read a log.
 
     Args:
@@ -30,6 +32,8 @@ def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointL
             names. Columns may come in any order; others than those of the format are ignored and
             noted. Empty cells and `nan` become NaN.
         joints: Names of a model's joints, if the log must have the same and in their order.
+        partial: Whether it may lack some of these joints, or their efforts alone: joints that stand
+            still then are `JointLog.standing`.
 
     Returns:
         The log, its joints in the order given or of their position columns, named after the file.
@@ -49,7 +53,7 @@ def read_log(path: str | Path, *, joints: Sequence[str] | None = None) -> JointL
             advice=f"Convert it to .csv or .npz. {HEADER_ADVICE}",
         )
     try:
-        return readers[path.suffix.lower()](path, joints)
+        return readers[path.suffix.lower()](path, joints, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
             f"Log {str(path)!r} is no text in UTF-8: {error.reason} at byte {error.start}.",

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 LEAST_ROWS = 10
 QUANTITIES = ("position", "velocity", "acceleration", "effort")
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
@@ -33,15 +34,24 @@ class Columns:
         joints: Names of the n joints, in the order of the log to be.
         quantities: Quantities that every joint has.
         notes: What was left out, in words.
+        standing: Further joints, of which there is the position alone.
     """
 
     path: Path
     joints: tuple[str, ...]
     quantities: tuple[str, ...]
     notes: tuple[str, ...]
+    standing: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, path: Path, names: Sequence[str], joints: Sequence[str] | None) -> Columns:
+    def of(
+        cls,
+        path: Path,
+        names: Sequence[str],
+        joints: Sequence[str] | None,
+        *,
+        partial: bool = False,
+    ) -> Columns:
         """The columns of a file with these names, joints in the order given if any is.
 
         Args:
@@ -49,6 +59,7 @@ class Columns:
             names: All columns of the file, in its order.
             joints: Names of the model's joints, which the log must have, in the order that it shall
                 have them in; None for the order of the file.
+            partial: Whether the log may lack some of them, or their efforts.
 
         Raises:
             LogError: Time, or a joint's position or effort, is missing, or the joints are others.
@@ -64,9 +75,9 @@ class Columns:
             quantity: [n.rsplit(".", 1)[0] for n in names if n.endswith(f".{quantity}")]
             for quantity in QUANTITIES
         }
-        own = _joints(path, having)
+        own, standing = _joints(path, having, partial=partial)
         if joints is not None:
-            check_joints(path.stem, own, joints)
+            check_joints(path.stem, [*own, *standing], joints, partial=partial)
         quantities, notes = [], []
         for quantity in QUANTITIES:
             there = set(having[quantity])
@@ -76,10 +87,12 @@ class Columns:
             elif len(missing) < len(own):
                 notes.append(f"{quantity} is not used: there is no {_listed(missing)}")
         known = {"time", *(f"{joint}.{quantity}" for joint in own for quantity in QUANTITIES)}
+        known |= {f"{joint}.{quantity}" for joint in standing for quantity in QUANTITIES}
         others = [name for name in names if name not in known]
         if others:
             notes.append(f"columns ignored: {_listed(others)}")
-        return cls(path, tuple(own if joints is None else joints), tuple(quantities), tuple(notes))
+        order = own if joints is None else [joint for joint in joints if joint in own]
+        return cls(path, tuple(order), tuple(quantities), tuple(notes), tuple(standing))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -87,6 +100,7 @@ class Columns:
         return (
             "time",
             *(f"{joint}.{quantity}" for quantity in self.quantities for joint in self.joints),
+            *(f"{joint}.position" for joint in self.standing),
         )
 
 
@@ -114,6 +128,7 @@ class Recording:
         self.time = np.empty(rows)
         self._places = {joint: place for place, joint in enumerate(columns.joints)}
         shape = (rows, len(columns.joints))
+        self._standing = {joint: np.empty(rows) for joint in columns.standing}
         self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
 
     def put(self, name: str, rows: slice, numbers: Array) -> None:
@@ -128,6 +143,9 @@ class Recording:
             self.time[rows] = numbers
         else:
             joint, quantity = name.rsplit(".", 1)
+            if joint in self._standing:
+                self._standing[joint][rows] = numbers
+                return
             self.values[quantity][rows, self._places[joint]] = numbers
 
     def log(self, rows: int) -> JointLog:
@@ -152,7 +170,15 @@ class Recording:
             values.get("velocity"),
             values.get("acceleration"),
             self.columns.notes,
+            standing={joint: self._place(joint, rows) for joint in self._standing},
         )
+
+    def _place(self, joint: str, rows: int) -> float:
+        """Where a joint stands whose effort is not there; NaN if it moves."""
+        numbers = self._standing[joint][:rows]
+        numbers = numbers[np.isfinite(numbers)]
+        still = len(numbers) and np.ptp(numbers) <= _STILL
+        return float(numbers.mean()) if still else np.nan
 
 
 def is_used(name: str) -> bool:
@@ -160,8 +186,10 @@ def is_used(name: str) -> bool:
     return name == "time" or ("." in name and name.rsplit(".", 1)[1] in QUANTITIES)
 
 
-def _joints(path: Path, having: Mapping[str, Sequence[str]]) -> Sequence[str]:
-    """Joints with position and effort; an error if a position has no effort."""
+def _joints(
+    path: Path, having: Mapping[str, Sequence[str]], *, partial: bool
+) -> tuple[Sequence[str], Sequence[str]]:
+    """Joints with position and effort, and those without effort, an error unless partial."""
     joints, heard = having["position"], set(having["effort"])
     silent = [joint for joint in joints if joint not in heard]
     if not joints or len(silent) == len(joints):
@@ -170,14 +198,14 @@ def _joints(path: Path, having: Mapping[str, Sequence[str]]) -> Sequence[str]:
             f"{_listed(joints)}; efforts: {_listed(having['effort'])}.",
             advice=f"A log without effort says nothing about dynamics. {HEADER_ADVICE}",
         )
-    if silent:
+    if silent and not partial:
         raise LogError(
             f"Log {str(path)!r} is a log without effort of {', '.join(silent)}: the position is "
             "there, the effort is not.",
             advice="Log that joint's effort too, or leave its columns out.",
             joints=silent,
         )
-    return joints
+    return [joint for joint in joints if joint in heard], silent
 
 
 def _check_names(path: Path, names: Sequence[str]) -> None:

@@ -23,12 +23,12 @@ _HEADER_LINES = 1000  # of a header whose names have line ends
 _LONGEST_LINE = 8  # blocks, which hold 400,000 numbers
 
 
-def read_csv(path: Path, joints: Sequence[str] | None) -> JointLog:
+def read_csv(path: Path, joints: Sequence[str] | None, *, partial: bool = False) -> JointLog:
     """Read a log from a CSV file; see `read_log`."""
     most = 1 + _count_lines(path)
     with path.open(encoding="utf-8-sig", newline="") as file:
         header, line = _read_header(path, file)
-        columns = Columns.of(path, header, joints)
+        columns = Columns.of(path, header, joints, partial=partial)
         recording = Recording(columns, most)
         places = [header.index(name) for name in columns.names]
         rows = 0

@@ -21,12 +21,12 @@ _ADVICE = "Store one 1-D array for each column, all equally long."
 _HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
 
-def read_npz(path: Path, joints: Sequence[str] | None) -> JointLog:
+def read_npz(path: Path, joints: Sequence[str] | None, *, partial: bool = False) -> JointLog:
     """Read a log from an NPZ file; see `read_log`."""
     with _reading(path), zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         names = [entry.filename.removesuffix(".npy").strip() for entry in entries]
-        columns = Columns.of(path, names, joints)
+        columns = Columns.of(path, names, joints, partial=partial)
         members = {name: entries[names.index(name)] for name in columns.names}
         lengths = {name: _length(path, archive, name, entry) for name, entry in members.items()}
         rows = _common(path, lengths)

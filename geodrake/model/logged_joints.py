@@ -1,0 +1,103 @@
+"""Joints of a model and joints of logs: what was not logged is held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geodrake.boundary.arguments import instance, instances
+from geodrake.errors import LogError
+from geodrake.logs.motion import JointLog, match_joints
+from geodrake.model.holding import holding
+from geodrake.model.robot_model import RobotModel
+
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
+
+
+def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+    """The model with those joints held that no log says anything of; itself if there are none.
+
+    They are held where they stand, if their positions were logged, and else where the model file
+    has them by default. A joint that stands still all the time under an effort that never changes
+    counts as one that was not logged: its sensor has nothing to say.
+
+    Args:
+        model: The model.
+        logs: All logs, of joints of the model; see `read_log` with `partial`.
+
+    Raises:
+        LogError: Such a joint does not stand in one place, or no joint is left.
+    """
+    instance(model, "model", RobotModel)
+    logs = instances(logs, "logs", JointLog)
+    silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
+    if not silent or len(silent) == len(model.joints):
+        return model
+    return holding(model, {joint: _place(model, logs, joint) for joint in silent})
+
+
+def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
+    """The log with its joints in the model's order, without those that the model holds.
+
+    Args:
+        log: A log of the model's joints, and perhaps of those that it holds.
+        model: The model.
+
+    Raises:
+        LogError: Log or model has a joint that the other lacks.
+    """
+    moving = [joint for joint in log.joints if joint not in model.held]
+    for joint in model.joints:
+        if joint not in log.joints and joint in log.standing:
+            raise LogError(
+                f"Log {log.name!r} is a log without effort of {joint}: the position is there, the "
+                "effort is not.",
+                advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+                joint=joint,
+            )
+    return match_joints(log.select(moving), model.joints)
+
+
+def _says(log: JointLog, joint: str) -> bool:
+    """Whether a log says something of a joint's effort."""
+    if joint not in log.joints:
+        return False
+    at = log.joints.index(joint)
+    efforts, positions = (x[:, at] for x in (log.effort, log.position))
+    efforts, positions = (x[np.isfinite(x)] for x in (efforts, positions))
+    if not len(efforts) or not len(positions):
+        return True  # what is wrong there is told of later
+    return bool(np.ptp(efforts) > 0.0 or np.ptp(positions) > _STILL)
+
+
+def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
+    """Where a joint stands in the logs, or else by default."""
+    places = {}
+    for log in logs:
+        if joint in log.standing:
+            places[log.name] = log.standing[joint]
+        elif joint in log.joints:
+            positions = log.position[:, log.joints.index(joint)]
+            places[log.name] = float(np.nanmean(positions))
+    low, high = model.limits_of(joint)
+    moves = [name for name, place in places.items() if not np.isfinite(place)]
+    if moves:
+        raise LogError(
+            f"Log {moves[0]!r} is a log without effort of {joint}: the position is there, and "
+            "moves; the effort is not.",
+            advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+            joint=joint,
+        )
+    if not places:
+        return float(np.clip(model.default_position(joint), low, high))
+    lowest, highest = min(places, key=places.__getitem__), max(places, key=places.__getitem__)
+    if places[highest] - places[lowest] > _STILL:
+        raise LogError(
+            f"Joint {joint!r} has no effort in the logs, and stands at {places[lowest]:.4g} in "
+            f"{lowest!r} and at {places[highest]:.4g} in {highest!r}.",
+            advice=f"Say where to hold it, such as --lock {joint}={places[lowest]:.4g}, or "
+            "identify from logs in which it stands in one place.",
+            joint=joint,
+        )
+    return float(np.clip(np.mean(list(places.values())), low, high))
