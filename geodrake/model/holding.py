@@ -27,7 +27,9 @@ from geodrake.robot.plant import load_plant
 Array = NDArray[np.float64]
 
 
-def holding(model: RobotModel, held: Mapping[str, float]) -> RobotModel:
+def holding(
+    model: RobotModel, held: Mapping[str, float], *, why: str = "so that they do not move"
+) -> RobotModel:
     """The model with joints held where they stand: they are none of its joints any more.
 
     Inertias and payloads of bodies that they moved go to the bodies that carry them. Other effects
@@ -36,7 +38,8 @@ def holding(model: RobotModel, held: Mapping[str, float]) -> RobotModel:
     Args:
         model: The model.
         held: Joint -> where it is held, rad or m. One that is held already may be held elsewhere
-            only in a model that was not fitted.
+            by loading the model file again.
+        why: Why they are, for the note.
 
     Raises:
         ModelError: There is no such joint, its limits do not let it stand there, or no joint is
@@ -67,14 +70,19 @@ def holding(model: RobotModel, held: Mapping[str, float]) -> RobotModel:
         information=None if model.information is None else lumping.information(model, kept),
         effort_noise=None if noise is None else noise[order],
         fading_speed=None if fading is None else fading[order],
-        notes=(*model.notes, *held_notes(held), *_lost_notes(lost)),
+        notes=(*model.notes, *held_notes(held, why), *_lost_notes(lost)),
     )
 
 
-def held_notes(held: Mapping[str, float]) -> list[str]:
-    """That joints are held, and where, rad or m, in words."""
-    words = ", ".join(f"{joint} at {value:g}" for joint, value in held.items())
-    return [f"Held, so that they do not move: {words}."] if words else []
+def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
+    """That joints are held, and where, in words.
+
+    Args:
+        held: Joint -> where it is held, rad or m.
+        why: Why they are.
+    """
+    words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
+    return [f"Held, {why}: {words}."] if words else []
 
 
 def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
@@ -185,17 +193,14 @@ def schur_complement(information: Array, A: Array) -> Array:
         information: (p, p) Λ, positive semidefinite.
         A: (q, p) of rank q.
     """
-    q = len(A)
-    basis, triangle = np.linalg.qr(A.T, mode="complete")
-    root = np.linalg.inv(triangle[:q])  # x = basis[:, :q] root.T y + basis[:, q:] z
-    along, across = basis[:, :q] @ root.T, basis[:, q:]
+    size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
+    scale = np.divide(1.0, size, out=np.ones_like(size), where=size > 0.0)  # parameters have units
+    information = scale[:, None] * information * scale
+    basis, triangle = np.linalg.qr((A * scale).T, mode="complete")
+    along = basis[:, : len(A)] @ np.linalg.inv(triangle[: len(A)]).T  # x = along y + across z
+    across = basis[:, len(A) :]
     mixed, free = across.T @ information @ along, across.T @ information @ across
-    # Parameters have units: only what is scaled tells what is nothing.
-    size = np.sqrt(np.maximum(np.diagonal(free), 0.0))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
-    inverse = np.linalg.pinv(scale[:, None] * free * scale, hermitian=True)
-    mixed = scale[:, None] * mixed
-    found = along.T @ information @ along - mixed.T @ inverse @ mixed
+    found = along.T @ information @ along - mixed.T @ np.linalg.pinv(free, hermitian=True) @ mixed
     return np.asarray(0.5 * (found + found.T))
 
 

@@ -34,7 +34,8 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
     if not silent or len(silent) == len(model.joints):
         return model
-    return holding(model, {joint: _place(model, logs, joint) for joint in silent})
+    places = {joint: _place(model, logs, joint) for joint in silent}
+    return holding(model, places, why="as no log has their efforts (--lock JOINT=VALUE says where)")
 
 
 def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
