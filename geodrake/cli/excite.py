@@ -46,7 +46,6 @@ from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.excitation_json import excitation_dict
 from geodrake.report.json_output import to_json
-from geodrake.robot.plant import effort_limits
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
@@ -243,7 +242,7 @@ def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str
         return joint_values(text, model, "--noise"), ()
     if model.effort_noise is not None:
         return model.effort_noise, ("noise: what the model's last fit left on held-out data",)
-    limits = effort_limits(model.plant)
+    limits = model.effort_limits
     if np.isfinite(limits).all() and (limits > 0).all():
         return _NOISE_SHARE * limits, (
             f"noise: {100 * _NOISE_SHARE:.0f} % of the limits of effort, as nothing is known of it",

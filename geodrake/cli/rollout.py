@@ -8,10 +8,12 @@ from typing import Any
 
 from rich.console import Console
 
+from geodrake.boundary.input_files import regular_file
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list, show_table
 from geodrake.control.rollout import Rollout, roll_out
+from geodrake.errors import ModelError
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.saved_model import is_saved_model, load_model
@@ -56,6 +58,7 @@ def run_rollout(options: RolloutOptions) -> None:
 def _other_model(path: Path, given: Input) -> RobotModel:
     """A model of the same robot, with the same joints held."""
     model, how = given.model, None
+    regular_file(path, "model file", ModelError)
     if not is_saved_model(path):
         how = model.given if is_xacro(path.read_bytes()) else replace(model.given, xacro={})
     other = load_model(path, floating=model.floating, extra=given.extra, given=how)

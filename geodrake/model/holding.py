@@ -54,12 +54,11 @@ def holding(
     loaded = load_plant(
         model.path, floating=model.floating, held={**model.held, **held}, given=model.given
     )
-    lumping = _Lumping.of(model, replace(model, plant=loaded.plant, held=loaded.held))
+    bare = replace(model, plant=loaded.plant, held=loaded.held, followers=loaded.followers)
+    lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
     after = replace(
-        model,
-        plant=loaded.plant,
-        held=loaded.held,
+        bare,
         phi=(lumping.matrix @ model.phi.ravel()).reshape(-1, PARAMETERS_PER_BODY),
         effects=tuple(fitted for fitted, _ in kept),
     )
@@ -91,6 +90,12 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
             raise ModelError(
                 f"Joint {joint!r} is held already, at {model.held[joint]:g}.",
                 advice="Load the model file again to hold it elsewhere.",
+                joint=joint,
+            )
+        if joint in model.led:
+            raise ModelError(
+                f"Joint {joint!r} cannot be held, as it follows {model.led[joint][0]!r}.",
+                advice=f"Hold {model.led[joint][0]!r}.",
                 joint=joint,
             )
         if joint not in model.joints:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,16 +40,19 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
 
 
 def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
-    """The log with its joints in the model's order, without those that the model holds.
+    """The log with its joints in the model's order, without those that are held or follow others.
+
+    The effort of a joint that follows another one is added to the other one's.
 
     Args:
-        log: A log of the model's joints, and perhaps of those that it holds.
+        log: A log of the model's joints, and perhaps of those that it holds and that follow.
         model: The model.
 
     Raises:
         LogError: Log or model has a joint that the other lacks.
     """
-    moving = [joint for joint in log.joints if joint not in model.held]
+    aside = set(model.known_joints).difference(model.joints)
+    moving = [joint for joint in log.joints if joint not in aside]
     for joint in model.joints:
         if joint not in log.joints and joint in log.standing:
             raise LogError(
@@ -57,7 +61,19 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
                 advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
                 joint=joint,
             )
-    return match_joints(log.select(moving), model.joints)
+    return match_joints(_with_followers(log, model).select(moving), model.joints)
+
+
+def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
+    """The log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
+    efforts, notes = log.effort, list(log.notes)
+    for joint, (leader, ratio) in model.led.items():
+        if joint in log.joints and leader in log.joints:
+            at, own = log.joints.index(joint), log.joints.index(leader)
+            efforts = efforts.copy() if efforts is log.effort else efforts
+            efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
+            notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
+    return log if efforts is log.effort else replace(log, effort=efforts, notes=tuple(notes))
 
 
 def _says(log: JointLog, joint: str) -> bool:

@@ -17,8 +17,8 @@ from geodrake.report.ellipsoids import EllipsoidSet
 from geodrake.report.meshcat_ellipsoids import MeshcatEllipsoids
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.packages import add_packages
-from geodrake.robot.plant import free_roots
+from geodrake.robot.files.xacro_file import is_xacro, read_expanded
+from geodrake.robot.plant import arrange_as
 
 FRAMES = 30.0
 """Frames a second."""
@@ -35,8 +35,9 @@ def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     Args:
         model: The robot.
         times: (N,) instants, s.
-        q: (N, nq) positions in the order of the model's plant.
+        q: (N, nq) positions of the model.
     """
+    q = model.coordinates.plant_positions(q)
     with drake_messages():  # where MeshCat listens does not matter for a page
         meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
         meshcat.SetProperty("/Background", "top_color", [1.0, 1.0, 1.0])
@@ -58,13 +59,11 @@ def _record_visuals(meshcat: Meshcat, model: RobotModel, times: Array, q: Array)
     try:
         with drake_errors(model.path):
             parser = Parser(plant)
-            names = read_description(model.path).named_packages()
-            add_packages(parser.package_map(), model.path, names)
-            parser.AddModels(str(model.path))
-            if not model.floating:
-                for body in free_roots(plant):
-                    X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-                    plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+            description = read_description(model.path, model.given)
+            names = description.named_packages()
+            description.add_packages(parser.package_map(), names)
+            _parse(parser, model)
+            arrange_as(plant, model.plant)
             plant.Finalize()
             starts = _positions(model.plant, plant)
     except ModelError:
@@ -82,6 +81,16 @@ def _record_visuals(meshcat: Meshcat, model: RobotModel, times: Array, q: Array)
         plant.SetPositions(context, shown)
         diagram.ForcedPublish(root)
     return True
+
+
+def _parse(parser: Parser, model: RobotModel) -> None:
+    """Adds what the file describes, a xacro file expanded."""
+    data = model.path.read_bytes()
+    if is_xacro(data):
+        text = read_expanded(model.path, model.given).decode()
+        parser.AddModelsFromString(text, "urdf")
+    else:
+        parser.AddModels(str(model.path))
 
 
 def _positions(model: MultibodyPlant, shown: MultibodyPlant) -> list[int]:

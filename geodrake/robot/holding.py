@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint, WeldJoint
 
 from geodrake.errors import ModelError
+from geodrake.robot.followers import Follower
 from geodrake.robot.several_robots import scoped
 
 _SLACK = 1e-9  # rad or m, by which a held joint may be beyond its limits
@@ -20,19 +21,24 @@ _ASIDE = " stands"  # after the name of a joint of a robot that is not the one a
 
 @dataclass(frozen=True)
 class Arrangement:
-    """What of a model file moves.
+    """What of a model file moves, and by itself.
 
     Attributes:
         floating: Whether free roots float instead of being welded to the world.
         held: Scoped names of joints that are held -> their poses X_FM.
         aside: The same of joints of other robots than the one asked for.
         robot: Indices of that robot's bodies; None for all that there are.
+        followers: Joints that move as others do.
+        joints: Names, as users know them, of the robot's joints of one degree of freedom, held
+            ones and followers included.
     """
 
     floating: bool
     held: Mapping[str, RigidTransform] = field(default_factory=dict)
     aside: Mapping[str, RigidTransform] = field(default_factory=dict)
     robot: frozenset[int] | None = None
+    followers: tuple[Follower, ...] = ()
+    joints: tuple[str, ...] = ()
 
     def is_of_robot(self, body: int) -> bool:
         """Whether a body belongs to the robot asked for."""
@@ -40,30 +46,40 @@ class Arrangement:
 
 
 def checked_held(
-    plant: MultibodyPlant, names: Mapping[str, int], held: Mapping[str, float], path: Path
-) -> dict[str, RigidTransform]:
-    """Scoped joint name -> pose of a joint's frame M in its frame F, for joints to be held.
+    joints: Mapping[str, Joint],
+    followers: Sequence[Follower],
+    held: Mapping[str, float],
+    path: Path,
+) -> dict[str, float]:
+    """Scoped names of joints that are to be held, and of those that follow them -> where.
 
     Args:
-        plant: The finalized plant in which they move.
-        names: Names of joints of one degree of freedom, as users know them, with their velocities.
+        joints: Joints of one degree of freedom by their names, as users know them.
+        followers: Those that follow others.
         held: Such a name -> where it is held, rad or m.
         path: The model file, for messages.
 
     Raises:
-        ModelError: There is no such joint, or its limits do not let it stand there.
+        ModelError: There is no such joint, it follows another one, or its limits do not let it
+            stand there.
     """
-    context = plant.CreateDefaultContext()
-    joints = {j.velocity_start(): j for j in moving_joints(plant)}
-    poses = {}
+    names = {scoped(joint): name for name, joint in joints.items()}
+    leaders = {names[f.joint]: names[f.leader] for f in followers}
+    places: dict[str, float] = {}
     for name, value in held.items():
-        if name not in names:
+        if name not in joints:
             raise ModelError(
                 f"{path} has no joint {name!r} that could be held.",
-                advice=f"Joints are: {', '.join(names)}.",
+                advice=f"Joints are: {', '.join(joints)}.",
                 joint=name,
             )
-        joint = joints[names[name]]
+        if name in leaders:
+            raise ModelError(
+                f"Joint {name!r} cannot be held, as it follows {leaders[name]!r}.",
+                advice=f"Hold {leaders[name]!r}.",
+                joint=name,
+            )
+        joint = joints[name]
         low, high = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
         if not low - _SLACK <= value <= high + _SLACK:  # NaN is refused too
             raise ModelError(
@@ -71,25 +87,33 @@ def checked_held(
                 advice="Hold it within them, or correct the limits.",
                 joint=name,
             )
-        q = np.array(plant.GetPositions(context))
-        q[joint.position_start()] = value
-        plant.SetPositions(context, q)
-        pose = joint.frame_on_child().CalcPose(context, joint.frame_on_parent())
-        poses[scoped(joint)] = pose
-    return poses
+        places[scoped(joint)] = value
+    following = {
+        f.joint: f.ratio * places[f.leader] + f.offset for f in followers if f.leader in places
+    }
+    return places | following
 
 
-def standing_poses(plant: MultibodyPlant, joints: frozenset[str]) -> dict[str, RigidTransform]:
-    """The poses of some joints' frames M in their frames F, by default.
+def poses_of(
+    plant: MultibodyPlant, joints: Collection[str], places: Mapping[str, float] | None = None
+) -> dict[str, RigidTransform]:
+    """Scoped joint name -> pose of the joint's frame M in its frame F.
 
     Args:
-        plant: A finalized plant.
-        joints: Scoped names of the joints.
+        plant: The finalized plant in which the joints move.
+        joints: Their scoped names.
+        places: Scoped names of joints of one degree of freedom -> their positions, rad or m; the
+            others stand where they do by default.
     """
     context = plant.CreateDefaultContext()
+    q, moving = np.array(plant.GetPositions(context)), moving_joints(plant)
+    for joint in moving:
+        if scoped(joint) in (places or {}):
+            q[joint.position_start()] = (places or {})[scoped(joint)]
+    plant.SetPositions(context, q)
     return {
         scoped(joint): joint.frame_on_child().CalcPose(context, joint.frame_on_parent())
-        for joint in moving_joints(plant)
+        for joint in moving
         if scoped(joint) in joints
     }
 
@@ -106,7 +130,7 @@ def weld_joints(
     """
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
     for joint in [plant.get_joint(index) for index in plant.GetJointIndices()]:
-        if scoped(joint) not in poses:
+        if scoped(joint) not in poses or not joint.num_velocities():
             continue
         X_FM, name = poses[scoped(joint)], joint.name() + (_ASIDE if aside else "")
         for actuator in actuators:
@@ -115,6 +139,19 @@ def weld_joints(
         frames = joint.frame_on_parent(), joint.frame_on_child()
         plant.RemoveJoint(joint)
         plant.AddJoint(WeldJoint(name, *frames, X_FM))
+
+
+def welds_of(plant: MultibodyPlant, *, aside: bool = False) -> dict[str, RigidTransform]:
+    """Scoped names of the welded joints of a plant -> their poses X_FM; see `weld_joints`.
+
+    Args:
+        plant: A plant.
+        aside: Those of other robots than the one in question.
+    """
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    welds = {scoped(joint): joint.X_FM() for joint in joints if isinstance(joint, WeldJoint)}
+    names = {name: name.endswith(_ASIDE) for name in welds}
+    return {name.removesuffix(_ASIDE): welds[name] for name in welds if names[name] is aside}
 
 
 def moving_joints(plant: MultibodyPlant) -> list[Joint]:

@@ -31,10 +31,10 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.holding import Arrangement, checked_held, standing_poses, weld_joints
+from geodrake.robot.followers import Coordinates, Follower, resolved
+from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.repairs import Repair, repair_inertias
-from geodrake.robot.several_robots import chosen_robot, robots_of
-from geodrake.robot.several_robots import scoped as _scoped
+from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,15 @@ class LoadedPlant:
         path: The model file.
         repairs: Bodies whose inertia no body can have, with what they got instead.
         notes: Sentences on what else of the file was read in a way worth knowing.
-        file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m.
+        file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m; here and below nv without
+            followers, whose share is their leader's.
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
         held: Joint that does not move, though it does in the file -> where it is held, rad or m.
         given: How the file was to be read.
+        followers: Joints of the plant that follow others.
+        joints: Names of all joints of one degree of freedom that the robot has in the file, held
+            ones and followers included.
     """
 
     plant: MultibodyPlant
@@ -62,6 +66,8 @@ class LoadedPlant:
     file_rotor_inertia: Array
     held: Mapping[str, float]
     given: Given
+    followers: tuple[Follower, ...] = ()
+    joints: tuple[str, ...] = ()
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -83,7 +89,7 @@ def load_plant(
     """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
-    loops and mimic joints are read as an open tree.
+    loops are read as an open tree; joints that follow others are `followers`.
 
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
@@ -104,17 +110,21 @@ def load_plant(
         draft, arrangement = _draft(description, floating=floating, held=held, given=given)
         repairs, repair_notes, changed = repair_inertias(description, draft.plant)
         built = _build(description, arrangement) if changed else draft
-    notes = (*description.notes, *built.notes, *repair_notes, *_relevant(messages))
+    notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
+    notes += [*repair_notes, *_relevant(messages)]
+    coordinates = Coordinates(built.plant, arrangement.followers)
     return LoadedPlant(
         built.plant,
         path,
         repairs,
         tuple(dict.fromkeys(notes)),
-        built.damping,
-        built.friction,
-        built.rotor_inertia,
+        coordinates.joined(built.damping, 2),
+        coordinates.joined(built.friction, 1),
+        coordinates.joined(built.rotor_inertia, 2),
         held,
         given,
+        arrangement.followers,
+        arrangement.joints,
     )
 
 
@@ -127,27 +137,55 @@ def _draft(
     if given.robot is not None:
         robot = chosen_robot(draft.plant, given.robot, description.path)
         others = [joint for r in robots_of(draft.plant) if r != robot for joint in r.joints]
-        aside = standing_poses(draft.plant, frozenset(others))
+        aside = poses_of(draft.plant, others)
         arrangement = replace(arrangement, aside=aside, robot=robot.bodies)
         draft = _build(description, arrangement)
+    joints = _single_joints(draft.plant)
+    followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
+    arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
     if held:
-        poses = checked_held(draft.plant, _single_joints(draft.plant), held, description.path)
-        if len(poses) == draft.plant.num_velocities():
+        places = checked_held(joints, followers, held, description.path)
+        if len(places) == draft.plant.num_velocities():
             raise ModelError(
                 f"All joints of {description.path} are held, so nothing moves.",
                 advice="Leave out at least one of them.",
                 path=description.path,
             )
-        arrangement = replace(arrangement, held=poses)
+        arrangement = replace(
+            arrangement,
+            held=poses_of(draft.plant, places, places),
+            followers=tuple(f for f in followers if f.joint not in places),
+        )
         draft = _build(description, arrangement)
     return draft, arrangement
 
 
-def _single_joints(plant: MultibodyPlant) -> dict[str, int]:
-    """Names of the joints of one degree of freedom, with their velocities."""
+def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
+    """The joints of one degree of freedom by their names, in the order of their velocities."""
     names = joint_names(plant)
-    starts = (j.velocity_start() for j in _joints(plant) if j.num_velocities() == 1)
-    return {names[start]: start for start in starts}
+    single = [j for j in _joints(plant) if j.num_velocities() == j.num_positions() == 1]
+    single.sort(key=lambda joint: int(joint.velocity_start()))
+    return {names[joint.velocity_start()]: joint for joint in single}
+
+
+def _follower_notes(description: ModelDescription, arrangement: Arrangement) -> list[str]:
+    """Which joints follow others, and which cannot, in words."""
+    following = {f.joint: f.leader for f in arrangement.followers}
+    pairs = ", ".join(f"{_last(a)} follows {_last(b)}" for a, b in following.items())
+    notes = [f"{pairs}, and is no joint of its own."] if pairs else []
+    there = set(following).union(arrangement.held, arrangement.aside)
+    apart = [_last(f.joint) for f in description.followers if f.joint not in there]
+    if apart:
+        what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
+        notes.append(
+            f"{what} is ignored, as there is no joint to follow: {', '.join(apart)} count as "
+            "joints of their own."
+        )
+    return notes
+
+
+def _last(name: str) -> str:
+    return name.rpartition("::")[2]
 
 
 @dataclass(frozen=True)
@@ -196,7 +234,7 @@ def _build(description: ModelDescription, arrangement: Arrangement) -> _Built:
 
     stated = description.joint_values("friction")
     friction = {
-        j: np.full(joint.num_velocities(), stated.get(_scoped(joint), 0.0))
+        j: np.full(joint.num_velocities(), stated.get(scoped(joint), 0.0))
         for j, joint in enumerate(_joints(plant))
     }
     arrays = [per_velocity(values) for values in (damping, friction, rotor)]
@@ -224,6 +262,22 @@ def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     ]
 
 
+def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
+    """Welds what moves in a plant of a model file, and does not in another one of the same file.
+
+    Args:
+        plant: A plant that is not finalized, such as one with geometry; changed.
+        other: The finalized plant of a model.
+    """
+    weld_joints(plant, welds_of(other))
+    weld_joints(plant, welds_of(other, aside=True), aside=True)
+    standing = {body.scoped_name() for body in other.GetBodiesWeldedTo(other.world_body())}
+    for body in free_roots(plant):
+        if body.scoped_name() in standing:
+            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+
+
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
     """The root of each tree that no joint connects to the world."""
     tree = list(range(plant.num_bodies()))
@@ -245,7 +299,7 @@ def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None
     actuators = {int(a.joint().index()): a for a in _actuators(plant)}
     efforts = description.joint_values("effort")
     for joint in _joints(plant):
-        limit = efforts.get(_scoped(joint), 0.0)
+        limit = efforts.get(scoped(joint), 0.0)
         if joint.num_velocities() == 1 and limit > 0:
             if int(joint.index()) in actuators:
                 actuators[int(joint.index())].set_effort_limit(limit)
@@ -258,12 +312,12 @@ def _take_rotor_inertia(plant: MultibodyPlant, description: ModelDescription) ->
     numbers = {int(joint.index()): j for j, joint in enumerate(_joints(plant))}
     stated = description.joint_values("armature")
     rotor = {
-        j: np.full(joint.num_velocities(), stated.get(_scoped(joint), 0.0))
+        j: np.full(joint.num_velocities(), stated.get(scoped(joint), 0.0))
         for j, joint in enumerate(_joints(plant))
     }
     for actuator in _actuators(plant):
         joint = actuator.joint()
-        if _scoped(joint) not in stated:
+        if scoped(joint) not in stated:
             rotor[numbers[int(joint.index())]] += actuator.default_reflected_inertia()
         actuator.set_default_rotor_inertia(0.0)
     return rotor

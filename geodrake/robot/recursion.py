@@ -66,6 +66,7 @@ MOBILIZER = np.dtype(
         ("velocities", np.int64, (2,)),
         ("count", np.int64),  # of the velocities that move the body
         ("features", np.int64),
+        ("ratio", float),  # of the angle to the position that it follows
         ("rotation", float, (9, 9)),
         ("offset", float, (3,)),
         ("translation", float, (3, 7)),
@@ -105,13 +106,16 @@ Of the velocities, as many as the record counts.
 
 
 @inlined
-def features_of(kind: int, q: Numbers, n: int, first: int, out: Numbers) -> int:
+def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
     """Writes the functions of a joint's positions that its rotation is linear in; how many."""
+    kind = mobilizer.features
+    first, number = mobilizer.positions
     if kind == _CONSTANT:
         out[0] = 1.0
         return 1
     if kind == _ANGLE:
-        out[0], out[1], out[2] = 1.0, np.cos(q[n, first]), np.sin(q[n, first])
+        angle = mobilizer.ratio * q[n, first + number - 1]
+        out[0], out[1], out[2] = 1.0, np.cos(angle), np.sin(angle)
         return 3
     x, y, z = q[n, first], q[n, first + 1], q[n, first + 2]
     if kind == _RPY:
@@ -131,16 +135,9 @@ def features_of(kind: int, q: Numbers, n: int, first: int, out: Numbers) -> int:
 
 
 @inlined
-def angle_place(mobilizer: Record) -> int:
-    """Where the positions begin that the features of a joint are functions of."""
-    first, number = mobilizer.positions
-    return int(first + number - 1 if mobilizer.features == _ANGLE else first)
-
-
-@inlined
 def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> None:
     """The rotation R_PB and the position of Mo in P at sample n; `features` is room (9,)."""
-    number = features_of(mobilizer.features, q, n, angle_place(mobilizer), features)
+    number = features_of(mobilizer, q, n, features)
     C, R = mobilizer.rotation, out.R_PB
     for j in range(3):
         for k in range(3):
@@ -224,7 +221,7 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
 
 @inlined
 def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> None:
-    """Writes the ten factors of φ in the effort that a body asks of a velocity.
+    """Adds the ten factors of φ in the effort that a body asks of a velocity.
 
     The place is that of the first of them in out (N, rows, columns).
     """
@@ -235,19 +232,21 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
     # I: s·(I α) + c·(I u) − ½ tr(I) c·u with c = s × ω, the same by I (ω × u).
     c = cross(s, w)
     trace = 0.5 * dot(c, u)
-    out[n, line, start] = dot(t, a)
-    out[n, line, start + 1], out[n, line, start + 2], out[n, line, start + 3] = h
-    out[n, line, start + 4] = s[0] * wd[0] + c[0] * u[0] - trace
-    out[n, line, start + 5] = s[1] * wd[1] + c[1] * u[1] - trace
-    out[n, line, start + 6] = s[2] * wd[2] + c[2] * u[2] - trace
-    out[n, line, start + 7] = s[0] * wd[1] + s[1] * wd[0] + c[0] * u[1] + c[1] * u[0]
-    out[n, line, start + 8] = s[1] * wd[2] + s[2] * wd[1] + c[1] * u[2] + c[2] * u[1]
-    out[n, line, start + 9] = s[2] * wd[0] + s[0] * wd[2] + c[2] * u[0] + c[0] * u[2]
+    out[n, line, start] += dot(t, a)
+    out[n, line, start + 1] += h[0]
+    out[n, line, start + 2] += h[1]
+    out[n, line, start + 3] += h[2]
+    out[n, line, start + 4] += s[0] * wd[0] + c[0] * u[0] - trace
+    out[n, line, start + 5] += s[1] * wd[1] + c[1] * u[1] - trace
+    out[n, line, start + 6] += s[2] * wd[2] + c[2] * u[2] - trace
+    out[n, line, start + 7] += s[0] * wd[1] + s[1] * wd[0] + c[0] * u[1] + c[1] * u[0]
+    out[n, line, start + 8] += s[1] * wd[2] + s[2] * wd[1] + c[1] * u[2] + c[2] * u[1]
+    out[n, line, start + 9] += s[2] * wd[0] + s[0] * wd[2] + c[2] * u[0] + c[0] * u[2]
 
 
 @compiled
 def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) -> None:
-    """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb).
+    """Adds the regressor's rows from velocity `first` on to zeros (N, rows, 10 nb).
 
     Args:
         tree: `KinematicTree.records`.
@@ -272,7 +271,7 @@ def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) 
 
 @compiled
 def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Array) -> None:
-    """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch.
+    """Adds the columns of one body to zeros (N, nv, 10), of a tree that may be its branch.
 
     Args:
         tree: `KinematicTree.records`.
@@ -307,13 +306,13 @@ def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
 
 @compiled
 def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Writes the efforts (N, nv) that a motion needs, for parameters φ (nb, 10).
+    """Adds the efforts that a motion needs, for parameters φ (nb, 10), to zeros (N, nv).
 
     Args:
         tree: `KinematicTree.records`.
         samples: Samples of a motion.
         phi: (nb, 10) inertial parameters.
-        out: (N, nv) the efforts, N·m or N.
+        out: (N, nv) zeros, then the efforts, N·m or N.
     """
     mobilizers, _ = tree
     bodies = len(mobilizers)
@@ -336,7 +335,7 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
             first, number = mobilizer.velocities
             for k in range(number):
                 s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
-                out[n, first + k] = dot(s, moment) + dot(t, force)
+                out[n, first + k] += dot(s, moment) + dot(t, force)
             parent = mobilizer.parent
             if parent >= 0:
                 moment = add(moment, cross(vector(motions[i].p_PMo), force))
@@ -364,7 +363,7 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
 def calc_kinematics(
     tree: TreeRecords, q: Array, poses: Array, angular: Array, linear: Array
 ) -> None:
-    """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, into zeros.
+    """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, to zeros.
 
     The Jacobians (N, nb, 3, nv) of ω and of the velocity of Bo, in W; none if they have no samples.
 
@@ -400,5 +399,5 @@ def calc_kinematics(
                     for k in range(mobilizers[i].count):
                         s, t = times(R, row(turn, i, k)), times(R, row(slide, i, k))
                         for x in range(3):
-                            angular[n, body, x, dofs[i, k]] = s[x]
-                            linear[n, body, x, dofs[i, k]] = t[x]
+                            angular[n, body, x, dofs[i, k]] += s[x]
+                            linear[n, body, x, dofs[i, k]] += t[x]

@@ -95,7 +95,7 @@ def inverse_dynamics(
     """
     tree, samples = checked_samples(plant, q, v, vd)
     phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
-    effort = np.empty((len(samples[0]), tree.num_velocities))
+    effort = np.zeros((len(samples[0]), tree.num_velocities))
     calc_inverse_dynamics(tree.records, samples, phi, effort)
     return effort
 
@@ -119,7 +119,8 @@ def regressor_pieces(
     room = np.zeros((min(_PIECE, len(samples[0])), tree.num_velocities, columns))
     for start in range(0, len(samples[0]), _PIECE):
         part = slice(start, min(start + _PIECE, len(samples[0])))
-        piece = room[: part.stop - start]  # what is zero in one piece is so in all
+        piece = room[: part.stop - start]
+        piece[:] = 0.0
         q, qd, v, vd = (x[part] for x in samples)
         calc_regressor(tree.records, (q, qd, v, vd), 0, piece)
         yield part, piece

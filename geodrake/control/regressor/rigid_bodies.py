@@ -68,7 +68,7 @@ class RigidSample:
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
-        effort = np.empty_like(self.motion[1])
+        effort = np.zeros_like(self.motion[1])
         calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
         return np.asarray(effort[0])
 
@@ -99,7 +99,7 @@ class RigidSample:
         nv = qd.shape[1]
         still, accelerations = np.zeros((nv + 1, nv)), np.eye(nv + 1, nv)
         samples = (np.repeat(q, nv + 1, axis=0), still, still, accelerations)
-        efforts = np.empty((nv + 1, nv))
+        efforts = np.zeros((nv + 1, nv))
         calc_inverse_dynamics(self.tree.records, samples, np.array(phi, float), efforts)
         M = efforts[:-1] - efforts[-1]
         return np.asarray(0.5 * (M + M.T))

@@ -35,7 +35,6 @@ from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
 from geodrake.model.logged_joints import log_of_model
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.plant import effort_limits
 
 Array = NDArray[np.float64]
 
@@ -159,7 +158,7 @@ def open_case(
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     matched = _matched(model, logs)
     uniform = [make_uniform(log) for log in matched]
-    limits = effort_limits(model.plant)
+    limits = model.effort_limits
     hints = [hint for each in uniform for hint in _hints(each.log, limits)]
     hints += payload_notes(model, matched)
     fitted = all(log.fingerprint in model.fitted_to for log in matched)

@@ -32,6 +32,7 @@ from geodrake.robot.files.packages import add_packages, named_packages
 from geodrake.robot.files.reading import read_model_text
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS
+from geodrake.robot.followers import Follower
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
 _LINE = re.compile(r"(?:<literal-string>|\S*?/(\d+))\.\w+:(\d+): ")
@@ -62,6 +63,11 @@ class ModelDescription:
     def set_aside(self) -> Mapping[str, Array]:
         """Scoped link names with inertial parameters (10,) that no body can have."""
         return ChainMap(*(text.set_aside for text in self.texts))
+
+    @property
+    def followers(self) -> tuple[Follower, ...]:
+        """Joints that the texts have follow others."""
+        return tuple(follower for text in self.texts for follower in text.followers)
 
     def joint_values(self, name: str) -> Mapping[str, float]:
         """`friction`, `armature` or `effort` of the file, by scoped joint name."""

@@ -42,6 +42,7 @@ class SdfText(ModelText):
         for name, model in self._models(self.root, ""):
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
             for joint in model.findall("joint"):
+                self._take_mimic(name, joint)
                 self._read_joint(f"{name}::{joint.get('name')}", joint)
 
     def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:

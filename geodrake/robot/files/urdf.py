@@ -38,6 +38,7 @@ class UrdfText(ModelText):
         self._links = {f"{scope}::{e.get('name')}": e for e in self.root.findall("link")}
         for joint in [*self.root.findall("joint"), *self.root.findall("drake:joint")]:
             name = f"{scope}::{joint.get('name')}"
+            self._take_mimic(scope, joint)
             self.friction[name] = number(joint, "dynamics", "friction")
             self.effort[name] = number(joint, "limit", "effort")
 
