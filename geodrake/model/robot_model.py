@@ -22,7 +22,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.robot.files import Given
-from geodrake.robot.followers import Coordinates, Follower
+from geodrake.robot.followers import Follower, OwnCoordinates
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import (
@@ -92,9 +92,9 @@ class RobotModel:
         return KinematicTree.from_plant(self.plant, self.followers)
 
     @cached_property
-    def coordinates(self) -> Coordinates:
+    def coordinates(self) -> OwnCoordinates:
         """Which positions and velocities of the plant are the model's."""
-        return Coordinates(self.plant, self.followers)
+        return OwnCoordinates(self.plant, self.followers)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -369,7 +369,7 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
         loaded: The plant of a model file, and what the file says of friction, damping and rotors.
         floating: Whether free roots float instead of being welded to the world.
     """
-    coordinates = Coordinates(loaded.plant, loaded.followers)
+    coordinates = OwnCoordinates(loaded.plant, loaded.followers)
     names = joint_names(loaded.plant)
     joints = [names[k] for k in coordinates.own_velocities]
     effects: list[FittedEffect] = []

@@ -65,7 +65,7 @@ def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Followe
 
 
 @dataclass(frozen=True, eq=False)
-class Coordinates:
+class OwnCoordinates:
     """Which positions and velocities of a plant are a robot's own, and how the others follow.
 
     Attributes:

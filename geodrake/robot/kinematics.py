@@ -15,7 +15,7 @@ from pydrake.multibody.tree import Frame, Joint, WeldJoint
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
-from geodrake.robot.followers import Coordinates, Follower
+from geodrake.robot.followers import Follower, OwnCoordinates
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, TreeRecords
 from geodrake.robot.several_robots import scoped
@@ -83,7 +83,7 @@ class KinematicTree:
         """
         bodies = lumped_bodies(plant)
         gravity = [_has_gravity(plant, body) for body in bodies]
-        coordinates = Coordinates(plant, tuple(followers))
+        coordinates = OwnCoordinates(plant, tuple(followers))
         last = {_WORLD: -1}  # every body reached so far: its mobilizer
         mobilizers: list[Mobilizer] = []
         for edge in _edges(plant, bodies):

@@ -31,7 +31,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.followers import Coordinates, Follower, resolved
+from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
@@ -112,7 +112,7 @@ def load_plant(
         built = _build(description, arrangement) if changed else draft
     notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
     notes += [*repair_notes, *_relevant(messages)]
-    coordinates = Coordinates(built.plant, arrangement.followers)
+    coordinates = OwnCoordinates(built.plant, arrangement.followers)
     return LoadedPlant(
         built.plant,
         path,

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from known_robots import assert_close, description, robots
+from known_robots import assert_close, description
 
 from geodrake import load_model, save_model
 from geodrake.effects import (
@@ -18,8 +18,9 @@ from geodrake.effects import (
 )
 from geodrake.errors import LogError, ModelError
 from geodrake.inertia import from_mass_com_inertia
-from geodrake.logs import JointLog, Motion
+from geodrake.logs import JointLog, KnownPayload, Motion
 from geodrake.model import holding, model_of_logs
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.logged_joints import log_of_model
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -218,13 +219,14 @@ def test_logs_that_disagree_or_move_are_refused(tmp_path):
         log_of_model(log_of(arm[:6]), model)
 
 
-def test_the_hand_of_a_held_gripper_can_carry_payloads(tmp_path):
-    model = load_model(robots() / "panda_description/urdf/panda.urdf", lock=FINGERS)
-    assert model.bodies[-1] == "panda_link7"
-    assert {"panda_hand", "panda_leftfinger"} <= {m.name for b in _lumps(model) for m in b.members}
-
-
-def _lumps(model):
-    from geodrake.inertia.bodies import lumped_bodies
-
-    return lumped_bodies(model.plant)
+def test_what_a_held_hand_carries_is_carried_by_its_parent(tmp_path):
+    model = model_of(description(PANDA), tmp_path)
+    held = holding(model, FINGERS)
+    carried = (KnownPayload("panda_leftfinger", 0.7, (0.0, 0.01, 0.02)),)
+    whole = np.zeros((6, 9))
+    whole[:, 7:] = list(FINGERS.values())
+    motion = motion_of(held)
+    whole[:, :7] = motion.q
+    still = (np.hstack([x, np.zeros((6, 2))]) for x in (motion.v, motion.vd))
+    expected = carrying(model, carried).motion(Motion(whole, *still)).load[:, :7]
+    assert_close(carrying(held, carried).motion(motion).load, expected)

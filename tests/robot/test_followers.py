@@ -44,7 +44,8 @@ def gripper(follows=True):
     return (
         '<robot name="gripper"><link name="base"/>'
         + link("a", 2.0, "0.1 0 0.2") + link("b", 1.0, "0 0.1 -0.2") + link("rotor", 0.5, "0 0 0")
-        + link("c", 0.4, "0 0.02 0.1") + link("d", 0.7, "0.1 0 0.1") + link("finger", 0.3, "0 0 0.1")
+        + link("c", 0.4, "0 0.02 0.1") + link("d", 0.7, "0.1 0 0.1")
+        + link("finger", 0.3, "0 0 0.1")
         + joint("ja", "base", "a", "0 0 1", damping)
         + joint("jb", "a", "b", "0 1 0")
         + joint("spin", "base", "rotor", "1 0 0", damping + own("ja", 9.0))
@@ -68,8 +69,7 @@ def motion_of(count=8, width=2, seed=0):
 def test_efforts_are_those_of_pinocchios_mimic_joints(tmp_path):
     pinocchio = pytest.importorskip("pinocchio")
     text = gripper()
-    for chain in (own for own in (follow("jc", 0.5, 0.1),)):  # Pinocchio has no chains of them
-        text = text.replace(chain, follow("jb", -0.35, 0.3))
+    text = text.replace(follow("jc", 0.5, 0.1), follow("jb", -0.35, 0.3))  # no chains there
     model, whole = loaded(tmp_path), pinocchio.buildModelFromXML(text, True)
     assert whole.nv == 2 and model.joints == ("ja", "jb")
     order = [whole.joints[whole.getJointId(name)].idx_v for name in model.joints]
@@ -197,7 +197,7 @@ MJCF = """<mujoco model="m"><option gravity="0 0 -9.81"/><worldbody>
 
 def test_efforts_are_those_of_mujoco_with_equalities(tmp_path):
     mujoco = pytest.importorskip("mujoco")
-    model, ways = loaded(tmp_path, MJCF.format(""), "m.xml"), None
+    model = loaded(tmp_path, MJCF.format(""), "m.xml")
     assert model.joints == ("j",)
     ways, motion = model.coordinates, motion_of(width=1)
     theirs = mujoco.MjModel.from_xml_string(MJCF.format(""))
