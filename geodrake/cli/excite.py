@@ -46,6 +46,8 @@ from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.excitation_json import excitation_dict
 from geodrake.report.json_output import to_json
+from geodrake.robot.files import read_description
+from geodrake.robot.files.meshes import mesh_notes
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
@@ -182,6 +184,8 @@ def _designed(
     """The design that options ask for."""
     limits = limits_of(options.limits, model)
     collisions, notes = _collisions(options, model)
+    if options.meshcat is not None:
+        notes = (*notes, *mesh_notes(read_description(model.path, model.given)))
     objective, more = _objective(options, model, limits, effects)
     start = None if options.start is None else joint_values(options.start, model, "--start")
     design = DesignOptions(

@@ -10,6 +10,8 @@ from geodrake import load_model, save_model
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
 from geodrake.model import Given
+from geodrake.robot.files import read_description
+from geodrake.robot.files.meshes import missing_meshes
 
 MODELS = Path(__file__).parents[2] / "models"
 PENDULUM = MODELS / "double_pendulum.urdf"
@@ -158,3 +160,19 @@ def test_what_cannot_be_given_is_refused(tmp_path):
             Given.of_words(None, words, [])
     with pytest.raises(ArgumentError, match="'a' is there twice"):
         Given.of_words(None, [], ["a:=1", "a:=2"])
+
+
+def test_meshes_that_are_not_found_are_named(tmp_path):
+    shapes = ("package://parts/a.obj", "b.stl", "package://nowhere/c.dae", "http://x/d.obj")
+    visual = "".join(
+        f'<visual><geometry><mesh filename="{s}"/></geometry></visual>' for s in shapes
+    )
+    text = PENDULUM.read_text().replace(
+        '<link name="upper_link">', f'<link name="upper_link">{visual}'
+    )
+    robot = write(tmp_path / "here" / "robot.urdf", text)
+    given = Given(packages={"parts": write(tmp_path / "parts" / "package.xml", MANIFEST).parent})
+    assert missing_meshes(read_description(robot, given)) == shapes[:3]
+    for place in (tmp_path / "parts" / "a.obj", tmp_path / "here" / "b.stl"):
+        write(place, "")
+    assert missing_meshes(read_description(robot, given)) == shapes[2:3]
