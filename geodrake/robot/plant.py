@@ -271,9 +271,11 @@ def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
     """
     weld_joints(plant, welds_of(other))
     weld_joints(plant, welds_of(other, aside=True), aside=True)
-    standing = {body.scoped_name() for body in other.GetBodiesWeldedTo(other.world_body())}
+    standing = {
+        body.scoped_name().get_full() for body in other.GetBodiesWeldedTo(other.world_body())
+    }
     for body in free_roots(plant):
-        if body.scoped_name() in standing:
+        if body.scoped_name().get_full() in standing:
             X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
             plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
 

@@ -1,13 +1,18 @@
 """Robots as they come, at the command line: a gripper that no log has, held joints, bad options."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
+from geodrake.control.rollout import roll_out
+from geodrake.effects import FittedEffect, RotorInertia
+from geodrake.errors import ModelError
 from geodrake.logs import JointLog, Motion, read_log, write_log
 from geodrake.model import load_model
 
@@ -123,10 +128,28 @@ def test_logs_that_leave_the_gripper_open_to_doubt_are_refused(robot, tmp_path):
     assert "no joint 'wrist'" in run("compare", robot, only, code=2)
 
 
-def test_a_rollout_says_that_it_cannot_couple_joints(robot, tmp_path):
-    q = np.outer(np.arange(0.0, 6.0, 0.01), [1.0, 1.4, 0.0])
-    moving = np.sin(q) * [1.0, 1.0, 0.0] + 0.02 * (1 + np.sin(3 * q[:, :1])) * [0.0, 0.0, 1.0]
-    log = JointLog("log", ("shoulder", "elbow", "left"), q[:, 0], moving, np.cos(moving + q))
-    write_log(log, tmp_path / "log.csv")
-    shown = run("rollout", robot, tmp_path / "log.csv", code=2)
-    assert "'right' follows 'left'" in shown and "--lock left=VALUE" in shown
+def simulated(robot):
+    """Four seconds of the pendulum with its gripper, integrated by SciPy."""
+    model, time = load_model(robot), np.arange(0.0, 4.0, 0.01)
+    limit, rates, damping = np.array([2.0, 1.0, 0.4]), np.array([1.9, 3.1, 2.3]), [0.3, 0.3, 8.0]
+
+    def slope(t, state):
+        q, v, still = state[None, :3], state[None, 3:], np.zeros((4, 3))
+        needed = model.motion(Motion(np.repeat(q, 4, 0), still, np.eye(4, 3))).load
+        bias = model.motion(Motion(q, v, still[:1])).load[0]
+        effort = limit * np.sin(rates * t) - damping * v[0]
+        return np.concatenate([v[0], np.linalg.solve(needed[:3] - needed[3], effort - bias)])
+
+    start = np.array([0.3, -0.2, 0.02, 0.0, 0.0, 0.0])
+    states = solve_ivp(slope, (0.0, 4.0), start, t_eval=time, rtol=1e-7, atol=1e-9).y.T
+    effort = limit * np.sin(np.outer(time, rates)) - damping * states[:, 3:]
+    return JointLog("log", model.joints, time, states[:, :3], effort, states[:, 3:])
+
+
+def test_a_rollout_moves_the_fingers_together(robot):
+    model, log = load_model(robot), simulated(robot)
+    rollout = roll_out(model, [log], most=3, horizon=0.3)
+    assert rollout.broken == 0 and rollout.relative < 1e-2
+    rotor = FittedEffect(RotorInertia("left"), np.array([0.1]))
+    with pytest.raises(ModelError, match=r"'right' follows 'left'.*--lock left=VALUE"):
+        roll_out(replace(model, effects=(rotor,)), [log], most=1)

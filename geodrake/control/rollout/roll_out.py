@@ -12,7 +12,7 @@ from geodrake.boundary.arguments import function, integer, real_array
 from geodrake.control.rollout.passages import moving_passages
 from geodrake.control.rollout.results import JointDeparture, Rollout, Window
 from geodrake.control.rollout.simulation import Simulation, allowed_steps, left_out
-from geodrake.errors import ArgumentError, ModelError
+from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
@@ -61,6 +61,7 @@ def roll_out(
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window.
+        ModelError: Joints follow others, and an effect depends on accelerations or loads.
     """
     real_array(horizon, "horizon", (), finite=False)
     integer(most, "most", upper=np.inf)
@@ -71,7 +72,6 @@ def roll_out(
         )
     if progress is not None:
         function(progress, "progress")
-    _check_followers(model)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     passages = moving_passages(case, horizon)
     count = min(most, len(passages))
@@ -91,17 +91,6 @@ def roll_out(
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
     return _rollout(model, windows, horizon, case.notes)
-
-
-def _check_followers(model: RobotModel) -> None:
-    """Refuses a model whose joints follow others: Drake's continuous plants have no such joints."""
-    for joint, (leader, _) in model.led.items():
-        raise ModelError(
-            f"Joint {joint!r} follows {leader!r}, and such joints cannot be simulated.",
-            advice=f"Hold {leader!r} where it stands, by --lock {leader}=VALUE or "
-            "geodrake.model.holding.",
-            joint=joint,
-        )
 
 
 def _rollout(
