@@ -154,6 +154,11 @@ class KinematicTree:
             record["gravity"] = mobilizer.gravity * self.gravity
         return records, dofs
 
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether a velocity moves a body by several joints, some of which follow another."""
+        return any(len(set(m.dofs)) < len(m.dofs) for m in self.mobilizers)
+
     def columns(self, dof: int) -> NDArray[np.intp]:
         """Columns of the regressor that can differ from zero in the row of one velocity."""
         moved = sorted(m.body for m in self.mobilizers if m.body >= 0 and dof in m.dofs)

@@ -221,7 +221,7 @@ def find_subspaces(mobilizers: Record, motions: Record, turn: Array, slide: Arra
 
 @inlined
 def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> None:
-    """Adds the ten factors of φ in the effort that a body asks of a velocity.
+    """Writes the ten factors of φ in the effort that a body asks of a velocity.
 
     The place is that of the first of them in out (N, rows, columns).
     """
@@ -232,21 +232,19 @@ def put_block(motion: Motion, s: Vector, t: Vector, out: Array, place: Any) -> N
     # I: s·(I α) + c·(I u) − ½ tr(I) c·u with c = s × ω, the same by I (ω × u).
     c = cross(s, w)
     trace = 0.5 * dot(c, u)
-    out[n, line, start] += dot(t, a)
-    out[n, line, start + 1] += h[0]
-    out[n, line, start + 2] += h[1]
-    out[n, line, start + 3] += h[2]
-    out[n, line, start + 4] += s[0] * wd[0] + c[0] * u[0] - trace
-    out[n, line, start + 5] += s[1] * wd[1] + c[1] * u[1] - trace
-    out[n, line, start + 6] += s[2] * wd[2] + c[2] * u[2] - trace
-    out[n, line, start + 7] += s[0] * wd[1] + s[1] * wd[0] + c[0] * u[1] + c[1] * u[0]
-    out[n, line, start + 8] += s[1] * wd[2] + s[2] * wd[1] + c[1] * u[2] + c[2] * u[1]
-    out[n, line, start + 9] += s[2] * wd[0] + s[0] * wd[2] + c[2] * u[0] + c[0] * u[2]
+    out[n, line, start] = dot(t, a)
+    out[n, line, start + 1], out[n, line, start + 2], out[n, line, start + 3] = h
+    out[n, line, start + 4] = s[0] * wd[0] + c[0] * u[0] - trace
+    out[n, line, start + 5] = s[1] * wd[1] + c[1] * u[1] - trace
+    out[n, line, start + 6] = s[2] * wd[2] + c[2] * u[2] - trace
+    out[n, line, start + 7] = s[0] * wd[1] + s[1] * wd[0] + c[0] * u[1] + c[1] * u[0]
+    out[n, line, start + 8] = s[1] * wd[2] + s[2] * wd[1] + c[1] * u[2] + c[2] * u[1]
+    out[n, line, start + 9] = s[2] * wd[0] + s[0] * wd[2] + c[2] * u[0] + c[0] * u[2]
 
 
 @compiled
 def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) -> None:
-    """Adds the regressor's rows from velocity `first` on to zeros (N, rows, 10 nb).
+    """Writes the regressor's rows from velocity `first` on into zeros (N, rows, 10 nb).
 
     Args:
         tree: `KinematicTree.records`.
@@ -271,7 +269,7 @@ def calc_regressor(tree: TreeRecords, samples: Samples, first: int, out: Array) 
 
 @compiled
 def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Array) -> None:
-    """Adds the columns of one body to zeros (N, nv, 10), of a tree that may be its branch.
+    """Writes the columns of one body into zeros (N, nv, 10), of a tree that may be its branch.
 
     Args:
         tree: `KinematicTree.records`.
@@ -291,6 +289,36 @@ def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Arr
                 for k in range(mobilizers[i].count):
                     place = n, dofs[i, k], 0
                     put_block(motion, row(turn, i, k), row(slide, i, k), out, place)
+
+
+@compiled
+def calc_repeated_regressor(tree: TreeRecords, samples: Samples, only: int, out: Array) -> None:
+    """Adds the regressor of a tree in which a velocity moves a body by several joints.
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion.
+        only: Index of the body that has columns; -1 for all.
+        out: (N, nv, 10 nb), or (N, nv, 10) of one body, zeros, then Y.
+    """
+    mobilizers, dofs = tree
+    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    block = np.empty((1, 1, PARAMETERS_PER_BODY))
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        for i in range(len(mobilizers)):
+            body = mobilizers[i].body
+            if body >= 0 and (only < 0 or body == only):
+                motion, start = (
+                    motion_of(motions[i]),
+                    0 if only >= 0 else PARAMETERS_PER_BODY * body,
+                )
+                for k in range(mobilizers[i].count):
+                    put_block(motion, row(turn, i, k), row(slide, i, k), block, (0, 0, 0))
+                    for x in range(PARAMETERS_PER_BODY):
+                        out[n, dofs[i, k], start + x] += block[0, 0, x]
 
 
 @inlined

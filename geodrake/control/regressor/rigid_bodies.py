@@ -19,11 +19,11 @@ from geodrake.robot.recursion import (
     Samples,
     TreeRecords,
     calc_inverse_dynamics,
-    calc_regressor,
     carried,
     find_subspaces,
     move,
 )
+from geodrake.robot.regressor import put_regressor
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -79,7 +79,7 @@ class RigidSample:
             columns: 10 nb or more, of which those beyond are zero.
         """
         Y = np.zeros((1, self.motion[1].shape[1], columns))
-        calc_regressor(self.tree.records, self.motion, 0, Y)
+        put_regressor(self.tree, self.motion, Y)
         return np.asarray(Y[0])
 
     def momentum_regressors(self, columns: int) -> Array:
