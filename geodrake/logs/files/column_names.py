@@ -156,8 +156,10 @@ class Recording:
         """
         path = self.columns.path
         if rows < LEAST_ROWS:
+            names = ", ".join(self.columns.standing)
+            more = f", without effort of {names}" if names else ""
             raise LogError(
-                f"Log {str(path)!r} has {rows} rows; at least {LEAST_ROWS} are needed.",
+                f"Log {str(path)!r} has {rows} rows{more}; at least {LEAST_ROWS} are needed.",
                 advice="Record several seconds of motion.",
             )
         values = {quantity: numbers[:rows] for quantity, numbers in self.values.items()}
