@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
+from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.options import (
     Debug,
     EffectNames,
-    Floating,
     JsonFile,
     ModelFile,
     Quiet,
@@ -152,7 +152,7 @@ class _Search:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExciteOptions(_Motion, _Robot, _Search):
+class ExciteOptions(ModelOptions, _Motion, _Robot, _Search):
     """Options of excite."""
 
     model: ModelFile
@@ -182,6 +182,5 @@ class ExciteOptions(_Motion, _Robot, _Search):
         Path | None,
         typer.Option(metavar="FILE.html", help="Write a page that replays the motion."),
     ] = None
-    floating: Floating = False
     quiet: Quiet = False
     debug: Debug = False

@@ -11,6 +11,7 @@ import numpy as np
 from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
 from geodrake.cli.identify import named_effects
+from geodrake.cli.model_options import read_model
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.session import Maker, own_effects
@@ -44,10 +45,10 @@ from geodrake.excitation.effect_sizes import SIZE_WORDS, sized_effects
 from geodrake.excitation.trajectory_files import trajectory_content
 from geodrake.identification.logs.dataset import is_payload
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.saved_model import load_model
 from geodrake.report.excitation_json import excitation_dict
 from geodrake.report.json_output import to_json
-from geodrake.robot.plant import effort_limits
+from geodrake.robot.files import read_description
+from geodrake.robot.files.meshes import mesh_notes
 
 _SAVE = (".csv", ".npz", ".txt", ".yaml", ".yml")
 _FAMILIES = {"fourier": ("harmonics", "frequency"), "spline": ("points",), "free": ()}
@@ -76,7 +77,7 @@ def run_excite(options: ExciteOptions) -> None:
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(files)
-        model = load_model(options.model, floating=options.floating, extra=extra)
+        model = read_model(options.model, options, extra)
         targets.check([options.model, *files, model.path])  # a saved model reads another one
         result = _designed(options, model, _Effects(names, extra), family, update)
         update("Writing")
@@ -186,6 +187,8 @@ def _designed(
     budget = Budget.of(options.seconds)
     limits = limits_of(options.limits, model)
     collisions, notes = _collisions(options, model)
+    if options.meshcat is not None:
+        notes = (*notes, *mesh_notes(read_description(model.path, model.given)))
     objective, more = _objective(options, model, limits, effects)
     start = None if options.start is None else joint_values(options.start, model, "--start")
     design = DesignOptions(
@@ -246,7 +249,7 @@ def noise_of(text: str | None, model: RobotModel) -> tuple[np.ndarray, tuple[str
         return joint_values(text, model, "--noise"), ()
     if model.effort_noise is not None:
         return model.effort_noise, ("noise: what the model's last fit left on held-out data",)
-    limits = effort_limits(model.plant)
+    limits = model.effort_limits
     if np.isfinite(limits).all() and (limits > 0).all():
         return _NOISE_SHARE * limits, (
             f"noise: {100 * _NOISE_SHARE:.0f} % of the limits of effort, as nothing is known of it",

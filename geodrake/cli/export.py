@@ -8,6 +8,7 @@ from pathlib import Path
 from geodrake.boundary.whole_files import Content
 from geodrake.cli.export_options import ExportOptions
 from geodrake.cli.export_tables import show_export
+from geodrake.cli.model_options import read_model
 from geodrake.cli.progress import progress
 from geodrake.cli.session import check_logs, own_effects
 from geodrake.cli.surroundings import print_whole, printing
@@ -16,8 +17,9 @@ from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
 from geodrake.control.export_proof.export import export_with_proof
 from geodrake.control.export_proof.writing import check_folder, write_files
+from geodrake.logs.files import parts_of, read_log
 from geodrake.model.exporting.formats import export_format
-from geodrake.model.saved_model import load_model
+from geodrake.model.logged_joints import model_of_logs
 from geodrake.report.export_json import export_dict
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
@@ -30,19 +32,23 @@ def run_export(options: ExportOptions) -> None:
         GeodrakeError: Something about the input, or about the targets, does not do.
     """
     form, logs, folder = export_format(options.to), options.logs or [], options.folder
-    check_logs(logs)
-    read = [options.model, *logs, *(options.effects or ())]
+    parts = [part for log in logs for part in parts_of(log)]
+    check_logs(parts)
+    read = [options.model, *parts, *(options.effects or ())]
     targets = Targets(json=options.json, report=options.report)
     targets.check(read)
     pages = importlib.import_module("geodrake.report.export_page") if options.report else None
-    with progress(f"Reading {options.model.name}") as update:
+    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(options.effects or ())
-        model = load_model(options.model, floating=options.floating, extra=extra)
+        model = read_model(options.model, options, extra)
+        known, reading = model.known_joints, options.reading
+        read_logs = [read_log(log, joints=known, partial=True, reading=reading) for log in logs]
+        model = model_of_logs(model, read_logs) if logs else model
         targets.check([*read, model.path])
         check_folder(model, form, folder, [*read, *targets.files.values()], force=options.force)
         update(f"Exporting to {form.name}")
         found = export_with_proof(
-            model, form, folder, logs, bandwidth=options.bandwidth, progress=update
+            model, form, folder, read_logs, bandwidth=options.bandwidth, progress=update
         )
         update("Writing")
         numbers = to_json({"version": version(), "command": "export", **export_dict(found)})

@@ -8,11 +8,13 @@ from typing import Annotated
 
 import typer
 
-from geodrake.cli.options import Debug, Floating, JsonFile, ModelFile, ReportFile
+from geodrake.cli.model_options import ModelOptions
+from geodrake.cli.options import Debug, JsonFile, ModelFile, Quiet, ReportFile
+from geodrake.cli.reading_options import ReadingOptions
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions:
+class ExportOptions(ReadingOptions, ModelOptions):
     """Options of export."""
 
     model: ModelFile
@@ -40,7 +42,7 @@ class ExportOptions:
     ] = False
     json: JsonFile = None
     report: ReportFile = None
-    floating: Floating = False
+    quiet: Quiet = False
     effects: Annotated[
         list[Path] | None,
         typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),

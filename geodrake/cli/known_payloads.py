@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from geodrake.errors import ArgumentError
-from geodrake.logs.files import Reading, read_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
 from geodrake.model.carried_payloads import carried_phi
@@ -21,12 +20,13 @@ _FORM = (
 
 
 def with_known_payloads(
-    logs: Sequence[Path], given: Sequence[str], model: RobotModel, reading: Reading
-) -> tuple[JointLog | Path, ...]:
-    """The logs, those read of which a known payload is given.
+    files: Sequence[Path], logs: Sequence[JointLog], given: Sequence[str], model: RobotModel
+) -> tuple[JointLog, ...]:
+    """The logs with their known payloads.
 
     Args:
-        logs: The files of the logs.
+        files: The files of the logs.
+        logs: What was read of them.
         given: `LOG:BODY:MASS[:X,Y,Z]`: path or name of a log, link of the robot, kg, and the centre
             of mass in the link's frame, m.
         model: The robot.
@@ -34,40 +34,27 @@ def with_known_payloads(
 
     Raises:
         ArgumentError: One cannot be read, or names no log, no body or no mass.
-        LogError: A log cannot be used.
     """
     carried: dict[Path, list[KnownPayload]] = defaultdict(list)
     for text in given:
-        log, payload = _parsed(text, logs)
+        log, payload = _parsed(text, files)
         carried[log].append(payload)
     for payloads in carried.values():
         carried_phi(model, tuple(payloads))  # bodies that there are not are refused before the work
     return tuple(
-        replace(read_log(log, joints=model.joints, reading=reading), payloads=tuple(carried[log]))
-        if log in carried
-        else log
-        for log in logs
+        replace(log, payloads=tuple(carried[file])) if file in carried else log
+        for file, log in zip(files, logs, strict=True)
     )
 
 
-def with_facts(
-    logs: Sequence[JointLog | Path], facts: Mapping[str, Any], model: RobotModel, reading: Reading
-) -> tuple[JointLog | Path, ...]:
+def with_facts(logs: Sequence[JointLog], facts: Mapping[str, Any]) -> tuple[JointLog, ...]:
     """The logs with what is known of all of them.
 
     Args:
-        logs: Logs or their files.
+        logs: The logs.
         facts: Fields of `JointLog` by name.
-        model: The robot.
-        reading: How logs are to be read; files are only read if it or facts say something.
     """
-    if not facts and reading == Reading():
-        return tuple(logs)
-    read = (
-        log if isinstance(log, JointLog) else read_log(log, joints=model.joints, reading=reading)
-        for log in logs
-    )
-    return tuple(replace(log, **facts) for log in read)
+    return tuple(replace(log, **facts) for log in logs)
 
 
 def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:

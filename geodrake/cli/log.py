@@ -55,7 +55,7 @@ def _run(options: LogCommandOptions) -> None:
     inputs = [*files, *filter(None, [options.mapping, options.model])]
     targets.check(inputs)
     with progress(f"Reading {options.logs[0].name}"):
-        joints = None if options.model is None else load_model(options.model).joints
+        joints = None if options.model is None else load_model(options.model).known_joints
         found = [
             inspect_log(log, joints=joints, partial=True, reading=options.reading)
             for log in options.logs

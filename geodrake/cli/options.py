@@ -13,6 +13,7 @@ import typer
 
 from geodrake.cli.axis_model import AxisOptions
 from geodrake.cli.guard import guarded
+from geodrake.cli.model_options import ModelOptions
 from geodrake.cli.reading_options import ReadingOptions
 
 if TYPE_CHECKING:
@@ -47,9 +48,6 @@ SeriesFile = Annotated[
         help="Write the samples: time, log, and of every joint measured, predicted and residual.",
     ),
 ]
-Floating = Annotated[
-    bool, typer.Option("--floating", help="Leave roots free that nothing fixes to the world.")
-]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show results and errors only, no progress.")
 ]
@@ -66,14 +64,13 @@ EffectNames = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions(AxisOptions):
+class LogOptions(AxisOptions, ModelOptions):
     """Options of all commands on a model and logs."""
 
     model: ModelFile
     logs: LogFiles
     json: JsonFile = None
     report: ReportFile = None
-    floating: Floating = False
     effects: Annotated[
         list[Path] | None,
         typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),

@@ -9,11 +9,12 @@ from rich.console import Console
 
 from geodrake.boundary.arguments import positive
 from geodrake.cli.options import PlayOptions
+from geodrake.cli.rollout import other_model
 from geodrake.cli.serving import page_server, serve_page
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list
 from geodrake.model.robot_model import RobotModel, load_description
-from geodrake.model.saved_model import is_saved_model, load_model
+from geodrake.model.saved_model import is_saved_model
 from geodrake.report.numbers import Units, number, percent
 
 if TYPE_CHECKING:
@@ -86,9 +87,12 @@ def run_play(options: PlayOptions) -> None:
 def _before(options: PlayOptions, given: Input) -> RobotModel | None:
     """The model to compare with: the one named, or the file that a saved model is based on."""
     if options.before is not None:
-        return load_model(options.before, floating=options.floating, extra=given.extra)
+        return other_model(options.before, given)
     if is_saved_model(options.model):
-        return load_description(given.model.path, floating=given.model.floating)
+        model = given.model
+        return load_description(
+            model.path, floating=model.floating, held=model.held, given=model.given
+        )
     return None
 
 

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from geodrake.boundary.input_files import regular_file
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list, show_table
 from geodrake.control.rollout import Rollout, roll_out
+from geodrake.errors import ModelError
+from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.saved_model import load_model
+from geodrake.model.saved_model import is_saved_model, load_model
 from geodrake.report.json_output import rollout_dict
 from geodrake.report.numbers import Units
 from geodrake.report.tables import departures_table
 from geodrake.report.words import departure
+from geodrake.robot.files.xacro_file import is_xacro
 
 Pair = tuple[Rollout, Rollout | None]
 
@@ -32,7 +38,7 @@ def run_rollout(options: RolloutOptions) -> None:
     def simulated(given: Input) -> Pair:
         before = None
         if options.before is not None:
-            other = load_model(options.before, floating=options.floating, extra=given.extra)
+            other = other_model(options.before, given)
             before = rolled_out(other, given, "before: ")
         return rolled_out(given.model, given, ""), before
 
@@ -68,6 +74,21 @@ def run_rollout(options: RolloutOptions) -> None:
         ),
         options,
     )
+
+
+def other_model(path: Path, given: Input) -> RobotModel:
+    """A model of the same robot, with the same joints held.
+
+    Args:
+        path: The model file.
+        given: What the command was given.
+    """
+    model, how = given.model, None
+    regular_file(path, "model file", ModelError)
+    if not is_saved_model(path):
+        how = model.given if is_xacro(path.read_bytes()) else replace(model.given, xacro={})
+    other = load_model(path, floating=model.floating, extra=given.extra, given=how)
+    return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 
 def _numbers(found: Pair) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from geodrake.boundary.whole_files import Content
 from geodrake.cli.axis_model import written_axis
 from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
+from geodrake.cli.model_options import read_model
 from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.reading_options import proposing
@@ -25,10 +26,10 @@ from geodrake.cli.version import version
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
-from geodrake.logs.files import check_log, parts_of
+from geodrake.logs.files import check_log, parts_of, read_log
 from geodrake.logs.motion import JointLog
+from geodrake.model.logged_joints import model_of_logs
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.saved_model import load_model
 from geodrake.report.json_output import to_json
 from geodrake.report.numbers import Units
 from geodrake.report.series_table import check_series, series_content
@@ -45,14 +46,14 @@ class Input:
 
     Attributes:
         model: The model as it stands.
-        logs: The files of the logs, or what was read of them.
+        logs: What was read of the logs.
         extra: Effects of the user's own.
         settings: How logs are prepared: bandwidth and, with folds, blocks, as keyword arguments.
         progress: Called with what is going on, in words and as a share.
     """
 
     model: RobotModel
-    logs: tuple[JointLog | Path, ...]
+    logs: tuple[JointLog, ...]
     extra: tuple[type[Effect], ...]
     settings: Mapping[str, Any]
     progress: Activity
@@ -118,13 +119,18 @@ def _run(command: Command[R], options: LogOptions) -> None:
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         extra = own_effects(options.effects or ())
-        model = load_model(options.model, floating=options.floating, extra=extra)
+        model = read_model(options.model, options, extra)
         targets.check([*read, model.path])  # a saved model reads another one
+        update("Reading the logs")
+        known, reading = model.known_joints, options.reading
+        read_logs = [
+            read_log(log, joints=known, partial=True, reading=reading) for log in options.logs
+        ]
+        model = model_of_logs(model, read_logs)
         command.check(model)
         update(command.working)
-        carried, reading = options.known_payload or (), options.reading
-        logs = with_known_payloads(options.logs, carried, model, reading)
-        logs = with_facts(logs, options.log_facts, model, reading)
+        logs = with_known_payloads(options.logs, read_logs, options.known_payload or (), model)
+        logs = with_facts(logs, options.log_facts)
         result = command.work(Input(model, logs, extra, options.settings, update))
         fitted = getattr(result, "model", model)
         update("Writing")

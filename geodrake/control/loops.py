@@ -212,7 +212,8 @@ def _check(
             f"The plant moves {', '.join(joints)}; the controller knows "
             f"{', '.join(controller.control.joints)}.",
             advice="Make both from the same file, and weld the plant's base (WeldFrames) before "
-            "Finalize; or take the plant that load_model(file).plant is.",
+            "Finalize; or take the plant that load_model(file).plant is, its joints held (lock=…) "
+            "that others follow.",
         )
     to_velocities = plant.MakeActuationMatrix()
     if plant.num_actuators() != len(joints) or not to_velocities.any(1).all():

@@ -84,7 +84,7 @@ class RobotBodies:
             gravities: (3, k) k gravities in the world frame, m/s².
         """
         q, still = contiguous(self.q), np.zeros((len(self.q), self.tree.num_velocities))
-        held = np.empty((gravities.shape[1], *still.shape))
+        held = np.zeros((gravities.shape[1], *still.shape))
         phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
         for effort, gravity in zip(held, gravities.T, strict=True):
             records = replace(self.tree, gravity=gravity).records
@@ -103,7 +103,7 @@ class RobotBodies:
                 poses[:, mobilizer.body, :3, 3],
                 angular[:, mobilizer.body],
                 linear[:, mobilizer.body],
-                mobilizer.dofs,
+                tuple(dict.fromkeys(mobilizer.dofs)),  # a leader moves it and its follower
             )
             for mobilizer in tree.mobilizers
             if mobilizer.body >= 0

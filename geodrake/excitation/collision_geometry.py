@@ -21,10 +21,10 @@ from geodrake.excitation.collision_meshes import in_memory, replace_stl
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files import read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.packages import add_packages
 from geodrake.robot.files.values import drop
-from geodrake.robot.files.xml_text import parse_xml
-from geodrake.robot.plant import free_roots
+from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.plant import arrange_as
 
 _CONTACT = CoulombFriction(0.5, 0.5)  # which nothing here uses, but Drake asks for
 
@@ -72,11 +72,8 @@ def add_collision_plant(
     """
     plant, scene = AddMultibodyPlantSceneGraph(builder, 0.0)
     with drake_messages(), drake_errors(model.path):
-        read_description(model.path).add_to(plant)
-    if not model.floating:
-        for body in free_roots(plant):
-            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+        read_description(model.path, model.given).add_to(plant)
+        arrange_as(plant, model.plant)
     bodies = [plant.get_body(BodyIndex(i)) for i in range(plant.num_bodies())]
     by_scope = {body.scoped_name().get_full(): body for body in bodies}
     for scope, solids in _solids_of_file(model).items() if use_file else ():
@@ -105,7 +102,7 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     """Collision geometry of a file by scoped link name, as Drake reads it."""
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser = Parser(plant)
-    add_named_packages(parser.package_map(), model.path)
+    add_named_packages(parser.package_map(), model)
     inspector, found = scene.model_inspector(), {}
     errors = drake_errors(
         model.path,
@@ -127,22 +124,25 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     return found
 
 
-def add_named_packages(packages: PackageMap, path: Path) -> None:
+def add_named_packages(packages: PackageMap, model: RobotModel) -> None:
     """Makes packages known; without a package.xml, folders above the file by their names.
 
     Args:
         packages: The map, added to.
-        path: The model file that names packages.
+        model: The robot, whose file names packages.
     """
-    add_packages(packages, path, read_description(path).named_packages())
-    for folder in path.resolve().parents:
+    description = read_description(model.path, model.given)
+    description.add_packages(packages, description.named_packages())
+    for folder in model.path.resolve().parents:
         if folder.name and not packages.Contains(folder.name):
             packages.Add(folder.name, str(folder))
 
 
 def _parse(parser: Parser, model: RobotModel, folder: Path) -> None:
     """Reads the file without what Drake might trip over and geometry does not need."""
-    root = None if model.path.suffix.lower() in (".yaml", ".yml") else parse_xml(model.path)
+    root = None
+    if model.path.suffix.lower() not in (".yaml", ".yml"):
+        root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
     if root is None or root.tag not in ("robot", "sdf"):
         parser.AddModels(str(model.path))
         return

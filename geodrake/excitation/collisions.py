@@ -73,7 +73,7 @@ class CollisionWorld:
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
         self._context = self._plant.GetMyMutableContextFromRoot(self._root)
-        self.clearance = clearance
+        self.clearance, self._coordinates = clearance, model.coordinates
         self.notes = self._allow_overlaps(model, seed)
         self._constraint = MinimumDistanceLowerBoundConstraint(
             plant=self._plant,
@@ -86,14 +86,15 @@ class CollisionWorld:
         """Least signed distances, m, and between what they are.
 
         Args:
-            q: (N, nq) positions in the order of the model's plant.
+            q: (N, nq) positions of the model.
 
         Returns:
             (N,) distances, negative where bodies overlap, and N pairs of names such as
             "hand and table"; no more than `clearance` + 0.05 m is distinguished from infinity.
         """
         found, names = np.full(len(q), np.inf), [""] * len(q)
-        for i, pairs in enumerate(self._pairs(q, self.clearance + _INFLUENCE)):
+        whole = self._coordinates.plant_positions(q)
+        for i, pairs in enumerate(self._pairs(whole, self.clearance + _INFLUENCE)):
             if pairs:
                 nearest = min(pairs, key=lambda pair: pair.distance)
                 found[i], names[i] = nearest.distance, " and ".join(self._names(nearest))
@@ -103,19 +104,20 @@ class CollisionWorld:
         """A smooth number that is at most one where the clearance is kept, and its gradient.
 
         Args:
-            q: (N, nq) positions in the order of the model's plant.
+            q: (N, nq) positions of the model.
 
         Returns:
             (N,) values and (N, nq) gradients of `MinimumDistanceLowerBoundConstraint`.
         """
-        values, gradients = np.empty(len(q)), np.zeros(q.shape)
-        for i, posture in enumerate(q):
+        whole = self._coordinates.plant_positions(q)
+        values, gradients = np.empty(len(q)), np.zeros(whole.shape)
+        for i, posture in enumerate(whole):
             result = self._constraint.Eval(InitializeAutoDiff(posture).ravel())
             values[i] = ExtractValue(result).item()
             gradient = ExtractGradient(result).ravel()
             if gradient.size:
                 gradients[i] = gradient
-        return values, gradients
+        return values, self._coordinates.robot_gradient(gradients)
 
     def _pairs(self, q: Array, within: float) -> list[list[SignedDistancePair]]:
         """For each posture, Drake's signed distances of pairs that are so near."""

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from geodrake.effects import FittedEffect
 from geodrake.excitation.target import Target
-from geodrake.robot.plant import effort_limits
 
 Array = NDArray[np.float64]
 
@@ -26,7 +25,7 @@ def sized_effects(target: Target) -> tuple[FittedEffect, ...]:
     Returns:
         The effects in the target's order, payloads as they are.
     """
-    limits = effort_limits(target.model.plant)
+    limits = target.model.effort_limits
     X = target.measure(target.random_motion).regressor[:, :, len(target.columns) :]
     acting = np.sqrt(np.mean(np.square(X), axis=0))  # (nv, k)
     wanted = _SHARE * np.where(np.isfinite(limits), limits, 0.0)[:, None]

@@ -13,7 +13,6 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.plant import effort_limits, position_limits, velocity_limits
 
 Array = NDArray[np.float64]
 ByJoint = float | Mapping[str, float] | ArrayLike | None
@@ -140,7 +139,7 @@ def motion_limits(
     instance(model, "model", RobotModel)
     order = joint_order(model)
     lower, upper = (np.empty(len(order)) for _ in range(2))
-    lower[order], upper[order] = position_limits(model.plant)
+    lower[order], upper[order] = model.position_limits
     turning = np.array([name not in model.sliding_joints for name in model.joints])
     lower = np.where(turning & np.isneginf(lower), np.minimum(-np.pi, upper - 2 * np.pi), lower)
     upper = np.where(turning & np.isposinf(upper), np.maximum(np.pi, lower + 2 * np.pi), upper)
@@ -150,16 +149,13 @@ def motion_limits(
         if limits.shape != (2,):
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
         lower[at], upper[at] = limits
-    acceleration_limits = np.minimum(
-        model.plant.GetAccelerationUpperLimits(), -model.plant.GetAccelerationLowerLimits()
-    )
     return MotionLimits(
         model.joints,
         lower,
         upper,
-        _overridden(model, velocity_limits(model.plant), velocity, "velocity"),
-        _overridden(model, acceleration_limits, acceleration, "acceleration"),
-        _overridden(model, effort_limits(model.plant), effort, "effort"),
+        _overridden(model, model.velocity_limits, velocity, "velocity"),
+        _overridden(model, model.acceleration_limits, acceleration, "acceleration"),
+        _overridden(model, model.effort_limits, effort, "effort"),
     )
 
 

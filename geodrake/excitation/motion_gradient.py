@@ -80,7 +80,7 @@ def _with_effects(
     parts: Sequence[tuple[Effect, Array]],
 ) -> MotionGradient:
     """Gradient of Σ rows ∘ Y + Σ weights ∘ Y_e; `rows` is changed."""
-    at_velocity, at_position = _single_joints(model)
+    at_velocity, at_position = model.single_places
     direct, load = RobotGradient.zero(seen), np.zeros(motion.v.shape)
     unknown = []
     for effect, weights in parts:
@@ -135,12 +135,3 @@ def _by_differences(
                 ends.append(values(replace(motion, **{name: moved})))
             getattr(result, name)[:, column] = (ends[0] - ends[1]) / (2.0 * step)
     return result
-
-
-def _single_joints(model: RobotModel) -> tuple[list[int], list[int]]:
-    """Where the joints of one degree of freedom are in v and in q."""
-    plant, single = model.plant, set(model.single_joints)
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    kept = [j for j in joints if j.num_velocities() == 1 and j.num_positions() == 1]
-    kept = [j for j in kept if model.joints[j.velocity_start()] in single]
-    return [j.velocity_start() for j in kept], [j.position_start() for j in kept]

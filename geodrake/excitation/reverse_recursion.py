@@ -22,7 +22,6 @@ from geodrake.robot.recursion import (
     Record,
     Samples,
     TreeRecords,
-    angle_place,
     features_of,
     find_subspaces,
     inboard_motion,
@@ -123,8 +122,8 @@ def calc_motion_gradient(
             turning, sliding = add(by_w, cross(by_wd, w_P)), scale(2.0, cross(by_a, w_P))
             for k in range(own[1]):
                 s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
-                by_v[n, own[0] + k] = dot(s, turning) + dot(t, sliding)
-                by_vd[n, own[0] + k] = dot(s, by_wd) + dot(t, by_a)
+                by_v[n, own[0] + k] += dot(s, turning) + dot(t, sliding)
+                by_vd[n, own[0] + k] += dot(s, by_wd) + dot(t, by_a)
             parent = mobilizer.parent
             if parent >= 0:
                 for k in range(mobilizers[parent].count):
@@ -222,7 +221,7 @@ def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) ->
     moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)
     moved[0] = q[n]
     moved[0, mobilizer.positions[0] + j] += 1j * _IMAGINARY_STEP
-    number = features_of(mobilizer.features, moved, 0, angle_place(mobilizer), slopes)
+    number = features_of(mobilizer, moved, 0, slopes)
     rates, R, C = np.zeros((3, 3)), motion.R_PB, mobilizer.rotation
     for entry in range(9):
         for k in range(number):

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
 from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import instance, instances, integer, real_array
@@ -24,7 +23,6 @@ from geodrake.manifolds import PhysicalInertia
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.base_parameters import BaseParameters, base_parameters
 from geodrake.robot.floating_base import base_wrench_regressor
-from geodrake.robot.plant import position_limits, velocity_limits
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
 
 Array = NDArray[np.float64]
@@ -165,7 +163,7 @@ class Target(Short):
         """A motion through all positions whose accelerations matter as much as gravity."""
         random, nv = np.random.default_rng(self.seed), len(self.model.joints)
         count = max(_RANDOM_SAMPLES, 3 * self.size)
-        q = random.uniform(*_ranges(self.model.plant), (count, self.model.plant.num_positions()))
+        q = random.uniform(*_ranges(self.model), (count, self.model.tree.num_positions))
         v, vd = random.uniform(-1.0, 1.0, (2, count, nv))
         still, phi = np.zeros_like(v), self.model.total_phi
         held = inverse_dynamics(self.model.tree, q, still, still, phi)
@@ -249,7 +247,7 @@ def make_target(
     if noise is None:
         noise = 1.0 if model.effort_noise is None or X_WP is not None else model.effort_noise
     rows = model.joints if X_WP is None else ("nx", "ny", "nz", "fx", "fy", "fz")
-    fastest = velocity_limits(model.plant)
+    fastest = model.velocity_limits
     widths = np.where(np.isfinite(fastest), _SIGN_SHARE * fastest, _SIGN_SHARE)
     return Target(
         model,
@@ -285,10 +283,14 @@ def _checked_noise(noise: ArrayLike, rows: Sequence[str]) -> Array:
     return values
 
 
-def _ranges(plant: MultibodyPlant) -> tuple[Array, Array]:
+def _ranges(model: RobotModel) -> tuple[Array, Array]:
     """Range of random positions: all of a turn, and of sliding joints what the limits allow."""
-    lower, upper = (np.array(x, float) for x in position_limits(plant))
-    joints = (plant.get_joint(index) for index in plant.GetJointIndices())
-    sliding = [j.position_start() for j in joints if j.type_name() == "prismatic"]
+    lower, upper = model.position_limits
+    at_velocity, at_position = model.single_places
+    sliding = [
+        place
+        for at, place in zip(at_velocity, at_position, strict=True)
+        if model.joints[at] in model.sliding_joints
+    ]
     limited = np.isin(np.arange(len(lower)), sliding) & np.isfinite(lower) & np.isfinite(upper)
     return np.where(limited, lower, -np.pi), np.where(limited, upper, np.pi)

@@ -2,17 +2,23 @@
 
 from geodrake.effects import FittedEffect
 from geodrake.model.export import export_model, save_export
+from geodrake.model.holding import holding
+from geodrake.model.logged_joints import model_of_logs
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.model.saved_model import load_model, save_model
 from geodrake.model.source import cpp_source, python_source
+from geodrake.robot.files import Given
 
 __all__ = [
     "FittedEffect",
+    "Given",
     "RobotModel",
     "cpp_source",
     "export_model",
+    "holding",
     "load_description",
     "load_model",
+    "model_of_logs",
     "python_source",
     "save_export",
     "save_model",

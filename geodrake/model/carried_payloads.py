@@ -67,7 +67,7 @@ def joints_with_known_gain(model: RobotModel, logs: Sequence[Payloads]) -> tuple
     """
     phi = np.array([carried_phi(model, payloads) for payloads in logs])
     changes = np.any(phi != phi[0], axis=(0, 2))
-    bodies = RobotBodies(model.tree, np.zeros((1, model.plant.num_positions())), model.total_phi)
+    bodies = RobotBodies(model.tree, np.zeros((1, model.tree.num_positions)), model.total_phi)
     names = [body for body, changed in zip(model.bodies, changes, strict=True) if changed]
     bearing = {dof for name in names for dof in bodies.motion(name).dofs}
     return tuple(joint for at, joint in enumerate(model.joints) if at in bearing)

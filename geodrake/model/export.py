@@ -28,6 +28,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, read_description
 from geodrake.robot.files.inertia_text import link_names, with_inertias
 from geodrake.robot.files.reading import model_text_of
+from geodrake.robot.files.xacro_file import is_xacro
 from geodrake.robot.repairs import TOLERANCE
 
 _UNCHANGED = 1e-13
@@ -120,7 +121,7 @@ def export_bodies(model: RobotModel) -> Export:
         ModelError: The model's file cannot take the inertias.
     """
     kind, data = file_kind(model), model.path.read_bytes()
-    stated, here = _stated_inertias(model.path), link_names(data, model.path)
+    stated, here = _stated_inertias(model), link_names(data, model.path)
     written: dict[str, Array] = {}
     shared, absent = [], []
     for body, phi in zip(lumped_bodies(model.plant), model.total_phi, strict=True):
@@ -206,10 +207,10 @@ def _into_frame(phi: Array, R_RB: Array, p_RoBo_R: Array) -> Array:
     return change_frame(phi, R_RB.T, -R_RB.T @ p_RoBo_R)
 
 
-def _stated_inertias(path: Path) -> Mapping[str, Array]:
-    """What a file says of every link (10,), possible or not, by scoped name."""
+def _stated_inertias(model: RobotModel) -> Mapping[str, Array]:
+    """What a model's file says of every link (10,), possible or not, by scoped name."""
     with drake_messages():
-        description = read_description(path)
+        description = read_description(model.path, model.given)
         plant = MultibodyPlant(time_step=0.0)
         description.add_to(plant)
     found = {}
@@ -295,7 +296,13 @@ def file_kind(model: RobotModel) -> str:
             advice="Save the model with --save instead.",
             path=model.path,
         )
-    return read_description(model.path).texts[0].kind
+    if is_xacro(model.path.read_bytes()):
+        raise ModelError(
+            f"{model.path} is a xacro file, and its links have no one place for their inertia.",
+            advice="Expand it first: xacro robot.urdf.xacro > robot.urdf.",
+            path=model.path,
+        )
+    return read_description(model.path, model.given).texts[0].kind
 
 
 def _scoped(plant: MultibodyPlant, index: int | BodyIndex) -> str:

@@ -26,7 +26,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.fitted_effect import FittedEffect
-from geodrake.errors import ArgumentError
+from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.model.simulation.robot_in_diagram import (
@@ -35,9 +35,21 @@ from geodrake.model.simulation.robot_in_diagram import (
     RobotInDiagram,
     add_robot,
 )
+from geodrake.robot.files import Given
+from geodrake.robot.followers import Follower, OwnCoordinates
+from geodrake.robot.holding import moving_joints
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import LoadedPlant, joint_names, load_plant, set_inertial_parameters
+from geodrake.robot.plant import (
+    LoadedPlant,
+    effort_limits,
+    joint_names,
+    load_plant,
+    scoped_joint_names,
+    set_inertial_parameters,
+    velocity_limits,
+)
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
+from geodrake.robot.several_robots import scoped
 
 Array = NDArray[np.float64]
 
@@ -66,6 +78,11 @@ class RobotModel(Short):
         fading_speed: (nv,) speed below which dry friction fades, rad/s or m/s; 0, or None for all,
             where it was not seen to.
         notes: What was noticed while loading: repairs, things left out.
+        held: Joint of the file that is held, and none of the model -> where, rad or m.
+        given: How the file was to be read.
+        followers: Joints of the plant that follow others, and are none of the model.
+        known_joints: Names of the joints that logs may have: the model's, those that are held, and
+            those that follow others.
     """
 
     plant: MultibodyPlant
@@ -79,16 +96,55 @@ class RobotModel(Short):
     fading_speed: Array | None = None
     notes: tuple[str, ...] = ()
     bandwidths: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    held: Mapping[str, float] = field(default_factory=dict)
+    given: Given = field(default_factory=Given)
+    followers: tuple[Follower, ...] = ()
+    known_joints: tuple[str, ...] = ()
 
     @cached_property
     def tree(self) -> KinematicTree:
         """The plant's kinematics, read once."""
-        return KinematicTree.from_plant(self.plant)
+        return KinematicTree.from_plant(self.plant, self.followers)
+
+    @cached_property
+    def coordinates(self) -> OwnCoordinates:
+        """Which positions and velocities of the plant are the model's."""
+        return OwnCoordinates(self.plant, self.followers)
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the nv velocities."""
-        return joint_names(self.plant)
+        names = joint_names(self.plant)
+        return tuple(names[k] for k in self.coordinates.own_velocities)
+
+    @cached_property
+    def led(self) -> Mapping[str, tuple[str, float]]:
+        """Joint that follows another one -> its name, and how far it moves when that moves by 1."""
+        names = joint_names(self.plant)
+        return {names[to]: (names[of], ratio) for to, of, ratio in self.coordinates.followed}
+
+    @cached_property
+    def position_limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits (nq,) of the positions, rad or m."""
+        return self.coordinates.position_limits()
+
+    @cached_property
+    def velocity_limits(self) -> Array:
+        """Largest speeds (nv,), rad/s or m/s; infinite where there is no limit."""
+        return self.coordinates.rate_limits(velocity_limits(self.plant))
+
+    @cached_property
+    def acceleration_limits(self) -> Array:
+        """Largest accelerations (nv,), rad/s² or m/s²; infinite where there is no limit."""
+        plant = self.plant
+        return self.coordinates.rate_limits(
+            np.minimum(plant.GetAccelerationUpperLimits(), -plant.GetAccelerationLowerLimits())
+        )
+
+    @cached_property
+    def effort_limits(self) -> Array:
+        """Largest efforts (nv,), N·m or N; infinite where there is no limit."""
+        return effort_limits(self.plant)[self.coordinates.own_velocities]
 
     @cached_property
     def bodies(self) -> tuple[str, ...]:
@@ -112,14 +168,14 @@ class RobotModel(Short):
     @cached_property
     def joint_pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of single-degree joints of one type that follow each other along the tree."""
-        single = set(self._single_joints[0])
+        single = set(self.single_places[0])
         pairs = []
         for mobilizer in self.tree.mobilizers:
             if mobilizer.parent >= 0:
                 parent = self.tree.mobilizers[mobilizer.parent]
                 pair = (parent.velocities.start, mobilizer.velocities.start)
-                alike = len({self._joint_type(start) for start in pair}) == 1
-                if single.issuperset(pair) and alike:
+                alike = single.issuperset(pair) and len({self._types[at] for at in pair}) == 1
+                if alike and pair[0] != pair[1]:
                     pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
         return tuple(pairs)
 
@@ -158,7 +214,7 @@ class RobotModel(Short):
         else:
             load = inverse_dynamics(self.tree, *samples, self.total_phi)
         q = np.full(motion.v.shape, np.nan)
-        at_velocity, at_position = self._single_joints
+        at_velocity, at_position = self.single_places
         q[:, at_velocity] = motion.q[:, at_position]
         width = self.sign_widths(sign_width)
         seen = RobotMotion(
@@ -218,7 +274,7 @@ class RobotModel(Short):
             ArgumentError: The robot has joints of several degrees, whose positions are not those.
         """
         by_joint = real_array(by_joint, "by_joint", ("N", len(self.joints)), finite=False)
-        at_velocity, at_position = self._single_joints
+        at_velocity, at_position = self.single_places
         if len(at_velocity) < len(self.joints):
             several = [n for i, n in enumerate(self.joints) if i not in at_velocity]
             raise ArgumentError(
@@ -226,38 +282,67 @@ class RobotModel(Short):
                 "several degrees of freedom.",
                 advice="Weld the base, or use the regressors from Python.",
             )
-        q = np.zeros((len(by_joint), self.plant.num_positions()))
+        q = np.zeros((len(by_joint), self.tree.num_positions))
         q[:, at_position] = by_joint[:, at_velocity]
         return q
 
-    def _joint_type(self, velocity: int) -> str:
-        """Drake's name for the type of the joint that a velocity belongs to."""
-        joints = [self.plant.get_joint(index) for index in self.plant.GetJointIndices()]
-        moving = (joint for joint in joints if joint.num_velocities())  # welds have starts, too
-        return next(joint.type_name() for joint in moving if joint.velocity_start() == velocity)
+    @cached_property
+    def _types(self) -> dict[int, str]:
+        """Drake's names for the types of the joints, by where their velocities begin."""
+        coordinates = self.coordinates
+        return {
+            coordinates.velocity_of(joint): joint.type_name()
+            for joint in moving_joints(self.plant)
+            if scoped(joint) not in coordinates.leaders
+        }
+
+    def default_position(self, joint: str) -> float:
+        """Where the model file puts a joint of one degree of freedom, rad or m."""
+        q = self.plant.GetPositions(self.plant.CreateDefaultContext())
+        return float(q[self.coordinates.own_positions][self._at(joint)])
+
+    def limits_of(self, joint: str) -> tuple[float, float]:
+        """The positions between which a joint of one degree of freedom stays, rad or m."""
+        lower, upper = self.position_limits
+        return float(lower[self._at(joint)]), float(upper[self._at(joint)])
+
+    def _at(self, joint: str) -> int:
+        """Where the position of a joint of one degree of freedom is in q."""
+        at_velocity, at_position = self.single_places
+        return at_position[at_velocity.index(self.joints.index(joint))]
 
     @cached_property
     def single_joints(self) -> tuple[str, ...]:
         """Names of the joints of one degree of freedom."""
-        return tuple(self.joints[i] for i in self._single_joints[0])
+        return tuple(self.joints[i] for i in self.single_places[0])
 
     @cached_property
     def sliding_joints(self) -> tuple[str, ...]:
         """Names of the prismatic joints, whose positions are in m and efforts in N."""
-        starts = self._single_joints[0]
-        return tuple(self.joints[i] for i in starts if self._joint_type(i) == "prismatic")
+        starts = self.single_places[0]
+        return tuple(self.joints[i] for i in starts if self._types[i] == "prismatic")
+
+    @property
+    def scoped_joints(self) -> tuple[str, ...]:
+        """Names of the joints as `robot::joint`."""
+        scoped_names = scoped_joint_names(self.plant)
+        return tuple(scoped_names[k] for k in self.coordinates.own_velocities)
 
     @property
     def position_places(self) -> dict[int, int]:
         """Where in q the position of each velocity is that belongs to a single-degree joint."""
-        return dict(zip(*self._single_joints, strict=True))
+        return dict(zip(*self.single_places, strict=True))
 
     @cached_property
-    def _single_joints(self) -> tuple[list[int], list[int]]:
-        plant = self.plant
-        joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-        single = [j for j in joints if j.num_velocities() == 1 and j.num_positions() == 1]
-        return [j.velocity_start() for j in single], [j.position_start() for j in single]
+    def single_places(self) -> tuple[list[int], list[int]]:
+        """Where the joints of one degree of freedom are in v and in q."""
+        coordinates = self.coordinates
+        single = [
+            (coordinates.velocity_of(j), coordinates.position_of(j))
+            for j in moving_joints(self.plant)
+            if j.num_velocities() == j.num_positions() == 1 and scoped(j) not in coordinates.leaders
+        ]
+        return [at for at, _ in single], [at for _, at in single]
 
     def create_context(self) -> Context:
         """A default Context of the plant with the model's inertial parameters, payloads included.
@@ -304,7 +389,8 @@ class RobotModel(Short):
 
         Raises:
             ArgumentError: An argument is none of these.
-            ModelError: The model's file is gone, or Drake refuses its inertial parameters.
+            ModelError: The model's file is gone, Drake refuses its inertial parameters, or joints
+                follow others.
         """
         instance(builder, "builder", DiagramBuilder)
         if scene_graph is not None:
@@ -316,7 +402,16 @@ class RobotModel(Short):
             self.sign_widths(sign_width),
             log,
         )
-        robot = FittedRobot(self.path, self.floating, self.total_phi, self.effects)
+        if self.followers:
+            names = ", ".join(follower.joint.rpartition("::")[2] for follower in self.followers)
+            raise ModelError(
+                f"A diagram cannot have joints that follow others, as {names} do: the plant has no "
+                "constraint for them.",
+                advice="Hold their leaders: geodrake.model.holding(model, {joint: position}).",
+            )
+        robot = FittedRobot(
+            self.path, self.floating, self.total_phi, self.effects, self.held, self.given
+        )
         return add_robot(builder, robot, options)
 
     def with_fit(
@@ -361,7 +456,9 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
         loaded: The plant of a model file, and what the file says of friction, damping and rotors.
         floating: Whether free roots float instead of being welded to the world.
     """
-    joints = joint_names(loaded.plant)
+    coordinates = OwnCoordinates(loaded.plant, loaded.followers)
+    names = joint_names(loaded.plant)
+    joints = [names[k] for k in coordinates.own_velocities]
     effects: list[FittedEffect] = []
     notes = [*map(str, loaded.repairs), *loaded.notes]
     for kind in catalogue():
@@ -380,9 +477,27 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
                 f"The spring in the file ({joint} {stiffness:g}) is kept as {spring.name}."
             )
     phi = inertial_parameters(loaded.plant)
-    return RobotModel(loaded.plant, loaded.path, floating, phi, tuple(effects), notes=tuple(notes))
+    return RobotModel(
+        loaded.plant,
+        loaded.path,
+        floating,
+        phi,
+        tuple(effects),
+        notes=tuple(notes),
+        held=loaded.held,
+        given=loaded.given,
+        followers=loaded.followers,
+        known_joints=loaded.joints,
+    )
 
 
-def load_description(path: str | Path, *, floating: bool = False) -> RobotModel:
+def load_description(
+    path: str | Path,
+    *,
+    floating: bool = False,
+    held: Mapping[str, float] | None = None,
+    given: Given | None = None,
+) -> RobotModel:
     """The model of a URDF, SDF, MJCF or Drake directives file; see `geodrake.robot.load_plant`."""
-    return from_loaded_plant(load_plant(path, floating=floating), floating=floating)
+    loaded = load_plant(path, floating=floating, held=held, given=given)
+    return from_loaded_plant(loaded, floating=floating)

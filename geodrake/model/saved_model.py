@@ -6,7 +6,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +25,9 @@ from geodrake.effects.column_checks import of_geodrake
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.model.admissible import check_model
 from geodrake.model.base_file import digest, existing_base, find_base, is_file
+from geodrake.model.holding import held_notes, holding
 from geodrake.model.robot_model import RobotModel, load_description
+from geodrake.robot.files import Given
 
 T = TypeVar("T")
 FORMAT = "geodrake model 1"
@@ -61,6 +63,10 @@ class SavedModel:
         base_absolute: Its absolute path when the model was saved, if only this file has moved.
         base_sha256: Digest of the model file when the model was saved.
         floating: Whether free roots float.
+        robot: Name of the robot, where the model file has several and one was chosen.
+        held: Joint that is held -> where, rad or m.
+        xacro: Arguments of a xacro file.
+        packages: Package of ROS -> its folder, relative to this file, for those that were given.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
         effects: The effects.
         information: Information matrix of the inertial parameters, then of the effects'.
@@ -75,6 +81,10 @@ class SavedModel:
     base_absolute: str = ""
     base_sha256: str = ""
     floating: bool = False
+    robot: str = ""
+    held: dict[str, float] = dc.field(default_factory=dict)
+    xacro: dict[str, str] = dc.field(default_factory=dict)
+    packages: dict[str, str] = dc.field(default_factory=dict)
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
     effects: list[SavedEffect] = dc.field(default_factory=list)
     effort_noise: dict[str, float] = dc.field(default_factory=dict)
@@ -85,7 +95,12 @@ class SavedModel:
 
 
 def load_model(
-    path: str | Path, *, floating: bool = False, extra: Sequence[type[Effect]] = ()
+    path: str | Path,
+    *,
+    floating: bool = False,
+    extra: Sequence[type[Effect]] = (),
+    lock: Mapping[str, float] | None = None,
+    given: Given | None = None,
 ) -> RobotModel:
     """Load a robot model: a URDF, SDF, MJCF or Drake directives file, or a saved model.
 
@@ -94,16 +109,21 @@ def load_model(
         floating: Leave roots free that the file does not attach to the world (a saved model
             remembers).
         extra: Effect classes of the user's own that a saved model may name.
+        lock: Joint -> where it is held, rad or m, as in `geodrake.model.holding`.
+        given: Which of several robots, folders of ROS packages, arguments of a xacro file (a saved
+            model remembers).
 
     Raises:
-        ModelError: The file cannot be read or does not describe a robot; or the file that a saved
-            model is based on is gone or has other joints or bodies.
+        ModelError: The file cannot be read or does not describe a robot; the file that a saved
+            model is based on is gone or has other joints or bodies; or a joint cannot be held.
     """
     instances(extra, "extra", type)
+    given = instance(given or Given(), "given", Given)
     path = regular_file(file_path(path), "model file", ModelError)
     if is_saved_model(path):
-        return _read(path, extra)
-    return load_description(path, floating=floating)
+        return holding(_read(path, extra, given), lock or {})
+    model = load_description(path, floating=floating, held=lock, given=given)
+    return replace(model, notes=(*model.notes, *held_notes(model.held)))
 
 
 def is_saved_model(path: Path) -> bool:
@@ -147,6 +167,12 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         base_absolute=str(base),
         base_sha256=digest(base),
         floating=model.floating,
+        robot=model.given.robot or "",
+        held={joint: float(value) for joint, value in model.held.items()},
+        xacro=dict(model.given.xacro),
+        packages={
+            name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
+        },
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
@@ -186,7 +212,7 @@ def _file_of(kind: type[Effect], folder: Path) -> str:
     return relative if relative.isprintable() else ""
 
 
-def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
+def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel:
     text = yaml_text(path)
     try:
         saved = yaml_load_typed(schema=SavedModel, data=text)
@@ -203,7 +229,8 @@ def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
         )
     _check_effects(path, saved, extra)
     base = _base_of_saved(path, saved)
-    model = load_description(base, floating=saved.floating)
+    given = _given_with(path, saved, given)
+    model = load_description(base, floating=saved.floating, held=saved.held, given=given)
     try:
         loaded = _with_parameters(model, saved, base, extra)
         check_model(loaded)
@@ -214,6 +241,21 @@ def _read(path: Path, extra: Sequence[type[Effect]]) -> RobotModel:
             path=path,
         ) from error
     return loaded
+
+
+def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
+    """How a saved model's file is to be read: as it remembers, packages from where they are now."""
+    robot, folder = saved.robot or None, path.resolve().parent
+    if given.robot not in (None, robot) or given.xacro:
+        what = "arguments of a xacro file" if given.xacro else f"robot {given.robot!r}"
+        raise ModelError(
+            f"{path} is a saved model, which cannot take {what}: it was made with its own.",
+            advice=f"Give them with the model file {saved.base_model}.",
+            path=path,
+        )
+    remembered = {name: folder / where for name, where in saved.packages.items()}
+    there = {name: where for name, where in remembered.items() if where.is_dir()}
+    return Given(robot, {**there, **given.packages}, saved.xacro)
 
 
 def _check_effects(path: Path, saved: SavedModel, extra: Sequence[type[Effect]]) -> None:
@@ -284,7 +326,7 @@ def _with_parameters(
         if len(rows) != p:
             raise ModelError(f"its information matrix has {len(rows)} rows, and {p} are fitted.")
         information = np.array(rows)
-    notes = model.notes
+    notes = (*model.notes, *held_notes(model.held))
     if digest(base) != saved.base_sha256:
         notes += (f"{base.name} has changed since the model was saved.",)
     return replace(

@@ -42,7 +42,7 @@ def replay_page(model: RobotModel, times: Array, q: Array) -> str:
     Args:
         model: The robot.
         times: (N,) instants, s.
-        q: (N, nq) positions in the order of the model's plant.
+        q: (N, nq) positions of the model.
     """
     return _replayed(model, times, {"robot": q}, {})
 

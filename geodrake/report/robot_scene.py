@@ -19,6 +19,7 @@ from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS, placed
 from geodrake.report.robot_shapes import GRAY, LinkShape, RobotShapes, robot_shapes
+from geodrake.robot.several_robots import scoped
 
 FRAMES = 30.0
 """Frames a second of recordings."""
@@ -123,25 +124,27 @@ class RobotScene:
         """Put the robot into a posture.
 
         Args:
-            q: (nq,) positions in the order of the model's plant.
+            q: (nq,) positions of the model.
             time: Time in MeshCat's recording, s; None to move it now.
         """
         plant = self._model.plant
-        plant.SetPositions(self._context, q)
+        (whole,) = self._model.coordinates.plant_positions(np.atleast_2d(q))
+        plant.SetPositions(self._context, whole)
         for body in self._moving:
             X_WB = plant.EvalBodyPoseInWorld(self._context, body)
             self._meshcat.SetTransform(self.link_path(body), X_WB, time)
 
     def joint_places(self) -> tuple[JointPlace, ...]:
         """The joints of one degree of freedom, in the model's order."""
-        plant, places = self._model.plant, {}
+        plant, coordinates, places = self._model.plant, self._model.coordinates, {}
         for index in plant.GetJointIndices():
             joint = plant.get_joint(JointIndex(index))
-            if joint.num_velocities() == 1:
-                places[joint.velocity_start()] = self._place(joint)
+            if joint.num_velocities() == 1 and scoped(joint) not in coordinates.leaders:
+                at = coordinates.velocity_of(joint)
+                places[at] = self._place(joint, self._model.joints[at])
         return tuple(places[i] for i in sorted(places))
 
-    def _place(self, joint: Joint) -> JointPlace:
+    def _place(self, joint: Joint, name: str) -> JointPlace:
         child = joint.child_body()
         lump = next(
             one for one in self._lumps if any(m.index == child.index() for m in one.members)
@@ -151,7 +154,7 @@ class RobotScene:
         axis = X_BM.rotation().matrix() @ _axis(joint)
         R_BJ = RotationMatrix.MakeFromOneVector(axis, 2)
         return JointPlace(
-            self._model.joints[joint.velocity_start()],
+            name,
             self.link_path(child),
             RigidTransform(R_BJ, X_BM.translation()),
             tuple(f"{self.link_path(link)}/shapes" for link in links),
@@ -239,12 +242,12 @@ class Extent:
 
         Args:
             model: The robot.
-            q: (N, nq) positions in the order of the model's plant.
+            q: (N, nq) positions of the model.
             shapes: Its shapes; where there are none, that of its ellipsoids counts.
         """
         plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
         bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
-        for posture in q[:: max(1, len(q) // 60)]:
+        for posture in model.coordinates.plant_positions(q[:: max(1, len(q) // 60)]):
             plant.SetPositions(context, posture)
             origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
             if not shapes.links:

@@ -22,7 +22,8 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.report.mesh_files import READERS, wavefront
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.values import drop
-from geodrake.robot.files.xml_text import parse_xml
+from geodrake.robot.files.xacro_file import read_expanded
+from geodrake.robot.files.xml_text import parse_xml_bytes
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)
 _DRAKE_READS = (".obj", ".gltf", ".vtk")
@@ -76,7 +77,7 @@ class _Lost:
         others = f" and {more} more" if more else ""
         return (
             f"meshes that are not shown: {mesh} ({reason}){others}; packages are looked for around "
-            "the model's file and on ROS_PACKAGE_PATH",
+            "the model's file, on ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and by --package",
         )
 
 
@@ -97,8 +98,10 @@ def robot_shapes(model: RobotModel) -> RobotShapes:
 def _read(model: RobotModel, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
-    add_named_packages(parser.package_map(), model.path)
-    root = None if model.path.suffix.lower() in (".yaml", ".yml") else parse_xml(model.path)
+    add_named_packages(parser.package_map(), model)
+    root = None
+    if model.path.suffix.lower() not in (".yaml", ".yml"):
+        root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
     if root is None or root.tag not in ("robot", "sdf"):
         parser.AddModels(str(model.path))
     else:

@@ -135,12 +135,13 @@ class EffectMarks:
 
         Args:
             frame: Number of the frame.
-            q: (nq,) positions in the order of the model's plant.
+            q: (nq,) positions of the model.
         """
+        (whole,) = self._model.coordinates.plant_positions(np.atleast_2d(q))
         for effect, path in self._contacts:
             if not effect.turning:
                 plant = self._model.plant
-                plant.SetPositions(self._context, q)
+                plant.SetPositions(self._context, whole)
                 body = self._scene.body(effect.body)
                 X_WB = plant.EvalBodyPoseInWorld(self._context, body)
                 place = RigidTransform(X_WB.multiply(effect.point))

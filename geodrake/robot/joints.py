@@ -7,7 +7,7 @@ frame between. Positions and velocities are Drake's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
@@ -56,6 +56,7 @@ class FrameMotion:
         features: The f functions of the positions that the rotation is linear in.
         rotation: (9, f) matrix C with vec(R) = C features(q), row after row.
         offset: (3,) position of Mo at q = 0, m.
+        ratio: Factor of the angle's position, 1 unless the joint follows another one.
         translation: (3, nq_j) matrix T: the position of Mo is offset + T q, m.
         angular: (3, nv_j) matrix S: the angular velocity is S v, rad/s.
         linear: (3, nv_j) matrix S: the velocity of Mo is S v, m/s.
@@ -67,6 +68,28 @@ class FrameMotion:
     angular: Array
     linear: Array
     offset: Array = field(default_factory=lambda: np.zeros(3))
+    ratio: float = 1.0
+
+    def following(self, ratio: float, offset: float) -> FrameMotion:
+        """The motion of a joint of one position ratio q + offset, as one of q.
+
+        Args:
+            ratio: How far it moves where q moves by one.
+            offset: Its position at q = 0, rad or m.
+        """
+        rotation = self.rotation
+        if self.features is Features.ANGLE:  # cos and sin of a sum
+            c, s = np.cos(offset), np.sin(offset)
+            rotation = rotation @ np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        return replace(
+            self,
+            rotation=rotation,
+            offset=self.offset + offset * self.translation[:, 0],
+            translation=ratio * self.translation,
+            angular=ratio * self.angular,
+            linear=ratio * self.linear,
+            ratio=self.ratio * ratio,
+        )
 
     def between(self, X_PF: RigidTransform, R_MB: Array) -> FrameMotion:
         """The same motion, of a frame turned by R_MB, seen from P.
@@ -83,6 +106,7 @@ class FrameMotion:
             angular=R_PF @ self.angular,
             linear=R_PF @ self.linear,
             offset=X_PF.multiply(self.offset),
+            ratio=self.ratio,
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,8 +16,10 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.inertia.bodies import LumpedBody, lumped_bodies
+from geodrake.robot.followers import Follower, OwnCoordinates
 from geodrake.robot.joints import FrameMotion, joint_motions
 from geodrake.robot.recursion import MOBILIZER, TreeRecords
+from geodrake.robot.several_robots import scoped
 
 _WORLD, _MASSLESS = -1, -2
 
@@ -56,8 +58,8 @@ class KinematicTree(Short):
     Attributes:
         mobilizers: The mobilizers, inboard before outboard.
         bodies: Names of the (nb) lumped bodies.
-        num_positions: nq of the plant.
-        num_velocities: nv of the plant.
+        num_positions: nq, of the plant without the joints that follow others.
+        num_velocities: nv, likewise.
         gravity: (3,) gravity in the world frame, m/s².
     """
 
@@ -68,11 +70,12 @@ class KinematicTree(Short):
     gravity: Array
 
     @classmethod
-    def from_plant(cls, plant: MultibodyPlant) -> KinematicTree:
+    def from_plant(cls, plant: MultibodyPlant, followers: Sequence[Follower] = ()) -> KinematicTree:
         """Reads the tree of a finalized plant, with its default parameters.
 
         Args:
             plant: Any finalized plant; it is not kept.
+            followers: Joints of it that follow others, whose leaders follow none.
 
         Raises:
             ArgumentError: It is no plant.
@@ -81,13 +84,16 @@ class KinematicTree(Short):
         """
         bodies = lumped_bodies(plant)
         gravity = [_has_gravity(plant, body) for body in bodies]
+        coordinates = OwnCoordinates(plant, tuple(followers))
         last = {_WORLD: -1}  # every body reached so far: its mobilizer
         mobilizers: list[Mobilizer] = []
         for edge in _edges(plant, bodies):
             if edge.inboard != _WORLD and gravity[edge.inboard] != gravity[edge.outboard]:
                 raise _partial_gravity(bodies[edge.outboard].name)
-            q, v = edge.joint.position_start(), edge.joint.velocity_start()
+            q, v = coordinates.position_of(edge.joint), coordinates.velocity_of(edge.joint)
             motions = joint_motions(edge.joint, edge.sign)
+            if (follower := coordinates.leaders.get(scoped(edge.joint))) is not None:
+                motions = [motions[0].following(follower.ratio, follower.offset)]
             for step, motion in enumerate(motions, start=1):
                 parent = last[edge.inboard] if step == 1 else len(mobilizers) - 1
                 is_last = step == len(motions)
@@ -112,8 +118,8 @@ class KinematicTree(Short):
         return cls(
             mobilizers=tuple(mobilizers),
             bodies=tuple(body.name for body in bodies),
-            num_positions=plant.num_positions(),
-            num_velocities=plant.num_velocities(),
+            num_positions=len(coordinates.own_positions),
+            num_velocities=len(coordinates.own_velocities),
             gravity=np.array(plant.gravity_field().gravity_vector()),
         )
 
@@ -141,12 +147,18 @@ class KinematicTree(Short):
                 (x.start, x.stop - x.start) for x in (q, v)
             )
             record["count"], record["features"] = len(mobilizer.dofs), joint.features
+            record["ratio"] = joint.ratio
             for name in ("rotation", "translation", "angular", "linear"):
                 matrix = getattr(joint, name)
                 record[name][:, : matrix.shape[1]] = matrix
             record["offset"], record["p_MoBo_B"] = joint.offset, mobilizer.p_MoBo_B
             record["gravity"] = mobilizer.gravity * self.gravity
         return records, dofs
+
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether a velocity moves a body by several joints, some of which follow another."""
+        return any(len(set(m.dofs)) < len(m.dofs) for m in self.mobilizers)
 
     def columns(self, dof: int) -> NDArray[np.intp]:
         """Columns of the regressor that can differ from zero in the row of one velocity."""

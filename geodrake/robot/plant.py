@@ -8,7 +8,7 @@ are effects of their own in geodrake; inertias that no body can have are repaire
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geodrake.boundary.arguments import real_array
+from geodrake.boundary.arguments import instance, number, real_array
 from geodrake.errors import ModelError
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
@@ -33,10 +33,13 @@ from geodrake.inertia import (
     to_spatial_inertia,
 )
 from geodrake.inertia.bodies import lumped_bodies
-from geodrake.robot.files import ModelDescription, read_description
+from geodrake.robot.files import Given, ModelDescription, read_description
 from geodrake.robot.files.checks import check_poses
 from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.followers import Follower, OwnCoordinates, resolved
+from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.repairs import Repair, repair_inertias
+from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
 
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 
@@ -50,11 +53,17 @@ class LoadedPlant:
         path: The model file.
         repairs: Bodies whose inertia no body can have, with what they got instead.
         notes: Sentences on what else of the file was read in a way worth knowing.
-        file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m.
+        file_damping: (nv,) damping of the file, N·m·s/rad or N·s/m; here and below nv without
+            followers, whose share is their leader's.
         file_friction: (nv,) dry friction of the file, N·m or N.
         file_rotor_inertia: (nv,) reflected inertia of the file, kg·m² or kg.
         file_springs: (2, nv) stiffness of the file's springs, N·m/rad or N/m, and their rest
             positions, rad or m.
+        held: Joint that does not move, though it does in the file -> where it is held, rad or m.
+        given: How the file was to be read.
+        followers: Joints of the plant that follow others.
+        joints: Names of all joints of one degree of freedom that the robot has in the file, held
+            ones and followers included.
     """
 
     plant: MultibodyPlant
@@ -65,6 +74,10 @@ class LoadedPlant:
     file_friction: Array
     file_rotor_inertia: Array
     file_springs: Array
+    held: Mapping[str, float]
+    given: Given
+    followers: tuple[Follower, ...] = ()
+    joints: tuple[str, ...] = ()
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -80,51 +93,124 @@ def load_plant(
     path: str | Path,
     *,
     floating: bool = False,
+    held: Mapping[str, float] | None = None,
+    given: Given | None = None,
     phi: ArrayLike | None = None,
     into: MultibodyPlant | None = None,
 ) -> LoadedPlant:
     """Reads a robot from a URDF, SDF, MJCF or Drake directives file.
 
     Geometry does not matter and is not loaded, so meshes and packages may be missing. Closed
-    loops and mimic joints are read as an open tree.
+    loops are read as an open tree; joints that follow others are `followers`.
 
     Args:
         path: The model file; the root element, not the suffix, decides between the XML formats.
         floating: Leave bodies free that the file does not attach to the world; otherwise each
             root is welded to the world where the file puts it.
+        held: Joint of one degree of freedom -> where it is held, rad or m: it does not move, and
+            the bodies on both sides of it are one.
+        given: How the file is to be read.
         phi: (nb, 10) inertial parameters in place of the file's; the representative of each lumped
             body has all of it.
         into: An empty plant to load the robot into, which is finalized; by default a new one,
             continuous in time.
 
     Raises:
-        ModelError: The file cannot be read, is no robot description, or nothing moves in it; or
-            Drake refuses the inertial parameters that are given.
+        ModelError: The file cannot be read, is no robot description, or nothing moves in it; a
+            joint cannot be held; or Drake refuses the inertial parameters that are given.
     """
-    path = Path(path)
+    path, given = Path(path), instance(given or Given(), "given", Given)
+    held = {n: number(x, f"held[{n!r}]") for n, x in instance(held or {}, "held", Mapping).items()}
     with drake_messages() as messages:
-        description = read_description(path)
-        draft = _build(description, floating=floating)
+        description = read_description(path, given)
+        draft, arrangement = _draft(description, floating=floating, held=held, given=given)
         repairs, repair_notes, changed = repair_inertias(description, draft.plant)
         if phi is not None:
             _write_inertias(description, draft.plant, phi)
             changed = True
         built = draft
         if changed or into is not None:
-            built = _build(description, floating=floating, plant=into)
+            built = _build(description, arrangement, into)
         if phi is not None:
             _check_inertias(built.plant, phi, path)
-    notes = (*description.notes, *built.notes, *repair_notes, *_relevant(messages))
+    notes = [*description.notes, *built.notes, *_follower_notes(description, arrangement)]
+    notes += [*repair_notes, *_relevant(messages)]
+    coordinates = OwnCoordinates(built.plant, arrangement.followers)
+    stiffness, rest = built.springs
     return LoadedPlant(
         built.plant,
         path,
         repairs,
         tuple(dict.fromkeys(notes)),
-        built.damping,
-        built.friction,
-        built.rotor_inertia,
-        built.springs,
+        coordinates.joined(built.damping, 2),
+        coordinates.joined(built.friction, 1),
+        coordinates.joined(built.rotor_inertia, 2),
+        np.array([coordinates.joined(stiffness, 2), rest[coordinates.own_velocities]]),
+        held,
+        given,
+        arrangement.followers,
+        arrangement.joints,
     )
+
+
+def _draft(
+    description: ModelDescription, *, floating: bool, held: Mapping[str, float], given: Given
+) -> tuple[_Built, Arrangement]:
+    """The plant before repairs, of the robot asked for, with its joints held."""
+    arrangement = Arrangement(floating)
+    draft = _build(description, arrangement)
+    if given.robot is not None:
+        robot = chosen_robot(draft.plant, given.robot, description.path)
+        others = [joint for r in robots_of(draft.plant) if r != robot for joint in r.joints]
+        aside = poses_of(draft.plant, others)
+        arrangement = replace(arrangement, aside=aside, robot=robot.bodies)
+        draft = _build(description, arrangement)
+    joints = _single_joints(draft.plant)
+    followers = resolved(description.followers, [scoped(joint) for joint in joints.values()])
+    arrangement = replace(arrangement, followers=followers, joints=tuple(joints))
+    if held:
+        places = checked_held(joints, followers, held, description.path)
+        if len(places) == draft.plant.num_velocities():
+            raise ModelError(
+                f"All joints of {description.path} are held, so nothing moves.",
+                advice="Leave out at least one of them.",
+                path=description.path,
+            )
+        arrangement = replace(
+            arrangement,
+            held=poses_of(draft.plant, places, places),
+            followers=tuple(f for f in followers if f.joint not in places),
+        )
+        draft = _build(description, arrangement)
+    return draft, arrangement
+
+
+def _single_joints(plant: MultibodyPlant) -> dict[str, Joint]:
+    """The joints of one degree of freedom by their names, in the order of their velocities."""
+    names = joint_names(plant)
+    single = [j for j in _joints(plant) if j.num_velocities() == j.num_positions() == 1]
+    single.sort(key=lambda joint: int(joint.velocity_start()))
+    return {names[joint.velocity_start()]: joint for joint in single}
+
+
+def _follower_notes(description: ModelDescription, arrangement: Arrangement) -> list[str]:
+    """Which joints follow others, and which cannot, in words."""
+    following = {f.joint: f.leader for f in arrangement.followers}
+    pairs = ", ".join(f"{_last(a)} follows {_last(b)}" for a, b in following.items())
+    notes = [f"{pairs}, and is no joint of its own."] if pairs else []
+    there = set(following).union(arrangement.held, arrangement.aside)
+    apart = [_last(f.joint) for f in description.followers if f.joint not in there]
+    if apart:
+        what = "<equality>" if description.texts[0].kind == "xml" else "<mimic>"
+        notes.append(
+            f"{what} is ignored, as there is no joint to follow: {', '.join(apart)} count as "
+            "joints of their own."
+        )
+    return notes
+
+
+def _last(name: str) -> str:
+    return name.rpartition("::")[2]
 
 
 @dataclass(frozen=True)
@@ -138,12 +224,14 @@ class _Built:
 
 
 def _build(
-    description: ModelDescription, *, floating: bool, plant: MultibodyPlant | None = None
+    description: ModelDescription, arrangement: Arrangement, plant: MultibodyPlant | None = None
 ) -> _Built:
     plant = MultibodyPlant(time_step=0.0) if plant is None else plant
     description.add_to(plant)
     with drake_errors(description.path):
-        notes = [*_root_notes(plant, floating=floating)]
+        weld_joints(plant, arrangement.held)
+        weld_joints(plant, arrangement.aside, aside=True)
+        notes = [*_root_notes(plant, arrangement)]
         _limit_efforts(plant, description)
         damping = {
             j: np.array(joint.default_damping_vector()) for j, joint in enumerate(_joints(plant))
@@ -175,7 +263,7 @@ def _build(
     def of_text(name: str, most: float = np.inf) -> dict[int, Array]:
         stated = description.joint_values(name)
         counts = {j: joint.num_velocities() for j, joint in enumerate(_joints(plant))}
-        values = {j: stated.get(_scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
+        values = {j: stated.get(scoped(joint), 0.0) for j, joint in enumerate(_joints(plant))}
         return {j: np.full(count, values[j]) for j, count in counts.items() if count <= most}
 
     friction, of_springs = of_text("friction"), [of_text(n, most=1) for n in ("stiffness", "rest")]
@@ -214,16 +302,43 @@ def _check_inertias(plant: MultibodyPlant, phi: ArrayLike, path: Path) -> None:
         )
 
 
-def _root_notes(plant: MultibodyPlant, *, floating: bool) -> list[str]:
+def _root_notes(plant: MultibodyPlant, arrangement: Arrangement) -> list[str]:
     """Welds the free roots to the world unless they shall float; says what is worth saying."""
-    roots = free_roots(plant)
-    if floating:
-        return [] if roots else ["The file attaches the robot to the world, so nothing floats."]
+    roots, floating = free_roots(plant), arrangement.floating
+    own = [b for b in roots if arrangement.is_of_robot(int(b.index()))]
     for body in roots:
-        X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
-        plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
-    names = ", ".join(body.name() for body in roots)
-    return [f"{names} are roots of their own; each is welded to the world."] if roots[1:] else []
+        if not floating or body not in own:
+            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
+    if floating:
+        return [] if own else ["The file attaches the robot to the world, so nothing floats."]
+    if not own[1:]:
+        return []
+    names = ", ".join(body.name() for body in own)
+    robots = [robot.name for robot in robots_of(plant)]
+    choice = f" Robots in the file are {', '.join(robots)}; choose one by its name."
+    return [
+        f"{names} are roots of their own; each is welded to the world."
+        + (choice if robots[1:] else "")
+    ]
+
+
+def arrange_as(plant: MultibodyPlant, other: MultibodyPlant) -> None:
+    """Welds what moves in a plant of a model file, and does not in another one of the same file.
+
+    Args:
+        plant: A plant that is not finalized, such as one with geometry; changed.
+        other: The finalized plant of a model.
+    """
+    weld_joints(plant, welds_of(other))
+    weld_joints(plant, welds_of(other, aside=True), aside=True)
+    standing = {
+        body.scoped_name().get_full() for body in other.GetBodiesWeldedTo(other.world_body())
+    }
+    for body in free_roots(plant):
+        if body.scoped_name().get_full() in standing:
+            X_WB = plant.GetDefaultFloatingBaseBodyPose(body)
+            plant.WeldFrames(plant.world_frame(), body.body_frame(), X_WB)
 
 
 def free_roots(plant: MultibodyPlant) -> list[RigidBody]:
@@ -247,7 +362,7 @@ def _limit_efforts(plant: MultibodyPlant, description: ModelDescription) -> None
     actuators = {int(a.joint().index()): a for a in _actuators(plant)}
     efforts = description.joint_values("effort")
     for joint in _joints(plant):
-        limit = efforts.get(_scoped(joint), 0.0)
+        limit = efforts.get(scoped(joint), 0.0)
         if joint.num_velocities() == 1 and limit > 0:
             if int(joint.index()) in actuators:
                 actuators[int(joint.index())].set_effort_limit(limit)
@@ -260,12 +375,12 @@ def _take_rotor_inertia(plant: MultibodyPlant, description: ModelDescription) ->
     numbers = {int(joint.index()): j for j, joint in enumerate(_joints(plant))}
     stated = description.joint_values("armature")
     rotor = {
-        j: np.full(joint.num_velocities(), stated.get(_scoped(joint), 0.0))
+        j: np.full(joint.num_velocities(), stated.get(scoped(joint), 0.0))
         for j, joint in enumerate(_joints(plant))
     }
     for actuator in _actuators(plant):
         joint = actuator.joint()
-        if _scoped(joint) not in stated:
+        if scoped(joint) not in stated:
             rotor[numbers[int(joint.index())]] += actuator.default_reflected_inertia()
         actuator.set_default_rotor_inertia(0.0)
     return rotor
@@ -283,11 +398,6 @@ def _joints(plant: MultibodyPlant) -> list[Joint]:
 
 def _actuators(plant: MultibodyPlant) -> list[JointActuatorIndex]:
     return [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices()]
-
-
-def _scoped(joint: Joint) -> str:
-    instance = joint.GetParentPlant().GetModelInstanceName(joint.model_instance())
-    return f"{instance}::{joint.name()}"
 
 
 def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayLike) -> None:
@@ -319,19 +429,22 @@ def set_inertial_parameters(plant: MultibodyPlant, context: Context, phi: ArrayL
 def joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Names of the velocities (nv): the joint's, with a suffix where it has several.
 
-    A name that several model instances use is preceded by its instance, `left_elbow`.
+    A name that several model instances use is preceded by its instance, `left_elbow`; also where
+    the joint is held in the others.
     """
     names = plant.GetVelocityNames(add_model_instance_prefix=False, always_add_suffix=False)
     full = plant.GetVelocityNames(add_model_instance_prefix=True, always_add_suffix=False)
+    held = [joint.name() for joint in _joints(plant) if not joint.num_velocities()]
     return tuple(
-        long if names.count(short) > 1 else short for short, long in zip(names, full, strict=True)
+        long if names.count(short) > 1 or short in held else short
+        for short, long in zip(names, full, strict=True)
     )
 
 
 def scoped_joint_names(plant: MultibodyPlant) -> tuple[str, ...]:
     """Names of the joints (nv) that velocities belong to, as `robot::joint`."""
     names = {
-        joint.velocity_start() + k: _scoped(joint)
+        joint.velocity_start() + k: scoped(joint)
         for joint in _joints(plant)
         for k in range(joint.num_velocities())
     }

@@ -66,6 +66,7 @@ MOBILIZER = np.dtype(
         ("velocities", np.int64, (2,)),
         ("count", np.int64),  # of the velocities that move the body
         ("features", np.int64),
+        ("ratio", float),  # of the angle to the position that it follows
         ("rotation", float, (9, 9)),
         ("offset", float, (3,)),
         ("translation", float, (3, 7)),
@@ -105,13 +106,16 @@ Of the velocities, as many as the record counts.
 
 
 @inlined
-def features_of(kind: int, q: Numbers, n: int, first: int, out: Numbers) -> int:
+def features_of(mobilizer: Record, q: Numbers, n: int, out: Numbers) -> int:
     """Writes the functions of a joint's positions that its rotation is linear in; how many."""
+    kind = mobilizer.features
+    first, number = mobilizer.positions
     if kind == _CONSTANT:
         out[0] = 1.0
         return 1
     if kind == _ANGLE:
-        out[0], out[1], out[2] = 1.0, np.cos(q[n, first]), np.sin(q[n, first])
+        angle = mobilizer.ratio * q[n, first + number - 1]
+        out[0], out[1], out[2] = 1.0, np.cos(angle), np.sin(angle)
         return 3
     x, y, z = q[n, first], q[n, first + 1], q[n, first + 2]
     if kind == _RPY:
@@ -131,16 +135,9 @@ def features_of(kind: int, q: Numbers, n: int, first: int, out: Numbers) -> int:
 
 
 @inlined
-def angle_place(mobilizer: Record) -> int:
-    """Where the positions begin that the features of a joint are functions of."""
-    first, number = mobilizer.positions[0], mobilizer.positions[1]
-    return int(first + number - 1 if mobilizer.features == _ANGLE else first)
-
-
-@inlined
 def pose(mobilizer: Record, q: Array, n: int, features: Array, out: Record) -> None:
     """The rotation R_PB and the position of Mo in P at sample n; `features` is room (9,)."""
-    number = features_of(mobilizer.features, q, n, angle_place(mobilizer), features)
+    number = features_of(mobilizer, q, n, features)
     C, R = mobilizer.rotation, out.R_PB
     for j in range(3):
         for k in range(3):
@@ -301,6 +298,36 @@ def calc_body_regressor(tree: TreeRecords, samples: Samples, body: int, out: Arr
                     put_block(motion, row(turn, i, k), row(slide, i, k), out, place)
 
 
+@compiled
+def calc_repeated_regressor(tree: TreeRecords, samples: Samples, only: int, out: Array) -> None:
+    """Adds the regressor of a tree in which a velocity moves a body by several joints.
+
+    Args:
+        tree: `KinematicTree.records`.
+        samples: Samples of a motion.
+        only: Index of the body that has columns; -1 for all.
+        out: (N, nv, 10 nb), or (N, nv, 10) of one body, zeros, then Y.
+    """
+    mobilizers, dofs = tree
+    motions, features = np.empty(len(mobilizers), MOTION), np.empty(9)
+    turn, slide = np.empty((*dofs.shape, 3)), np.empty((*dofs.shape, 3))
+    block = np.empty((1, 1, PARAMETERS_PER_BODY))
+    for n in range(len(samples[0])):
+        move(mobilizers, samples, n, features, motions)
+        find_subspaces(mobilizers, motions, turn, slide)
+        for i in range(len(mobilizers)):
+            body = mobilizers[i].body
+            if body >= 0 and (only < 0 or body == only):
+                motion, start = (
+                    motion_of(motions[i]),
+                    0 if only >= 0 else PARAMETERS_PER_BODY * body,
+                )
+                for k in range(mobilizers[i].count):
+                    put_block(motion, row(turn, i, k), row(slide, i, k), block, (0, 0, 0))
+                    for x in range(PARAMETERS_PER_BODY):
+                        out[n, dofs[i, k], start + x] += block[0, 0, x]
+
+
 @inlined
 def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
     """Force and moment about Bo that give body b of φ (nb, 10) its motion."""
@@ -314,13 +341,13 @@ def wrench_of(phi: Array, b: int, motion: Record) -> tuple[Vector, Vector]:
 
 @compiled
 def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: Array) -> None:
-    """Writes the efforts (N, nv) that a motion needs, for parameters φ (nb, 10).
+    """Adds the efforts that a motion needs, for parameters φ (nb, 10), to zeros (N, nv).
 
     Args:
         tree: `KinematicTree.records`.
         samples: Samples of a motion.
         phi: (nb, 10) inertial parameters.
-        out: (N, nv) the efforts, N·m or N.
+        out: (N, nv) zeros, then the efforts, N·m or N.
     """
     mobilizers, _ = tree
     bodies = len(mobilizers)
@@ -343,7 +370,7 @@ def calc_inverse_dynamics(tree: TreeRecords, samples: Samples, phi: Array, out: 
             first, number = mobilizer.velocities[0], mobilizer.velocities[1]
             for k in range(number):
                 s, t = column(mobilizer.angular, k), column(mobilizer.linear, k)
-                out[n, first + k] = dot(s, moment) + dot(t, force)
+                out[n, first + k] += dot(s, moment) + dot(t, force)
             parent = mobilizer.parent
             if parent >= 0:
                 moment = add(moment, cross(vector(motions[i].p_PMo), force))
@@ -372,7 +399,7 @@ def put_pose(mobilizer: Record, motion: Record, world: Record, own: Record) -> N
 def calc_kinematics(
     tree: TreeRecords, q: Array, poses: Array, angular: Array, linear: Array
 ) -> None:
-    """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, into zeros.
+    """Writes poses (N, nb, 4, 4) of all bodies in the world, and their Jacobians, to zeros.
 
     The Jacobians (N, nb, 3, nv) of ω and of the velocity of Bo, in W; none if they have no samples.
 
@@ -408,5 +435,5 @@ def calc_kinematics(
                     for k in range(mobilizers[i].count):
                         s, t = times(R, row(turn, i, k)), times(R, row(slide, i, k))
                         for x in range(3):
-                            angular[n, body, x, dofs[i, k]] = s[x]
-                            linear[n, body, x, dofs[i, k]] = t[x]
+                            angular[n, body, x, dofs[i, k]] += s[x]
+                            linear[n, body, x, dofs[i, k]] += t[x]

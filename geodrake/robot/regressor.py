@@ -24,6 +24,7 @@ from geodrake.robot.recursion import (
     calc_body_regressor,
     calc_inverse_dynamics,
     calc_regressor,
+    calc_repeated_regressor,
 )
 
 _PIECE = 1 << 16  # numbers of a piece: half a megabyte stays in a core's cache
@@ -54,7 +55,7 @@ def inverse_dynamics_regressor(
     regressor = np.zeros(
         (len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
     )
-    calc_regressor(tree.records, samples, 0, regressor)
+    put_regressor(tree, samples, regressor)
     return regressor
 
 
@@ -73,7 +74,11 @@ def body_regressor(
     tree, samples = checked_samples(plant, q, v, vd)
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
-    calc_body_regressor(tree.branch(body).records, samples, body, regressor)
+    branch = tree.branch(body)
+    if branch.repeats:
+        calc_repeated_regressor(branch.records, samples, body, regressor)
+    else:
+        calc_body_regressor(branch.records, samples, body, regressor)
     return regressor
 
 
@@ -95,7 +100,7 @@ def inverse_dynamics(
     """
     tree, samples = checked_samples(plant, q, v, vd)
     phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
-    effort = np.empty((len(samples[0]), tree.num_velocities))
+    effort = np.zeros((len(samples[0]), tree.num_velocities))
     calc_inverse_dynamics(tree.records, samples, phi, effort)
     return effort
 
@@ -121,9 +126,25 @@ def regressor_pieces(
     for start in range(0, len(samples[0]), most):
         part = slice(start, min(start + most, len(samples[0])))
         piece = room[: part.stop - start]  # what is zero in one piece is so in all
+        if tree.repeats:
+            piece[:] = 0.0
         q, qd, v, vd = (x[part] for x in samples)
-        calc_regressor(tree.records, (q, qd, v, vd), 0, piece)
+        put_regressor(tree, (q, qd, v, vd), piece)
         yield part, piece
+
+
+def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
+    """Writes the regressor into zeros.
+
+    Args:
+        tree: The kinematic tree.
+        samples: Samples of a motion.
+        out: (N, nv, 10 nb) zeros, then Y.
+    """
+    if tree.repeats:
+        calc_repeated_regressor(tree.records, samples, -1, out)
+    else:
+        calc_regressor(tree.records, samples, 0, out)
 
 
 def checked_samples(

@@ -11,18 +11,21 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ModelError
-from geodrake.robot.files import read_description
+from geodrake.robot.files import Given, read_description
 from geodrake.robot.files.description import drake_errors, drake_messages
-from geodrake.robot.files.packages import add_packages
+from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 
 
-def add_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, path: Path) -> tuple[str, ...]:
+def add_visuals(
+    plant: MultibodyPlant, scene_graph: SceneGraph, path: Path, given: Given
+) -> tuple[str, ...]:
     """Gives the bodies of a plant the visual geometry of its file; nothing collides.
 
     Args:
         plant: A finalized plant that was read from the file, and is a source of the SceneGraph.
         scene_graph: Where the geometry goes.
         path: The model file.
+        given: How it was read.
 
     Returns:
         Notes on what cannot be shown.
@@ -31,8 +34,12 @@ def add_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, path: Path) -> t
     try:
         with drake_messages(), drake_errors(path):
             parser = Parser(shown)
-            add_packages(parser.package_map(), path, read_description(path).named_packages())
-            parser.AddModels(str(path))
+            description = read_description(path, given)
+            description.add_packages(parser.package_map(), description.named_packages())
+            if is_xacro(path.read_bytes()):
+                parser.AddModelsFromString(read_expanded(path, given).decode(), "urdf")
+            else:
+                parser.AddModels(str(path))
             shown.Finalize()
     except ModelError as error:
         return (f"The robot has no shapes: {error.problem}",)

@@ -189,7 +189,7 @@ def test_targets_are_refused_before_the_work(tmp_path, log, monkeypatch):
     def never(*_arguments, **_settings):
         raise AssertionError("the model was loaded before the targets were checked")
 
-    monkeypatch.setattr("geodrake.cli.session.load_model", never)
+    monkeypatch.setattr("geodrake.cli.session.read_model", never)
     folder = tmp_path / "folder.json"
     folder.mkdir()
     (tmp_path / "link.yaml").symlink_to(tmp_path / "robot.yaml")
@@ -265,7 +265,7 @@ def test_a_bug_is_told_in_one_line_and_traced_on_demand(log, monkeypatch):
     def broken(*_arguments, **_settings):
         raise RuntimeError("the sky\nfell")
 
-    monkeypatch.setattr("geodrake.cli.session.load_model", broken)
+    monkeypatch.setattr("geodrake.cli.session.read_model", broken)
     message = refused("compare", PENDULUM, log, code=1)
     assert message.startswith("Internal error: RuntimeError: the sky fell. ")
     for settings in ({"args": ["--debug"]}, {"env": {"GEODRAKE_DEBUG": "1"}}):

@@ -21,6 +21,7 @@ from geodrake.excitation import (
 )
 from geodrake.excitation.collision_meshes import stl_vertices
 from geodrake.model.robot_model import load_description
+from geodrake.robot import joint_names
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 SQUARES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -169,10 +170,10 @@ def test_distances_of_public_robots_are_pinocchios(name):
                 shapes.addCollisionPair(pin.CollisionPair(j, i))
     limits = motion_limits(model)
     q = np.random.default_rng(0).uniform(limits.lower, limits.upper, (30, len(model.joints)))
-    order = [model.joints.index(joint) for joint in robot.names[1:]]
+    order = [joint_names(model.plant).index(joint) for joint in robot.names[1:]]
     data, found = robot.createData(), shapes.createData()
     expected = []
-    for one in q:
+    for one in model.coordinates.plant_positions(q):  # fingers that follow each other
         pin.computeDistances(robot, data, shapes, found, one[order])
         expected.append(min(result.min_distance for result in found.distanceResults))
     distances, _ = world.distances(q)

@@ -722,6 +722,8 @@ IN_MJCF = [
         "body without inertia",
         '<body name="lower"',
         '<body name="foo"><joint/></body><body name="lower"',
+        "foo_joint_0 at 0",
+        code=0,
     ),
     part(
         MJCF,

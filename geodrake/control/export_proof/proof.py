@@ -87,6 +87,8 @@ def prove(
         starts: Starts of rollouts.
     """
     differences, ignored, notes = list[Difference](), None, list[str]()
+    if engines and held.followers:
+        return Proof((), (), ("joints follow others, so the export was not tried in simulators",))
     for name in engines:
         make = engine(name)
         if make is None:

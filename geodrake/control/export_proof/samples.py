@@ -12,7 +12,6 @@ from geodrake.effects import CoulombFriction
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.plant import position_limits, velocity_limits
 
 Array = NDArray[np.float64]
 
@@ -69,9 +68,9 @@ def random_motion(model: RobotModel, seed: int = 0) -> Motion:
     """
     rng, nv = np.random.default_rng(seed), len(model.joints)
     order = position_order(model)
-    low, high = (limits[order] for limits in position_limits(model.plant))
+    low, high = (limits[order] for limits in model.position_limits)
     low, high = np.maximum(low, -_LARGEST), np.minimum(high, _LARGEST)
-    fastest = np.minimum(velocity_limits(model.plant), _FASTEST)
+    fastest = np.minimum(model.velocity_limits, _FASTEST)
     time: Array = np.arange(_RANDOM, dtype=float) * _PERIOD
     rates = 2 * np.pi * rng.uniform(*_FREQUENCIES, (nv, _WAVES))
     phases = rng.uniform(0.0, 2 * np.pi, (nv, _WAVES))

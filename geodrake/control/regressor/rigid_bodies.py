@@ -19,12 +19,12 @@ from geodrake.robot.recursion import (
     Samples,
     TreeRecords,
     calc_inverse_dynamics,
-    calc_regressor,
     carried,
     find_subspaces,
     move,
     subspace_room,
 )
+from geodrake.robot.regressor import put_regressor
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -69,7 +69,7 @@ class RigidSample:
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
-        effort = np.empty_like(self.motion[1])
+        effort = np.zeros_like(self.motion[1])
         calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
         return np.asarray(effort[0])
 
@@ -80,7 +80,7 @@ class RigidSample:
             columns: 10 nb or more, of which those beyond are zero.
         """
         Y = np.zeros((1, self.motion[1].shape[1], columns))
-        calc_regressor(self.tree.records, self.motion, 0, Y)
+        put_regressor(self.tree, self.motion, Y)
         return np.asarray(Y[0])
 
     def momentum_regressors(self, columns: int) -> Array:
@@ -100,7 +100,7 @@ class RigidSample:
         nv = qd.shape[1]
         still, accelerations = np.zeros((nv + 1, nv)), np.eye(nv + 1, nv)
         samples = (np.repeat(q, nv + 1, axis=0), still, still, accelerations)
-        efforts = np.empty((nv + 1, nv))
+        efforts = np.zeros((nv + 1, nv))
         calc_inverse_dynamics(self.tree.records, samples, np.array(phi, float), efforts)
         M = efforts[:-1] - efforts[-1]
         return np.asarray(0.5 * (M + M.T))

@@ -61,6 +61,7 @@ def roll_out(
     Raises:
         ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
         LogError: A log cannot be used, or none moves for as long as a window.
+        ModelError: Joints follow others, and an effect depends on accelerations or loads.
     """
     real_array(horizon, "horizon", (), finite=False)
     integer(most, "most", upper=np.inf)

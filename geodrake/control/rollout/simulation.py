@@ -11,9 +11,11 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import Adder, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
+from geodrake.control.rollout.following import FollowingEffort
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems import EffectForce
 from geodrake.effects import Effect, FittedEffect, Role
+from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.plant import load_plant, set_inertial_parameters
@@ -69,25 +71,37 @@ class Simulation:
         self._model, self._sign_width = model, sign_width
         self._fastest, self._steps = fastest, steps
         builder = DiagramBuilder()
-        self._plant = builder.AddSystem(load_plant(model.path, floating=model.floating).plant)
+        loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
+        self._plant = builder.AddSystem(loaded.plant)
         effects = [(fitted.effect, fitted.parameters) for fitted in _forces(model)]
         self._force = builder.AddSystem(
-            EffectForce(self._plant, effects, sign_width=sign_width, phi=model.total_phi, log=log)
+            EffectForce(
+                self._plant,
+                effects,
+                sign_width=self._whole(sign_width, 1.0),
+                phi=model.total_phi,
+                log=log,
+            )
         )
-        nv = len(model.joints)
+        _check_followers(model, implicit=self._force.implicit)
+        nv = self._plant.num_velocities()
         self._effort = builder.AddSystem(TrajectorySource(PiecewisePolynomial(np.zeros(nv))))
         total = builder.AddSystem(Adder(2, nv))
         builder.Connect(self._plant.get_state_output_port(), self._force.GetInputPort("state"))
         builder.Connect(self._effort.get_output_port(), self._force.GetInputPort("applied_effort"))
         builder.Connect(self._effort.get_output_port(), total.get_input_port(0))
         builder.Connect(self._force.GetOutputPort("generalized_force"), total.get_input_port(1))
-        builder.Connect(
-            total.get_output_port(), self._plant.get_applied_generalized_force_input_port()
-        )
+        acting = total.get_output_port()
+        if model.followers:
+            following = builder.AddSystem(FollowingEffort(model))
+            builder.Connect(self._plant.get_state_output_port(), following.GetInputPort("state"))
+            builder.Connect(acting, following.GetInputPort("effort"))
+            acting = following.get_output_port()
+        builder.Connect(acting, self._plant.get_applied_generalized_force_input_port())
         self._diagram = builder.Build()
         # Where the position of each velocity stands.
-        places = model.positions(np.arange(nv, dtype=float)[None])[0]
-        self._order = np.argsort(places)
+        places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
+        self._order = model.coordinates.own_positions[np.argsort(places)]
 
     def positions(self, passage: Passage) -> Array:
         """(K, nv) positions from a passage's first state on, under its efforts.
@@ -97,7 +111,7 @@ class Simulation:
         """
         segment, time = passage.segment, passage.time
         self._effort.UpdateTrajectory(
-            PiecewisePolynomial.FirstOrderHold(time, np.asarray(segment.effort).T)
+            PiecewisePolynomial.FirstOrderHold(time, self._whole(np.asarray(segment.effort)).T)
         )
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
@@ -105,9 +119,11 @@ class Simulation:
         self._remember(passage, root)
         context = self._plant.GetMyMutableContextFromRoot(root)
         set_inertial_parameters(self._plant, context, self._model.total_phi)
-        self._plant.SetPositions(context, self._model.positions(segment.position[:1])[0])
+        ways = self._model.coordinates
+        q = ways.plant_positions(self._model.positions(segment.position[:1]))[0]
+        self._plant.SetPositions(context, q)
         scheme = "radau3" if self._decay(context) > _STIFF else "runge_kutta3"
-        self._plant.SetVelocities(context, segment.velocity[0])
+        self._plant.SetVelocities(context, ways.plant_velocities(segment.velocity[:1])[0])
         ResetIntegratorFromFlags(simulator, scheme, _LARGEST_STEP)
         simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
         simulator.Initialize()
@@ -123,9 +139,17 @@ class Simulation:
             simulated[k] = self._plant.GetPositions(context)[self._order]
         return simulated
 
+    def _whole(self, values: Array, at_followers: float = 0.0) -> Array:
+        """Values (..., nv of the plant), of those (..., nv) of the model."""
+        shape = *values.shape[:-1], self._model.plant.num_velocities()
+        whole = np.full(shape, at_followers)
+        whole[..., self._model.coordinates.own_velocities] = values
+        return whole
+
     def _limit(self, root: Context) -> EventStatus:
         """Ends a simulation that has no steps left, or whose robot is too fast for any."""
         velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
+        velocity = velocity[self._model.coordinates.own_velocities]
         inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
         if inside and next(self._steps, None) is not None:
             return EventStatus.DidNothing()
@@ -153,14 +177,26 @@ class Simulation:
 
     def _decay(self, context: Context) -> float:
         """The fastest rate, 1/s, at which velocities near rest decay by friction."""
-        nv = self._plant.num_velocities()
+        ways, nv = self._model.coordinates, len(self._model.joints)
         port = self._plant.get_generalized_acceleration_output_port()
         slopes = []
-        for change in 1e-6 * np.vstack([np.zeros(nv), np.eye(nv)]):
+        for change in ways.plant_velocities(1e-6 * np.vstack([np.zeros(nv), np.eye(nv)])):
             self._plant.SetVelocities(context, change)
-            slopes.append(port.Eval(context))
+            slopes.append(port.Eval(context)[ways.own_velocities])
         slope = (np.array(slopes[1:]) - slopes[0]).T / 1e-6
         return float(np.abs(np.linalg.eigvals(slope)).max())
+
+
+def _check_followers(model: RobotModel, *, implicit: bool) -> None:
+    """Refuses effects that ask for accelerations, which a plant knows without followers only."""
+    for joint, (leader, _) in model.led.items() if implicit else ():
+        raise ModelError(
+            f"Joint {joint!r} follows {leader!r}, and the model has effects of accelerations or "
+            "loads: they cannot be simulated together.",
+            advice=f"Hold {leader!r} where it stands: --lock {leader}=VALUE, or "
+            "geodrake.model.holding.",
+            joint=joint,
+        )
 
 
 def _forces(model: RobotModel) -> list[FittedEffect]:

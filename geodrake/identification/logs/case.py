@@ -28,15 +28,15 @@ from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
-from geodrake.logs.motion import JointLog, Trajectory, match_joints
+from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.repeated_logs import check_repeated
 from geodrake.logs.smoothing import Segment
 from geodrake.logs.uniform_log import make_uniform
 from geodrake.logs.unit_hints import effort_unit_hint, position_unit_hint
 from geodrake.model.carried_payloads import joints_with_known_gain, payload_notes
+from geodrake.model.logged_joints import log_of_model
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.plant import effort_limits
 
 Array = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ def open_case(
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
     matched = _matched(model, logs)
     uniform = [make_uniform(log) for log in matched]
-    hints = [hint for each in uniform for hint in _hints(each.log, effort_limits(model.plant))]
+    hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
     units = tuple(hints)
     hints += payload_notes(model, matched)
     fitted = all(log.fingerprint in model.fitted_to for log in matched)
@@ -326,9 +326,12 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
     """Logs read if they are files, joints in the model's order, each with a name of its own."""
     matched = _with_names_of_their_own(
         [
-            match_joints(log, model.joints)
-            if isinstance(log, JointLog)
-            else read_log(log, joints=model.joints)
+            log_of_model(
+                log
+                if isinstance(log, JointLog)
+                else read_log(log, joints=model.known_joints, partial=True),
+                model,
+            )
             for log in logs
         ]
     )

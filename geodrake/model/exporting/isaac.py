@@ -13,7 +13,6 @@ from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.joint_numbers import joint_numbers
 from geodrake.model.exporting.model_text import model_file
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.plant import effort_limits, scoped_joint_names, velocity_limits
 
 _NOTE = (
     "the values of {name} are named as fields of Isaac Lab's ActuatorBaseCfg; "
@@ -35,10 +34,8 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     """
     name, data, notes = model_file(held.model, "urdf", folder)
     by_scoped = joint_numbers(held.model)
-    limits = effort_limits(model.plant), velocity_limits(model.plant)
-    columns = zip(
-        model.joints, scoped_joint_names(model.plant), *limits, model.delays.tolist(), strict=True
-    )
+    limits, delays = (model.effort_limits, model.velocity_limits), model.delays.tolist()
+    columns = zip(model.joints, model.scoped_joints, *limits, delays, strict=True)
     static = _static_excess(model)
     joints = {}
     for joint, scoped, effort, speed, delay in columns:

@@ -9,7 +9,7 @@ import numpy as np
 
 from geodrake.effects import CoulombFriction, Effect, JointSpring, RotorInertia, ViscousFriction
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
-from geodrake.robot.plant import load_plant, scoped_joint_names
+from geodrake.robot.plant import load_plant
 
 _TERMS: Mapping[type[Effect], str] = {
     ViscousFriction: "damping",
@@ -54,7 +54,7 @@ def joint_numbers(model: RobotModel) -> Mapping[str, JointNumbers]:
         elif isinstance(effect, JointSpring) and effect.exponent == 1 and fitted.parameters[0]:
             stiffness, preload = fitted.parameters.tolist()
             own |= {"stiffness": stiffness, "rest": effect.center - preload / stiffness}
-    names = dict(zip(model.joints, scoped_joint_names(model.plant), strict=True))
+    names = dict(zip(model.joints, model.scoped_joints, strict=True))
     slides = model.sliding_joints
     return {
         names[joint]: JointNumbers(**own, turns=joint not in slides)
@@ -68,7 +68,7 @@ def stated_numbers(model: RobotModel) -> Mapping[str, JointNumbers]:
     Args:
         model: The model, fitted or not.
     """
-    loaded = load_plant(model.path, floating=model.floating)
+    loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
     return joint_numbers(from_loaded_plant(loaded, floating=model.floating))
 
 

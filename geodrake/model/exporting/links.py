@@ -15,7 +15,6 @@ from geodrake.inertia import Array, change_frame
 from geodrake.inertia.bodies import lumped_bodies
 from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.plant import effort_limits, scoped_joint_names, velocity_limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +108,7 @@ def _refusal(joint: Joint, problem: str) -> ModelError:
 
 
 def _of_joint(model: RobotModel, joint: Joint) -> Mapping[str, Any]:
-    at, plant = joint.velocity_start(), model.plant
+    at = model.coordinates.velocity_of(joint)
     axis = joint.revolute_axis() if joint.type_name() == "revolute" else joint.translation_axis()
     return {
         "joint": model.joints[at],
@@ -118,7 +117,7 @@ def _of_joint(model: RobotModel, joint: Joint) -> Mapping[str, Any]:
             float(joint.position_lower_limits()[0]),
             float(joint.position_upper_limits()[0]),
         ),
-        "velocity": float(velocity_limits(plant)[at]),
-        "effort": float(effort_limits(plant)[at]),
-        "numbers": joint_numbers(model)[scoped_joint_names(plant)[at]],
+        "velocity": float(model.velocity_limits[at]),
+        "effort": float(model.effort_limits[at]),
+        "numbers": joint_numbers(model)[model.scoped_joints[at]],
     }

@@ -157,6 +157,11 @@ class EffectForce(LeafSystem):
         )
         return system
 
+    @property
+    def implicit(self) -> bool:
+        """Whether some effects depend on the plant's acceleration, or its load."""
+        return self._effects.implicit
+
     def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
         """Sets hidden states, such as a motion leaves them by `Effect.states_along`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from geodrake.effects.delays import delays_of
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
 from geodrake.model.simulation.effect_force import EffectForce
+from geodrake.robot.files import Given
 from geodrake.robot.plant import joint_names, load_plant
 from geodrake.robot.visuals import add_visuals
 
@@ -36,12 +38,16 @@ class FittedRobot:
         floating: Whether free roots float instead of being welded to the world.
         total_phi: (nb, 10) inertial parameters, payloads included.
         effects: Effects with their parameters.
+        held: Joint that is held -> where, rad or m.
+        given: How the model file was read.
     """
 
     path: Path
     floating: bool
     total_phi: Array
     effects: tuple[FittedEffect, ...]
+    held: Mapping[str, float]
+    given: Given
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +120,18 @@ def add_robot(
     scene_graph = _scene_graph(builder, options)
     if scene_graph is not None:
         plant.RegisterAsSourceForSceneGraph(scene_graph)
-    load_plant(robot.path, floating=robot.floating, phi=robot.total_phi, into=plant)
+    load_plant(
+        robot.path,
+        floating=robot.floating,
+        held=robot.held,
+        given=robot.given,
+        phi=robot.total_phi,
+        into=plant,
+    )
     builder.AddSystem(plant)
     notes: tuple[str, ...] = ()
     if scene_graph is not None:
-        notes = add_visuals(plant, scene_graph, robot.path)
+        notes = add_visuals(plant, scene_graph, robot.path, robot.given)
         _show(builder, plant, scene_graph)
 
     nv = plant.num_velocities()

@@ -115,16 +115,17 @@ def _pose(mobilizer: Mobilizer, q: Formulas) -> tuple[Formulas, Formulas]:
     """R_PB (3, 3) and the position of Mo in P (3,)."""
     joint, own = mobilizer.motion, q[mobilizer.positions]
     C = np.round(joint.rotation, _DIGITS) + 0.0
-    R = (C @ _features(joint.features, own)).reshape(3, 3)
+    R = (C @ _features(joint.features, own, joint.ratio)).reshape(3, 3)
     return R, joint.offset + joint.translation @ own
 
 
-def _features(kind: Features, q: Formulas) -> Formulas:
+def _features(kind: Features, q: Formulas, ratio: float) -> Formulas:
     """The functions of a joint's positions that its rotation is linear in."""
     if kind is Features.CONSTANT:
         return Symbols.of([1.0])
     if kind is Features.ANGLE:
-        return Symbols.of([1.0, np.cos(q[-1]), np.sin(q[-1])])
+        angle = q[-1] if ratio == 1.0 else ratio * q[-1]
+        return Symbols.of([1.0, np.cos(angle), np.sin(angle)])
     if kind is Features.RPY:
         (sr, sp, sy), (cr, cp, cy) = np.sin(q[:3]), np.cos(q[:3])
         rows = (

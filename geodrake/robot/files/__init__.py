@@ -7,5 +7,6 @@ that no body can have are set aside (`ModelText.set_aside`), for `geodrake.robot
 """
 
 from geodrake.robot.files.description import ModelDescription, read_description
+from geodrake.robot.files.given import Given
 
-__all__ = ["ModelDescription", "read_description"]
+__all__ = ["Given", "ModelDescription", "read_description"]

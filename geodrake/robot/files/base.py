@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Mapping
 from pathlib import Path
 from typing import ClassVar
 from xml.etree.ElementTree import Element, SubElement
@@ -15,8 +16,9 @@ from geodrake.robot.files.checks import (
     check_links,
     check_numbers,
 )
-from geodrake.robot.files.values import drop
+from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text
+from geodrake.robot.followers import Follower
 
 _LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
@@ -34,14 +36,18 @@ class ModelText(abc.ABC):
         stiffness: Scoped joint names with the stiffness of their spring, N·m/rad or N/m.
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
+        followers: Joints that the file has follow others; whether they can is seen in the plant.
         packages: Names of packages whose files are left for Drake to include.
+        folders: Package -> folder, which come before those that are found.
     """
 
     kind: ClassVar[str]
     numeric: ClassVar[Numeric]
 
-    def __init__(self, root: Element, path: Path, scope: str | None) -> None:
-        self.root, self.path, self.scope = root, path, scope
+    def __init__(
+        self, root: Element, path: Path, scope: str | None, folders: Mapping[str, Path]
+    ) -> None:
+        self.root, self.path, self.scope, self.folders = root, path, scope, folders
         self.notes: list[str] = []
         self.friction: dict[str, float] = {}
         self.armature: dict[str, float] = {}
@@ -49,6 +55,7 @@ class ModelText(abc.ABC):
         self.rest: dict[str, float] = {}
         self.effort: dict[str, float] = {}
         self.packages: set[str] = set()
+        self.followers: list[Follower] = []
         self._links: dict[str, Element] = {}
         self._read()
         check_numbers(self.root, self.numeric, path)
@@ -99,16 +106,19 @@ class ModelText(abc.ABC):
         for tag in sorted({e.tag for e in self.root.iter() if e.tag in tags}):
             drop(self.root, tag)
             self.notes.append(f"<{tag}> is ignored: the robot is read as an open tree.")
-        mimicking = [
-            element.get("name", "?")
-            for element in self.root.iter("joint")
-            if next(element.iter("mimic"), None) is not None
-        ]
-        drop(self.root, "mimic")
-        if mimicking:
-            self.notes.append(
-                f"<mimic> is ignored: {', '.join(mimicking)} count as joints of their own."
+
+    def _take_mimic(self, scope: str, joint: Element) -> None:
+        """Takes the <mimic> of a joint out of the text, and what it says in."""
+        for mimic in [e for e in joint.iter() if e.tag in ("mimic", "drake:mimic")]:
+            ratio, offset = (
+                numbers(mimic.get(key) or mimic.findtext(key) or default, 1)[0]
+                for key, default in (("multiplier", "1"), ("offset", "0"))
             )
+            start = numbers(mimic.findtext("reference", "0"), 1)[0]  # of SDF
+            own, leader = (f"{scope}::{name}" for name in (joint.get("name"), mimic.get("joint")))
+            shift = float(offset - ratio * start)
+            self.followers.append(Follower(own, leader, float(ratio), shift))
+        drop(joint, "mimic", "drake:mimic")
 
     @abc.abstractmethod
     def _read(self) -> None:

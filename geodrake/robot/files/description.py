@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import re
 from collections import ChainMap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,6 +15,7 @@ from pydrake.multibody.parsing import (
     FlattenModelDirectives,
     LoadModelDirectivesFromString,
     ModelDirectives,
+    PackageMap,
     Parser,
     ProcessModelDirectives,
 )
@@ -25,10 +26,13 @@ from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import GeodrakeError, ModelError
 from geodrake.inertia import Array
 from geodrake.robot.files.base import ModelText
+from geodrake.robot.files.given import Given
 from geodrake.robot.files.includes import Includes
 from geodrake.robot.files.packages import add_packages, named_packages
 from geodrake.robot.files.reading import read_model_text
+from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS
+from geodrake.robot.followers import Follower
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
 _LINE = re.compile(r"(?:<literal-string>|\S*?/(\d+))\.\w+:(\d+): ")
@@ -42,11 +46,13 @@ class ModelDescription:
         path: The file.
         texts: The simplified texts; one for each `add_model` of the directives, in their order.
         directives: The flattened directives, or None for a URDF, SDF or MJCF file.
+        given: How it was to be read.
     """
 
     path: Path
     texts: tuple[ModelText, ...]
     directives: ModelDirectives | None = None
+    given: Given = field(default_factory=Given)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -58,6 +64,11 @@ class ModelDescription:
         """Scoped link names with inertial parameters (10,) that no body can have."""
         return ChainMap(*(text.set_aside for text in self.texts))
 
+    @property
+    def followers(self) -> tuple[Follower, ...]:
+        """Joints that the texts have follow others."""
+        return tuple(follower for text in self.texts for follower in text.followers)
+
     def joint_values(self, name: str) -> Mapping[str, float]:
         """`friction`, `armature` or `effort` of the file, by scoped joint name."""
         return ChainMap(*(getattr(text, name) for text in self.texts))
@@ -65,11 +76,17 @@ class ModelDescription:
     def named_packages(self) -> set[str]:
         """Packages that the files name, geometry included."""
         files = {self.path, *(text.path for text in self.texts)}
-        return {
-            name
-            for file in files
-            for name in named_packages(file.read_text(encoding="utf-8", errors="replace"))
-        }
+        texts = (read_expanded(file, self.given).decode(errors="replace") for file in files)
+        return {name for text in texts for name in named_packages(text)}
+
+    def add_packages(self, packages: PackageMap, names: Iterable[str]) -> None:
+        """Makes packages known of which the files name something.
+
+        Args:
+            packages: The map, added to.
+            names: Their names.
+        """
+        add_packages(packages, self.path, names, self.given.packages)
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
         """Gives a link inertial parameters (10,), or none; False if no text has the link.
@@ -88,7 +105,7 @@ class ModelDescription:
         """
         parser = Parser(plant)
         names = {name for text in self.texts for name in text.packages}
-        add_packages(parser.package_map(), self.path, names)
+        self.add_packages(parser.package_map(), names)
         texts = [text.text() for text in self.texts]
         with drake_errors(self.path, [places for _, places in texts]):
             if self.directives is None:
@@ -104,17 +121,29 @@ class ModelDescription:
                 ProcessModelDirectives(self.directives, parser)
 
 
-def read_description(path: Path) -> ModelDescription:
+def read_description(path: Path, given: Given | None = None) -> ModelDescription:
     """Reads a model file of any supported format.
+
+    Args:
+        path: The file.
+        given: How it is to be read.
 
     Raises:
         ModelError: There is no such file, or it does not describe a robot.
     """
     regular_file(path, "model file", ModelError, largest=LARGEST_FILE)
+    given = given or Given()
     if path.suffix.lower() in (".yaml", ".yml"):
-        found = _read_directives(path)
+        found = _read_directives(path, given)
     else:
-        found = ModelDescription(path, (read_model_text(path),))
+        found = ModelDescription(path, (read_model_text(path, given),), given=given)
+    files = (text.path for text in found.texts)
+    if given.xacro and not any(is_xacro(file.read_bytes()) for file in files):
+        raise ModelError(
+            f"{path} is no xacro file, so it takes no argument {next(iter(given.xacro))!r}.",
+            advice="Leave it out.",
+            path=path,
+        )
     count = sum(text.link_count for text in found.texts)
     if count > _MOST_LINKS:
         raise ModelError(
@@ -125,8 +154,8 @@ def read_description(path: Path) -> ModelDescription:
     return found
 
 
-def _read_directives(path: Path) -> ModelDescription:
-    includes = Includes(path)
+def _read_directives(path: Path, given: Given) -> ModelDescription:
+    includes = Includes(path, given.packages)
     loaded = _load_directives(path, includes, (path.resolve(),))
     with drake_errors(path):
         directives = FlattenModelDirectives(loaded, includes.packages)
@@ -138,8 +167,8 @@ def _read_directives(path: Path) -> ModelDescription:
     texts = []
     for model in models:
         file = includes.checked(includes.resolve(model.file, path.parent))
-        texts.append(read_model_text(file, model.name))
-    return ModelDescription(path, tuple(texts), directives)
+        texts.append(read_model_text(file, given, model.name))
+    return ModelDescription(path, tuple(texts), directives, given)
 
 
 def _load_directives(path: Path, includes: Includes, chain: tuple[Path, ...]) -> ModelDirectives:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -9,7 +10,7 @@ from pydrake.multibody.parsing import PackageMap
 
 from geodrake.boundary.input_files import regular_file
 from geodrake.errors import ModelError
-from geodrake.robot.files.packages import add_packages, named_packages
+from geodrake.robot.files.packages import PACKAGE_ADVICE, add_packages, named_packages
 from geodrake.robot.files.xml_text import LARGEST_FILE, parse_xml
 
 _DEEPEST = 30  # files that include each other in a row
@@ -22,13 +23,15 @@ class Includes:
 
     Args:
         path: The model file.
+        folders: Package -> folder, which come before those that are found.
 
     Attributes:
         packages: The packages that were named on the way.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, folders: Mapping[str, Path]) -> None:
         self.path, self.packages, self.names = path, PackageMap(), set[str]()
+        self._folders = folders
         self._count = self._elements = 0
 
     def resolve(self, url: str, folder: Path) -> Path:
@@ -49,13 +52,12 @@ class Includes:
         name, _, inner = rest.partition("/")
         if scheme in ("package", "model"):
             self.names |= named_packages(url)
-            add_packages(self.packages, self.path, self.names)
+            add_packages(self.packages, self.path, self.names, self._folders)
             if self.packages.Contains(name):
                 return Path(self.packages.GetPath(name)) / inner
         raise ModelError(
             f"{self.path} includes {url}, which leads nowhere.",
-            advice="Packages are found by their package.xml in folders above the model, and below "
-            "those of ROS_PACKAGE_PATH.",
+            advice=PACKAGE_ADVICE,
             path=self.path,
         )
 

@@ -20,6 +20,7 @@ from geodrake.robot.files.values import (
     symmetric,
     words,
 )
+from geodrake.robot.followers import Follower
 
 _POSE = ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
 _IGNORED = ("tendon", "sensor", "keyframe", "visual", "statistic", "contact", "camera", "light")
@@ -36,12 +37,10 @@ class MjcfText(ModelText):
     numeric = MJCF_NUMBERS
 
     def _read(self) -> None:
-        Includes(self.path).insert_elements(self.root)
+        Includes(self.path, self.folders).insert_elements(self.root)
         drop(self.root, *_IGNORED)
-        if self.root.find("equality") is not None:
-            drop(self.root, "equality")
-            self.notes.append("<equality> is ignored: the robot is read as an open tree.")
         scope = self.scope or self.root.get("model") or self.path.stem
+        self._take_equalities(scope)
         self.root.set("model", self.root.get("model") or scope)
         self._name_bodies()
         self._split_joints()
@@ -57,6 +56,24 @@ class MjcfText(ModelText):
         self.armature = {f"{scope}::{name}": value for name, value in armature.items()}
         self._read_springs(scope)
         self.effort = {f"{scope}::{name}": value for name, value in self._efforts()}
+
+    def _take_equalities(self, scope: str) -> None:
+        """Joints that follow others by a constant ratio; other constraints are left out."""
+        others = False
+        for equality in (e for group in self.root.findall("equality") for e in group):
+            if equality.get("active", "true") == "false":
+                continue
+            joints = [equality.get(key) for key in ("joint1", "joint2")]
+            factors = [*equality.get("polycoef", "0 1").split(), *"0000"]
+            offset, ratio, *higher = numbers(" ".join(factors[:5]), 5).tolist()
+            if equality.tag == "joint" and all(joints) and not any(higher):
+                own, leader = (f"{scope}::{joint}" for joint in joints)
+                self.followers.append(Follower(own, leader, ratio, offset))
+            else:
+                others = True
+        drop(self.root, "equality")
+        if others:
+            self.notes.append("<equality> is ignored: the robot is read as an open tree.")
 
     def _name_bodies(self) -> None:
         for k, body in enumerate(self.root.iter("body")):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -18,6 +18,10 @@ from geodrake.robot.files.xml_text import parse_xml
 _URL = re.compile(r"(?:package|model)://([^/\n\"'<>]+)")
 _LARGEST_MANIFEST = 1_000_000  # bytes
 _MOST_FOLDERS = 20_000  # looked through below one entry of ROS_PACKAGE_PATH
+PACKAGE_ADVICE = (
+    "Packages are found by their package.xml in folders above the model, below those of "
+    "ROS_PACKAGE_PATH and AMENT_PREFIX_PATH, and by --package NAME=FOLDER."
+)
 _MARKERS = frozenset({"AMENT_IGNORE", "CATKIN_IGNORE", "COLCON_IGNORE"})
 
 
@@ -26,8 +30,13 @@ def named_packages(text: str) -> set[str]:
     return set(_URL.findall(text))
 
 
-def add_packages(packages: PackageMap, path: Path, names: Iterable[str]) -> None:
-    """Makes packages known that are around a file or on ROS_PACKAGE_PATH.
+def add_packages(
+    packages: PackageMap,
+    path: Path,
+    names: Iterable[str],
+    folders: Mapping[str, Path] | None = None,
+) -> None:
+    """Makes packages known: given ones, those around a file, and those on ROS' paths.
 
     Only those that are asked for are looked up: a manifest that cannot be read does no harm to
     models that do not need it.
@@ -36,19 +45,48 @@ def add_packages(packages: PackageMap, path: Path, names: Iterable[str]) -> None
         packages: The map, added to.
         path: The file; folders above it may be packages.
         names: Names of the packages that it needs.
+        folders: Package -> folder, which come first.
     """
-    wanted = {name for name in names if not packages.Contains(name)}
-    folders = _around(path)
-    while wanted and (folder := next(folders, None)):
-        name = _package_name(folder)
-        if name in wanted:
+    for name, folder in (folders or {}).items():
+        if not packages.Contains(name):
             packages.Add(name, str(folder))
-            wanted.remove(name)
+    wanted = {name for name in names if not packages.Contains(name)}
+    around = _around(path, sorted(wanted))
+    while wanted and (place := next(around, None)):
+        found = _package_name(place)
+        if found in wanted:
+            packages.Add(found, str(place))
+            wanted.remove(found)
 
 
-def _around(path: Path) -> Iterator[Path]:
-    """Folders that may be packages, the nearest first."""
+def folder_of_package(name: str, path: Path, folders: Mapping[str, Path]) -> Path:
+    """The folder of a package that a file names.
+
+    Args:
+        name: Name of the package.
+        path: The file; folders above it may be packages.
+        folders: Package -> folder, which come first.
+
+    Raises:
+        ModelError: It is not found.
+    """
+    packages = PackageMap()
+    add_packages(packages, path, [name], folders)
+    if not packages.Contains(name):
+        raise ModelError(
+            f"{path} names the package {name!r}, which is not found.",
+            advice=PACKAGE_ADVICE,
+            path=path,
+        )
+    return Path(packages.GetPath(name))
+
+
+def _around(path: Path, names: Iterable[str]) -> Iterator[Path]:
+    """Folders that may be packages of some names, the nearest first."""
     yield from path.resolve().parents
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield from (Path(prefix) / "share" / name for name in names)
     for entry in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep):
         if entry:
             yield from islice(_packages_below(entry), _MOST_FOLDERS)

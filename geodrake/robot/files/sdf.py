@@ -32,7 +32,7 @@ class SdfText(ModelText):
     numeric = SDF_NUMBERS
 
     def _read(self) -> None:
-        includes = Includes(self.path)
+        includes = Includes(self.path, self.folders)
         includes.insert(self.root, self.path.parent)
         self.packages = includes.names
         for link in self.root.iter("link"):
@@ -44,6 +44,7 @@ class SdfText(ModelText):
         for name, model in self._models(self.root, ""):
             self._links |= {f"{name}::{e.get('name')}": e for e in model.findall("link")}
             for joint in model.findall("joint"):
+                self._take_mimic(name, joint)
                 self._read_joint(f"{name}::{joint.get('name')}", joint)
 
     def _models(self, parent: Element, scope: str) -> Iterator[tuple[str, Element]]:

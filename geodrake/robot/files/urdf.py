@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element, SubElement
 
-from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
@@ -28,12 +27,6 @@ class UrdfText(ModelText):
     numeric = URDF_NUMBERS
 
     def _read(self) -> None:
-        if any(element.tag.startswith("xacro:") for element in self.root.iter()):
-            raise ModelError(
-                f"{self.path} is a xacro file, not yet a URDF.",
-                advice="Expand it first: xacro robot.urdf.xacro > robot.urdf.",
-                path=self.path,
-            )
         drop(self.root, "visual", "collision", "gazebo", "drake:collision_filter_group")
         for transmission in self.root.findall("transmission"):
             # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
@@ -45,6 +38,7 @@ class UrdfText(ModelText):
         self._links = {f"{scope}::{e.get('name')}": e for e in self.root.findall("link")}
         for joint in [*self.root.findall("joint"), *self.root.findall("drake:joint")]:
             name = f"{scope}::{joint.get('name')}"
+            self._take_mimic(scope, joint)
             self.friction[name] = number(joint, "dynamics", "friction")
             self.effort[name] = number(joint, "limit", "effort")
             if (limit := joint.find("limit")) is not None and self.effort[name] == 0.0:

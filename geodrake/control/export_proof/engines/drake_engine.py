@@ -58,6 +58,8 @@ class DrakeEngine(Engine):
         joints = (plant.get_joint(index) for index in plant.GetJointIndices())
         starts = {j.velocity_start(): j.position_start() for j in joints if j.num_velocities() == 1}
         self._positions = [starts[at] for at in self._at]
+        held = ((starts[k], model.held[n]) for k, n in enumerate(names) if n in model.held)
+        self._held = dict(held)
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
         """Inverse dynamics with damping, rotors, springs and gravity; see `Engine.effort`."""
@@ -71,8 +73,10 @@ class DrakeEngine(Engine):
             found[k] = plant.CalcInverseDynamics(context, self._spread(vd[k]), forces)[self._at]
         return found, np.full(v.shape, True)
 
-    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array:
+    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
         """Positions by a fifth-order integrator, a step at a time; see `Engine.roll_out`."""
+        if self._held:
+            return None  # nothing holds these joints
         simulator = Simulator(self._diagram)
         ResetIntegratorFromFlags(simulator, "runge_kutta5", step)
         integrator = simulator.get_mutable_integrator()
@@ -96,6 +100,7 @@ class DrakeEngine(Engine):
     def _set(self, context: object, q: Array, v: Array) -> None:
         positions = np.zeros(self._plant.num_positions())
         positions[self._positions] = q
+        positions[[*self._held]] = [*self._held.values()]
         self._plant.SetPositions(context, positions)
         self._plant.SetVelocities(context, self._spread(v))
 

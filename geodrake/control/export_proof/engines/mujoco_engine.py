@@ -40,15 +40,18 @@ class MujocoEngine(Engine):
             off.mjDSBL_ACTUATION,
         ):
             self._model.opt.disableflags |= int(bit)
-        self._at = order_of(model, self._places().__getitem__, file, self.name)
-        joints = {int(d): j for j, d in enumerate(self._model.jnt_dofadr)}
-        self._positions = [int(self._model.jnt_qposadr[joints[at]]) for at in self._at]
+        places = self._places()
+        self._at = order_of(model, places.__getitem__, file, self.name)
+        self._positions = [self._qpos(at) for at in self._at]
+        self._held = {places[n]: value for n, value in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
         """Inverse dynamics; where dry friction, a soft constraint, is not in full, it is masked."""
         data, found = mujoco.MjData(self._model), np.empty_like(v)
         meant = np.full(v.shape, True)
+        for at, value in self._held.items():
+            data.qpos[self._qpos(at)] = value
         for k in range(len(v)):
             data.qpos[self._positions], data.qvel[self._at], data.qacc[self._at] = q[k], v[k], vd[k]
             mujoco.mj_inverse(self._model, data)
@@ -57,8 +60,10 @@ class MujocoEngine(Engine):
             meant[k] = held >= _FULL * self._friction
         return found, meant
 
-    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array:
+    def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
         """Positions by MuJoCo's Runge–Kutta integrator; see `Engine.roll_out`."""
+        if self._held:
+            return None  # nothing holds these joints
         model, data = self._model, mujoco.MjData(self._model)
         before = model.opt.timestep, model.opt.integrator, model.opt.disableflags
         model.opt.timestep, model.opt.integrator = step, int(mujoco.mjtIntegrator.mjINT_RK4)
@@ -71,6 +76,11 @@ class MujocoEngine(Engine):
             found.append(data.qpos[self._positions].copy())
         model.opt.timestep, model.opt.integrator, model.opt.disableflags = before
         return np.array(found)
+
+    def _qpos(self, dof: int) -> int:
+        """Where the position of a joint of one degree of freedom is, whose velocity is there."""
+        joint = [int(each) for each in self._model.jnt_dofadr].index(dof)
+        return int(self._model.jnt_qposadr[joint])
 
     def _places(self) -> dict[str, int]:
         """Joints of one degree of freedom by name, nameless ones as geodrake calls them."""

@@ -39,6 +39,7 @@ class PinocchioEngine(Engine):
                 getattr(self._model, values)[:] = 0.0
         names = {name: k for k, name in enumerate(self._model.names)}
         self._joints = order_of(model, names.__getitem__, file, self.name)
+        self._held = {names[n]: place for n, place in model.held.items() if n in names}
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
         """Inverse dynamics of the bodies; see `Engine.effort`."""
@@ -47,6 +48,8 @@ class PinocchioEngine(Engine):
         positions, velocities = pinocchio.neutral(model), np.zeros(model.nv)
         accelerations = np.zeros(model.nv)
         at = [model.joints[joint].idx_v for joint in self._joints]
+        for joint, place in self._held.items():
+            positions[model.joints[joint].idx_q] = place
         for k in range(len(v)):
             for joint, angle in zip(self._joints, q[k], strict=True):
                 start = model.joints[joint].idx_q

@@ -26,7 +26,7 @@ class PythonEngine(Engine):
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Python {platform.python_version()}"
-        if model.plant.num_positions() != len(model.joints):
+        if model.tree.num_positions != len(model.joints):
             raise ModelError(f"{file.name} has positions of a base or of joints of several degrees")
         names = runpy.run_path(str(file))
         self._effort = names["effort"]

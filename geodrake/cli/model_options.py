@@ -1,0 +1,106 @@
+"""Options of all commands with a MODEL that say how it is to be read, and the reading."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geodrake.errors import ArgumentError
+
+if TYPE_CHECKING:
+    from geodrake.effects import Effect
+    from geodrake.model import Given, RobotModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelOptions:
+    """How a model file is to be read."""
+
+    lock: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINT=VALUE",
+            help="Hold a joint there, rad or m: it is no joint of the model. Joints that no log "
+            "has are held unasked. Repeatable.",
+        ),
+    ] = None
+    robot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="The robot of a file that has several; an unknown name such as x lists them.",
+        ),
+    ] = None
+    package: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FOLDER",
+            help="Where a ROS package is that the model names, beside those of ROS_PACKAGE_PATH, "
+            "AMENT_PREFIX_PATH and of folders above it. Repeatable.",
+        ),
+    ] = None
+    xacro_arg: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file. Repeatable."),
+    ] = None
+    floating: Annotated[
+        bool,
+        typer.Option("--floating", help="Leave roots free that nothing fixes to the world."),
+    ] = False
+
+    @property
+    def given(self) -> Given:
+        """How the file is to be read.
+
+        Raises:
+            GeodrakeError: An option cannot be read, or a folder is not there.
+        """
+        from geodrake.model import Given
+
+        return Given.of_words(self.robot, self.package or (), self.xacro_arg or ())
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Joint -> where it is to be held, rad or m.
+
+        Raises:
+            ArgumentError: An option cannot be read, or names a joint twice.
+        """
+        found: dict[str, float] = {}
+        for text in self.lock or ():
+            joint, sign, value = text.rpartition("=")
+            try:
+                number = float(value)
+            except ValueError:
+                sign = ""
+            if not sign or not joint:
+                raise ArgumentError(
+                    f"--lock has {text!r}, which cannot be read.",
+                    advice="Write --lock JOINT=VALUE, in rad or m, such as --lock finger=0.04.",
+                )
+            if joint in found:
+                raise ArgumentError(f"--lock names {joint!r} twice.", advice="Name it once.")
+            found[joint] = number
+        return found
+
+
+def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] = ()) -> RobotModel:
+    """The model of a command.
+
+    Args:
+        path: MODEL.
+        options: How it is to be read.
+        extra: Effects of the user's own.
+
+    Raises:
+        GeodrakeError: It cannot be read in this way.
+    """
+    from geodrake.model import load_model
+
+    return load_model(
+        path, floating=options.floating, extra=extra, lock=options.held, given=options.given
+    )

@@ -1,0 +1,214 @@
+"""A model with some joints held: what moves with a held joint's parent is a part of it.
+
+Two bodies that no longer move against each other are one, φ = φ_P + X φ_B with X the change from
+the frame of B to that of P at the value at which the joint is held. What is known about the old
+parameters x, with the information Λ, is known about the new ones y = A x as the Schur complement
+of Λ: the least of xᵀ Λ x among all x with A x = y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, number
+from geodrake.effects import FittedEffect, Role
+from geodrake.effects.lookup import effect_of
+from geodrake.errors import ModelError
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia.bodies import lumped_bodies
+from geodrake.inertia.kernels import calc_change_frame
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.plant import load_plant
+
+Array = NDArray[np.float64]
+
+
+def holding(
+    model: RobotModel, held: Mapping[str, float], *, why: str = "so that they do not move"
+) -> RobotModel:
+    """The model with joints held where they stand: they are none of its joints any more.
+
+    Inertias and payloads of bodies that they moved go to the bodies that carry them. Other effects
+    at these joints and bodies are left out, which a note says.
+
+    Args:
+        model: The model.
+        held: Joint -> where it is held, rad or m. One that is held already may be held elsewhere
+            by loading the model file again.
+        why: Why they are, for the note.
+
+    Raises:
+        ModelError: There is no such joint, its limits do not let it stand there, or no joint is
+            left that moves.
+    """
+    instance(model, "model", RobotModel)
+    instance(held, "held", Mapping)
+    held = {joint: number(value, f"held[{joint!r}]") for joint, value in held.items()}
+    _check_names(model, held)
+    if not held:
+        return model
+    loaded = load_plant(
+        model.path, floating=model.floating, held={**model.held, **held}, given=model.given
+    )
+    bare = replace(model, plant=loaded.plant, held=loaded.held, followers=loaded.followers)
+    lumping = _Lumping.of(model, bare)
+    kept, lost = lumping.effects(model)
+    after = replace(
+        bare,
+        phi=(lumping.matrix @ model.phi.ravel()).reshape(-1, PARAMETERS_PER_BODY),
+        effects=tuple(fitted for fitted, _ in kept),
+    )
+    order = [model.joints.index(joint) for joint in after.joints]
+    noise, fading = model.effort_noise, model.fading_speed
+    return replace(
+        after,
+        information=None if model.information is None else lumping.information(model, kept),
+        effort_noise=None if noise is None else noise[order],
+        fading_speed=None if fading is None else fading[order],
+        notes=(*model.notes, *held_notes(held, why), *_lost_notes(lost)),
+    )
+
+
+def held_notes(held: Mapping[str, float], why: str = "so that they do not move") -> list[str]:
+    """That joints are held, and where, in words.
+
+    Args:
+        held: Joint -> where it is held, rad or m.
+        why: Why they are.
+    """
+    words = ", ".join(f"{joint} at {value:.4g}" for joint, value in held.items())
+    return [f"Held, {why}: {words}."] if words else []
+
+
+def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
+    for joint in held:
+        if joint in model.held:
+            raise ModelError(
+                f"Joint {joint!r} is held already, at {model.held[joint]:g}.",
+                advice="Load the model file again to hold it elsewhere.",
+                joint=joint,
+            )
+        if joint in model.led:
+            raise ModelError(
+                f"Joint {joint!r} cannot be held, as it follows {model.led[joint][0]!r}.",
+                advice=f"Hold {model.led[joint][0]!r}.",
+                joint=joint,
+            )
+        if joint not in model.joints:
+            raise ModelError(
+                f"The model has no joint {joint!r} to be held.",
+                advice=f"Joints are: {', '.join(model.joints)}.",
+                joint=joint,
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Lumping:
+    """How bodies of a model become bodies of the one with joints held.
+
+    Attributes:
+        after: The model with joints held, whose parameters are not those yet.
+        matrix: (10 nb', 10 nb) what takes old inertial parameters to new ones.
+        carriers: Old body -> index of the new one that it is part of; -1 for one that stands still.
+    """
+
+    after: RobotModel
+    matrix: Array
+    carriers: Mapping[str, int]
+
+    @classmethod
+    def of(cls, before: RobotModel, after: RobotModel) -> _Lumping:
+        old, new = lumped_bodies(before.plant), lumped_bodies(after.plant)
+        places = {
+            int(member.index): (k, member.X_RB)
+            for k, body in enumerate(new)
+            for member in body.members
+        }
+        matrix = np.zeros((len(new), PARAMETERS_PER_BODY, len(old), PARAMETERS_PER_BODY))
+        carriers = {}
+        for k, body in enumerate(old):
+            carrier, X_RB = places.get(int(body.body_index), (-1, None))
+            carriers[body.name] = carrier
+            if X_RB is not None:
+                unit = np.eye(PARAMETERS_PER_BODY)
+                changed = calc_change_frame(unit, X_RB.rotation().matrix(), X_RB.translation())
+                matrix[carrier, :, k] = changed.T
+        size = PARAMETERS_PER_BODY * len(new), PARAMETERS_PER_BODY * len(old)
+        return cls(after, matrix.reshape(size), carriers)
+
+    def effects(
+        self, model: RobotModel
+    ) -> tuple[list[tuple[FittedEffect, Array]], list[FittedEffect]]:
+        """Effects of the model with joints held, and those that it cannot have.
+
+        Each comes with what takes all old parameters of effects to its own.
+        """
+        sizes = [len(fitted.effect.parameters) for fitted in model.effects]
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        kept: list[tuple[FittedEffect, Array]] = []
+        lost, payloads = [], dict[int, Array]()
+        for fitted, start, size in zip(model.effects, starts, sizes, strict=False):
+            rows = np.zeros((size, starts[-1]))
+            rows[:, start : start + size] = np.eye(size)
+            if fitted.effect.role is Role.BODY:
+                body = fitted.effect.where[0]
+                carrier, old = self.carriers[body], model.bodies.index(body)
+                if carrier >= 0:
+                    change = self._block(carrier, old) @ rows
+                    payloads[carrier] = payloads.get(carrier, 0.0) + change
+                continue
+            places = self.after.bodies if "bod" in fitted.effect.places else self.after.joints
+            if set(places).issuperset(fitted.effect.where):
+                kept.append((fitted, rows))
+            elif not set(self.after.held).issuperset(fitted.effect.where):
+                lost.append(fitted)
+        mu = np.concatenate([np.zeros(0), *(fitted.parameters for fitted in model.effects)])
+        payload = effect_of(Role.BODY)
+        for carrier, rows in sorted(payloads.items()):
+            (effect,) = payload.shaped(self.after.bodies[carrier])
+            kept.append((FittedEffect(effect, rows @ mu), rows))
+        return kept, lost
+
+    def information(
+        self, model: RobotModel, kept: Sequence[tuple[FittedEffect, Array]]
+    ) -> Array | None:
+        """(p', p') information about the new parameters; None where there is none about the old."""
+        if model.information is None:
+            return None
+        rows = [*(rows for _, rows in kept), np.zeros((0, len(model.information) - model.phi.size))]
+        below = np.concatenate(rows)
+        A = np.zeros((len(self.matrix) + len(below), len(model.information)))
+        A[: len(self.matrix), : model.phi.size] = self.matrix
+        A[len(self.matrix) :, model.phi.size :] = below
+        return schur_complement(model.information, A)
+
+    def _block(self, carrier: int, body: int) -> Array:
+        n = PARAMETERS_PER_BODY
+        return self.matrix[n * carrier : n * (carrier + 1), n * body : n * (body + 1)]
+
+
+def schur_complement(information: Array, A: Array) -> Array:
+    """(q, q) information about y = A x, of that about x: the least of xᵀ Λ x with A x = y.
+
+    Args:
+        information: (p, p) Λ, positive semidefinite.
+        A: (q, p) of rank q.
+    """
+    size = np.sqrt(np.maximum(np.diagonal(information), 0.0))
+    scale = np.divide(1.0, size, out=np.ones_like(size), where=size > 0.0)  # parameters have units
+    information = scale[:, None] * information * scale
+    basis, triangle = np.linalg.qr((A * scale).T, mode="complete")
+    along = basis[:, : len(A)] @ np.linalg.inv(triangle[: len(A)]).T  # x = along y + across z
+    across = basis[:, len(A) :]
+    mixed, free = across.T @ information @ along, across.T @ information @ across
+    found = along.T @ information @ along - mixed.T @ np.linalg.pinv(free, hermitian=True) @ mixed
+    return np.asarray(0.5 * (found + found.T))
+
+
+def _lost_notes(lost: Sequence[FittedEffect]) -> list[str]:
+    names = ", ".join(f"{fitted.effect.name} of {fitted.effect.place}" for fitted in lost)
+    return [f"Left out, as something that they act on is held: {names}."] if names else []

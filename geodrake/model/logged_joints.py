@@ -1,0 +1,120 @@
+"""Joints of a model and joints of logs: what was not logged is held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from geodrake.boundary.arguments import instance, instances
+from geodrake.errors import LogError
+from geodrake.logs.motion import JointLog, match_joints
+from geodrake.model.holding import holding
+from geodrake.model.robot_model import RobotModel
+
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
+
+
+def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
+    """The model with those joints held that no log says anything of; itself if there are none.
+
+    They are held where they stand, if their positions were logged, and else where the model file
+    has them by default. A joint that stands still all the time under an effort that never changes
+    counts as one that was not logged: its sensor has nothing to say.
+
+    Args:
+        model: The model.
+        logs: All logs, of joints of the model; see `read_log` with `partial`.
+
+    Raises:
+        LogError: Such a joint does not stand in one place, or no joint is left.
+    """
+    instance(model, "model", RobotModel)
+    logs = instances(logs, "logs", JointLog)
+    silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
+    if not silent or len(silent) == len(model.joints):
+        return model
+    places = {joint: _place(model, logs, joint) for joint in silent}
+    return holding(model, places, why="as no log has their efforts (--lock JOINT=VALUE says where)")
+
+
+def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
+    """The log with its joints in the model's order, without those that are held or follow others.
+
+    The effort of a joint that follows another one is added to the other one's.
+
+    Args:
+        log: A log of the model's joints, and perhaps of those that it holds and that follow.
+        model: The model.
+
+    Raises:
+        LogError: Log or model has a joint that the other lacks.
+    """
+    aside = set(model.known_joints).difference(model.joints)
+    moving = [joint for joint in log.joints if joint not in aside]
+    for joint in model.joints:
+        if joint not in log.joints and joint in log.standing:
+            raise LogError(
+                f"Log {log.name!r} is a log without effort of {joint}: the position is there, the "
+                "effort is not.",
+                advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+                joint=joint,
+            )
+    return match_joints(_with_followers(log, model).select(moving), model.joints)
+
+
+def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
+    """The log with τ_q = Jᵀ τ_θ at the joints that lead others, where both were logged."""
+    efforts, notes = log.effort, list(log.notes)
+    for joint, (leader, ratio) in model.led.items():
+        if joint in log.joints and leader in log.joints:
+            at, own = log.joints.index(joint), log.joints.index(leader)
+            efforts = efforts.copy() if efforts is log.effort else efforts
+            efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
+            notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
+    return log if efforts is log.effort else replace(log, effort=efforts, notes=tuple(notes))
+
+
+def _says(log: JointLog, joint: str) -> bool:
+    """Whether a log says something of a joint's effort."""
+    if joint not in log.joints:
+        return False
+    at = log.joints.index(joint)
+    efforts, positions = (x[:, at] for x in (log.effort, log.position))
+    efforts, positions = (x[np.isfinite(x)] for x in (efforts, positions))
+    if not len(efforts) or not len(positions):
+        return True  # what is wrong there is told of later
+    return bool(np.ptp(efforts) > 0.0 or np.ptp(positions) > _STILL)
+
+
+def _place(model: RobotModel, logs: Sequence[JointLog], joint: str) -> float:
+    """Where a joint stands in the logs, or else by default."""
+    places = {}
+    for log in logs:
+        if joint in log.standing:
+            places[log.name] = log.standing[joint]
+        elif joint in log.joints:
+            positions = log.position[:, log.joints.index(joint)]
+            places[log.name] = float(np.nanmean(positions))
+    low, high = model.limits_of(joint)
+    moves = [name for name, place in places.items() if not np.isfinite(place)]
+    if moves:
+        raise LogError(
+            f"Log {moves[0]!r} is a log without effort of {joint}: the position is there, and "
+            "moves; the effort is not.",
+            advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+            joint=joint,
+        )
+    if not places:
+        return float(np.clip(model.default_position(joint), low, high))
+    lowest, highest = min(places, key=places.__getitem__), max(places, key=places.__getitem__)
+    if places[highest] - places[lowest] > _STILL:
+        raise LogError(
+            f"Joint {joint!r} has no effort in the logs, and stands at {places[lowest]:.4g} in "
+            f"{lowest!r} and at {places[highest]:.4g} in {highest!r}.",
+            advice=f"Say where to hold it, such as --lock {joint}={places[lowest]:.4g}, or "
+            "identify from logs in which it stands in one place.",
+            joint=joint,
+        )
+    return float(np.clip(np.mean(list(places.values())), low, high))

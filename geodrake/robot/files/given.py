@@ -1,0 +1,80 @@
+"""What is known of a model file beside what is in it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from geodrake.boundary.arguments import file_path, instance
+from geodrake.errors import ArgumentError, ModelError
+
+_NAME = re.compile(r"[^\s/:=]+")
+
+
+@dataclass(frozen=True)
+class Given:
+    """How a description file is to be read, beside what is in it.
+
+    Attributes:
+        robot: Name of the robot, where the file has several; None for all that it has.
+        packages: Package of ROS -> its folder, before those that are found.
+        xacro: Argument of a xacro file -> its value.
+
+    Raises:
+        ArgumentError: Something is not of its type.
+        ModelError: A package's folder is not there.
+    """
+
+    robot: str | None = None
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    xacro: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.robot is not None:
+            instance(self.robot, "robot", str)
+        folders = {}
+        for name, folder in instance(self.packages, "packages", Mapping).items():
+            instance(name, "the name of a package", str)
+            folders[name] = file_path(folder).absolute()
+            if not folders[name].is_dir():
+                raise ModelError(
+                    f"The folder {folder} of package {name!r} is not there.",
+                    advice="Give the folder that holds the package's package.xml.",
+                )
+        object.__setattr__(self, "packages", folders)
+        for name, value in instance(self.xacro, "xacro", Mapping).items():
+            instance(name, "the name of a xacro argument", str)
+            instance(value, f"xacro[{name!r}]", str)
+
+    @classmethod
+    def of_words(cls, robot: str | None, packages: Sequence[str], xacro: Sequence[str]) -> Given:
+        """From `NAME=FOLDER` and `NAME:=VALUE`, as people write them.
+
+        Args:
+            robot: Name of the robot, if there are several.
+            packages: `NAME=FOLDER` of each package.
+            xacro: `NAME:=VALUE` of each argument of a xacro file.
+
+        Raises:
+            ArgumentError: One cannot be read, or is there twice.
+            ModelError: A package's folder is not there.
+        """
+        folders = _pairs(packages, "=", "--package", "ur_description=~/ws/src/ur_description")
+        values = _pairs(xacro, ":=", "--xacro-arg", "ur_type:=ur10e")
+        return cls(robot, {name: Path(f).expanduser() for name, f in folders.items()}, values)
+
+
+def _pairs(given: Sequence[str], sign: str, option: str, example: str) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for text in given:
+        name, found_sign, value = text.partition(sign)
+        if not found_sign or not _NAME.fullmatch(name) or name in found:
+            twice = f"{name!r} is there twice" if name in found else "which cannot be read"
+            raise ArgumentError(
+                f"{option} has {text!r}, {'and ' if name in found else ''}{twice}.",
+                advice=f"Write {option} {example}.",
+            )
+        found[name] = value
+    return found

@@ -1,0 +1,182 @@
+"""Joints that follow another one: θ = r θ_leader + θ₀, as a gripper's fingers do.
+
+A follower is no coordinate of the robot. Its bodies move with the leader's position, so the effort
+of the leader is that of both, τ_q = Jᵀ τ_θ ([Lee2019] Eq. (3.6.57)), and the kinematic tree has a
+mobilizer for each of them that reads the leader's place in q and v.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint
+
+from geodrake.inertia import Array
+from geodrake.robot.several_robots import scoped
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A joint θ of one degree of freedom that follows another one.
+
+    Attributes:
+        joint: Scoped name of the joint.
+        leader: Scoped name of the joint that it follows.
+        ratio: r in θ = r θ_leader + θ₀.
+        offset: θ₀, rad or m.
+    """
+
+    joint: str
+    leader: str
+    ratio: float
+    offset: float
+
+
+def resolved(stated: Sequence[Follower], joints: Sequence[str]) -> tuple[Follower, ...]:
+    """Followers whose leaders follow none; those that cannot follow are left out.
+
+    Args:
+        stated: What the model file states.
+        joints: Scoped names of the joints that there are, of one degree of freedom.
+    """
+    known = {
+        f.joint: f
+        for f in stated
+        if {f.joint, f.leader} <= set(joints) and np.isfinite([f.ratio, f.offset]).all() and f.ratio
+    }
+    found = []
+    for first in known.values():
+        follower, seen = first, {first.joint}
+        while follower.leader in known and follower.leader not in seen:
+            inner = known[follower.leader]
+            seen.add(inner.joint)
+            offset = follower.ratio * inner.offset + follower.offset
+            follower = Follower(first.joint, inner.leader, follower.ratio * inner.ratio, offset)
+        if follower.leader not in seen:
+            found.append(follower)
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnCoordinates:
+    """Which positions and velocities of a plant are a robot's own, and how the others follow.
+
+    Attributes:
+        plant: The finalized plant.
+        followers: The joints of it that follow others.
+    """
+
+    plant: MultibodyPlant
+    followers: tuple[Follower, ...] = ()
+
+    @cached_property
+    def leaders(self) -> Mapping[str, Follower]:
+        """Scoped name of a joint that follows -> how."""
+        return {follower.joint: follower for follower in self.followers}
+
+    @cached_property
+    def own_positions(self) -> Indices:
+        """(nq,) where the robot's positions are in those of the plant."""
+        return self._own("position")
+
+    @cached_property
+    def own_velocities(self) -> Indices:
+        """(nv,) where the robot's velocities are in those of the plant."""
+        return self._own("velocity")
+
+    @cached_property
+    def followed(self) -> tuple[tuple[int, int, float], ...]:
+        """Of each follower, its velocity and its leader's in the plant's, and its ratio."""
+        starts = {name: joint.velocity_start() for name, joint in self._joints.items()}
+        return tuple((starts[f.joint], starts[f.leader], f.ratio) for f in self.followers)
+
+    def position_of(self, joint: Joint) -> int:
+        """Where in q the positions of a joint begin that moves it: its own, or its leader's."""
+        return int(np.searchsorted(self.own_positions, self._mover(joint).position_start()))
+
+    def velocity_of(self, joint: Joint) -> int:
+        """The same of its velocities in v."""
+        return int(np.searchsorted(self.own_velocities, self._mover(joint).velocity_start()))
+
+    def plant_positions(self, q: Array) -> Array:
+        """(N, nq of the plant) positions, of those of the robot (N, nq)."""
+        whole = np.zeros((len(q), self.plant.num_positions()))
+        whole[:, self.own_positions] = q
+        for follower in self.followers:
+            to, of = self._places(follower)
+            whole[:, to] = follower.ratio * whole[:, of] + follower.offset
+        return whole
+
+    def plant_velocities(self, v: Array) -> Array:
+        """(N, nv of the plant) velocities or accelerations, of those of the robot (N, nv)."""
+        whole = np.zeros((len(v), self.plant.num_velocities()))
+        whole[:, self.own_velocities] = v
+        for to, of, ratio in self.followed:
+            whole[:, to] = ratio * whole[:, of]
+        return whole
+
+    def robot_gradient(self, gradient: Array) -> Array:
+        """(N, nq) gradient with the robot's positions, of that with the plant's (N, ·)."""
+        found = np.array(gradient, float)
+        for follower in self.followers:
+            to, of = self._places(follower)
+            found[:, of] += follower.ratio * found[:, to]
+        return found[:, self.own_positions]
+
+    def position_limits(self) -> tuple[Array, Array]:
+        """Lower and upper limits (nq,) of the positions, those of followers included, rad or m."""
+        lower, upper = self.plant.GetPositionLowerLimits(), self.plant.GetPositionUpperLimits()
+        for follower in self.followers:
+            to, of = self._places(follower)
+            ends = (np.array([lower[to], upper[to]]) - follower.offset) / follower.ratio
+            lower[of], upper[of] = max(lower[of], ends.min()), min(upper[of], ends.max())
+        return lower[self.own_positions], upper[self.own_positions]
+
+    def rate_limits(self, limits: Array) -> Array:
+        """Largest speeds or accelerations (nv,), those of followers included.
+
+        Args:
+            limits: (nv of the plant) those of all its velocities.
+        """
+        limits = np.array(limits, float)
+        for to, of, ratio in self.followed:
+            limits[of] = min(limits[of], limits[to] / abs(ratio))
+        return limits[self.own_velocities]
+
+    def joined(self, values: Array, power: int) -> Array:
+        """Values (nv,) of the robot, of those of the plant: a leader's with those of its followers.
+
+        Args:
+            values: (nv of the plant) coefficients of efforts.
+            power: Of the ratio: 2 for damping and inertia, 1 for dry friction.
+        """
+        values = np.array(values, float)
+        for to, of, ratio in self.followed:
+            values[of] += abs(ratio) ** power * values[to]
+        return values[self.own_velocities]
+
+    def _places(self, follower: Follower) -> tuple[int, int]:
+        """Where the positions of a follower and its leader are in those of the plant."""
+        joint, leader = self._joints[follower.joint], self._joints[follower.leader]
+        return int(joint.position_start()), int(leader.position_start())
+
+    @cached_property
+    def _joints(self) -> dict[str, Joint]:
+        joints = (self.plant.get_joint(index) for index in self.plant.GetJointIndices())
+        return {scoped(joint): joint for joint in joints}
+
+    def _mover(self, joint: Joint) -> Joint:
+        follower = self.leaders.get(scoped(joint))
+        return joint if follower is None else self._joints[follower.leader]
+
+    def _own(self, kind: str) -> Indices:
+        count = getattr(self.plant, "num_positions" if kind == "position" else "num_velocities")()
+        following = {getattr(self._joints[f.joint], f"{kind}_start")() for f in self.followers}
+        return np.array([k for k in range(count) if k not in following], np.intp)

@@ -1,0 +1,155 @@
+"""Robots as they come, at the command line: a gripper that no log has, held joints, bad options."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+from geodrake.control.rollout import roll_out
+from geodrake.effects import FittedEffect, RotorInertia
+from geodrake.errors import ModelError
+from geodrake.logs import JointLog, Motion, read_log, write_log
+from geodrake.model import load_model
+
+PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+FINGER = """<link name="{0}"><inertial><origin xyz="0 0 -0.02"/><mass value="0.2"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="{0}" type="prismatic"><parent link="lower_link"/><child link="{0}"/>
+<origin xyz="0 0 -0.3"/><axis xyz="{1} 0 0"/><limit lower="0" upper="0.04" effort="9"
+velocity="0.2"/>{2}</joint>"""
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    return " ".join((result.stderr if code else result.output).split())
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """The pendulum with a gripper, one finger of which follows the other."""
+    own = FINGER.format("left", 1, "") + FINGER.format("right", -1, '<mimic joint="left"/>')
+    path = tmp_path / "gripper.urdf"
+    path.write_text(PENDULUM.read_text().replace("</robot>", own + "</robot>"))
+    return path
+
+
+def log_of(robot, path, *, finger=0.01, **further):
+    """A log of the two joints of the arm, made with the gripper at that place."""
+    model, time = load_model(robot, lock={"left": finger}), np.arange(0.0, 12.0, 0.01)
+    rate, phase = np.array([2.0, 3.1]), np.array([0.0, 1.0])
+    angle = np.outer(time, rate) + phase
+    q, v, vd = np.sin(angle), rate * np.cos(angle), -(rate**2) * np.sin(angle)
+    effort = model.effort(Motion(q, v, vd)) + np.random.default_rng(0).normal(0.0, 0.01, q.shape)
+    write_log(JointLog(path.stem, model.joints, time, q, effort), path)
+    if further:
+        header, *lines = path.read_text().splitlines()
+        lines = [f"{line},{','.join(map(str, further.values()))}" for line in lines]
+        path.write_text("\n".join([",".join([header, *further]), *lines]) + "\n")
+    return path
+
+
+def test_a_log_without_the_gripper_holds_it_and_says_so(robot, tmp_path):
+    log = log_of(robot, tmp_path / "log.csv", finger=0.0)
+    shown = run("compare", robot, log, "--json", tmp_path / "out.json")
+    assert "Held, as no log has their efforts" in shown and "left at 0" in shown
+    assert "right follows left" in shown
+    assert float(re.search(r"nrms of all joints ([\d.]+)", shown)[1]) < 0.02
+
+
+def test_a_gripper_whose_position_was_logged_is_held_there(robot, tmp_path):
+    columns = {"left.position": 0.03, "right.position": 0.03}
+    log = log_of(robot, tmp_path / "log.csv", finger=0.03, **columns)
+    assert "left at 0.03" in run("compare", robot, log)
+
+
+def test_a_saved_model_goes_on_holding(robot, tmp_path):
+    log = log_of(robot, tmp_path / "log.csv", finger=0.02)
+    model = tmp_path / "model.yaml"
+    run("add", "effort_offset", robot, log, "--lock", "left=0.02", "--save", model)
+    assert load_model(model).held == {"left": 0.02}
+    assert "left at 0.02" in run("compare", model, log)
+    shown = run("rollout", model, log, "--before", robot, "--windows", 1)
+    assert "before" in shown
+
+
+def test_a_known_payload_in_the_hand_is_carried(robot, tmp_path):
+    log = log_of(robot, tmp_path / "log.csv")
+    shown = run("compare", robot, log, "--lock", "left=0.01", "--known-payload", "log:right:0.5")
+    assert "0.5 kg known at right" in shown
+    assert float(re.search(r"nrms of all joints ([\d.]+)", shown)[1]) > 0.1
+
+
+def test_excite_moves_the_fingers_together(robot, tmp_path):
+    motion = tmp_path / "motion.csv"
+    fast = ("--seeds", 1, "--iterations", 3, "--samples", 40, "--duration", 4, "--harmonics", 2)
+    run("excite", robot, *fast, "--save", motion, "--meshcat", tmp_path / "replay.html")
+    log = read_log(motion)
+    assert log.joints == ("shoulder", "elbow", "left")
+    assert 0.0 <= log.position[:, 2].min() < log.position[:, 2].max() <= 0.04
+    run("excite", robot, *fast, "--save", motion, "--lock", "left=0.01")
+    assert read_log(motion).joints == ("shoulder", "elbow")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--lock", "finger=0"], "no joint 'finger'.*left, right"),
+        (["--lock", "left=1"], "'left' cannot be held at 1: its limits are 0 … 0.04"),
+        (["--lock", "left=nan"], "finite"),
+        (["--lock", "right=0"], "'right' cannot be held, as it follows 'left'"),
+        (["--lock", "left"], "--lock has 'left', which cannot be read"),
+        (["--lock", "left=0", "--lock", "left=0"], "names 'left' twice"),
+        (["--lock", "left=0", "--lock", "shoulder=0", "--lock", "elbow=0"], "All joints .* held"),
+        (["--robot", "other"], "no robot 'other'. It has double_pendulum"),
+        (["--package", "x"], "Write --package"),
+        (["--package", "x=/nowhere"], "/nowhere of package 'x' is not there"),
+        (["--xacro-arg", "a=1"], "Write --xacro-arg"),
+        (["--xacro-arg", "a:=1"], "is no xacro file"),
+    ],
+)
+@pytest.mark.parametrize("command", ["compare", "excite"])
+def test_bad_options_are_refused_in_one_line(command, options, words, robot, tmp_path):
+    logs = [log_of(robot, tmp_path / "log.csv")] if command == "compare" else []
+    assert re.search(words, run(command, robot, *logs, *options, code=2))
+
+
+def test_logs_that_leave_the_gripper_open_to_doubt_are_refused(robot, tmp_path):
+    logs = [log_of(robot, tmp_path / f"{at}.csv", **{"left.position": at}) for at in (0.0, 0.04)]
+    assert "stands at 0 in '0.0' and at 0.04 in '0.04'" in run("compare", robot, *logs, code=2)
+    only = tmp_path / "arm.csv"
+    only.write_text(logs[0].read_text().replace("elbow", "wrist"))
+    assert "no joint 'wrist'" in run("compare", robot, only, code=2)
+
+
+def simulated(robot):
+    """Four seconds of the pendulum with its gripper, integrated by SciPy."""
+    model, time = load_model(robot), np.arange(0.0, 4.0, 0.01)
+    limit, rates, damping = np.array([2.0, 1.0, 0.4]), np.array([1.9, 3.1, 2.3]), [0.3, 0.3, 8.0]
+
+    def slope(t, state):
+        q, v, still = state[None, :3], state[None, 3:], np.zeros((4, 3))
+        needed = model.motion(Motion(np.repeat(q, 4, 0), still, np.eye(4, 3))).load
+        bias = model.motion(Motion(q, v, still[:1])).load[0]
+        effort = limit * np.sin(rates * t) - damping * v[0]
+        return np.concatenate([v[0], np.linalg.solve(needed[:3] - needed[3], effort - bias)])
+
+    start = np.array([0.3, -0.2, 0.02, 0.0, 0.0, 0.0])
+    states = solve_ivp(slope, (0.0, 4.0), start, t_eval=time, rtol=1e-7, atol=1e-9).y.T
+    effort = limit * np.sin(np.outer(time, rates)) - damping * states[:, 3:]
+    return JointLog("log", model.joints, time, states[:, :3], effort, states[:, 3:])
+
+
+def test_a_rollout_moves_the_fingers_together(robot):
+    model, log = load_model(robot), simulated(robot)
+    rollout = roll_out(model, [log], most=3, horizon=0.3)
+    assert rollout.broken == 0 and rollout.relative < 1e-2
+    rotor = FittedEffect(RotorInertia("left"), np.array([0.1]))
+    with pytest.raises(ModelError, match=r"'right' follows 'left'.*--lock left=VALUE"):
+        roll_out(replace(model, effects=(rotor,)), [log], most=1)

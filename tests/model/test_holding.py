@@ -1,0 +1,232 @@
+"""Held joints against Pinocchio's reduced models, joints that are fixed, and Gaussian marginals."""
+
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from known_robots import assert_close, description
+
+from geodrake import load_model, save_model
+from geodrake.effects import (
+    AerodynamicDrag,
+    CoulombFriction,
+    CoupledFriction,
+    FittedEffect,
+    Payload,
+)
+from geodrake.errors import LogError, ModelError
+from geodrake.inertia import from_mass_com_inertia
+from geodrake.logs import JointLog, KnownPayload, Motion
+from geodrake.model import holding, model_of_logs
+from geodrake.model.carried_payloads import carrying
+from geodrake.model.logged_joints import log_of_model
+
+MODELS = Path(__file__).parents[2] / "models"
+PANDA = "robots/panda_description/urdf/panda.urdf"
+FINGERS = {"panda_finger_joint1": 0.01, "panda_finger_joint2": 0.03}
+POINT = np.array(from_mass_com_inertia(1.5, [0.02, 0.0, 0.1], np.diag([0.02, 0.03, 0.01])))
+
+
+def model_of(text, tmp_path, **options):
+    path = tmp_path / "robot.urdf"
+    path.write_text(text)
+    return load_model(path, **options)
+
+
+def motion_of(model, count=6, seed=0):
+    q, v, vd = np.random.default_rng(seed).uniform(-1.5, 1.5, (3, count, len(model.joints)))
+    return Motion(q, v, vd)
+
+
+@pytest.mark.parametrize("held", [FINGERS, {"panda_joint1": 0.7, "panda_joint4": -1.2, **FINGERS}])
+def test_efforts_are_those_of_pinocchios_reduced_model(held, tmp_path):
+    pinocchio = pytest.importorskip("pinocchio")
+    text = description(PANDA)
+    model = holding(model_of(text, tmp_path), held)
+    whole = pinocchio.buildModelFromXML(text)
+    posture = pinocchio.neutral(whole)
+    for joint, value in held.items():
+        posture[whole.joints[whole.getJointId(joint)].idx_q] = value
+    locked = [whole.getJointId(joint) for joint in held]
+    reduced = pinocchio.buildReducedModel(whole, locked, posture)
+    assert tuple(reduced.names)[1:] == model.joints
+    motion, data = motion_of(model), reduced.createData()
+    rows = zip(motion.q, motion.v, motion.vd, strict=True)
+    expected = np.array([pinocchio.rnea(reduced, data, *row) for row in rows])
+    assert_close(model.motion(motion).load, expected)
+
+
+def test_holding_at_zero_is_as_if_the_file_had_fixed_joints(tmp_path):
+    root = ElementTree.fromstring(description(PANDA))
+    names = ("panda_finger_joint1", "panda_joint3")
+    held = holding(
+        model_of(ElementTree.tostring(root, "unicode"), tmp_path), dict.fromkeys(names, 0)
+    )
+    for joint in root.iter("joint"):
+        if joint.get("name") in names:
+            joint.set("type", "fixed")
+    fixed = model_of(ElementTree.tostring(root, "unicode"), tmp_path)
+    assert held.joints == fixed.joints and held.bodies == fixed.bodies
+    np.testing.assert_allclose(held.phi, fixed.phi, rtol=1e-12, atol=1e-13)
+
+
+def test_sliding_joints_are_found_among_held_ones(tmp_path):
+    model = model_of(description(PANDA), tmp_path)
+    assert model.sliding_joints == ("panda_finger_joint1", "panda_finger_joint2")
+    held = holding(model, {"panda_joint2": 0.1, "panda_joint7": 0.2, "panda_finger_joint1": 0.0})
+    assert held.sliding_joints == ("panda_finger_joint2",)
+
+
+def fitted_arm(seed=1):
+    """An arm with effects and payloads of its own, and what a fit would know of them."""
+    model, rng = load_model(MODELS / "arm6.urdf"), np.random.default_rng(seed)
+    last, before = model.bodies[-1], model.bodies[-2]
+    effects = (
+        FittedEffect(CoulombFriction(model.joints[0]), np.array([2.0])),
+        FittedEffect(CoulombFriction(model.joints[5]), np.array([1.0])),
+        FittedEffect(CoupledFriction(model.joints[4:6], 1), np.array([0.5, 0.1])),
+        FittedEffect(Payload(last), POINT),
+        FittedEffect(Payload(before), 0.5 * POINT),
+    )
+    size = model.phi.size + sum(len(f.parameters) for f in effects)
+    root = rng.normal(size=(size + 5, size)) * 10.0 ** rng.uniform(-2, 2, size)
+    noise = rng.uniform(0.1, 1.0, 6)
+    return model.with_fit(model.phi, effects, information=root.T @ root, effort_noise=noise)
+
+
+def test_what_is_known_is_the_marginal_of_what_was_known():
+    model = fitted_arm()
+    held = holding(model, {model.joints[5]: 0.4})
+    # One payload of both; friction of joint 1 stays, that of the held joint goes.
+    assert [f.effect.name for f in held.effects] == ["coulomb_friction", "payload"]
+    assert held.effort_noise.tolist() == model.effort_noise[:5].tolist()
+    motion = motion_of(held)
+    at_old = np.insert(motion.q, 5, 0.4, axis=1)
+    still = (np.insert(x, 5, 0.0, axis=1) for x in (motion.v, motion.vd))
+    old = model.motion(Motion(at_old, *still))
+    assert_close(held.motion(motion).load, old.load[:, :5])
+    # Predictions and their deviations agree: Y' Σ' Y'ᵀ = Y Σ Yᵀ where the joint stands.
+    Y = [*(old.body_columns(b) for b in model.bodies), *_columns(model, old)]
+    Z = held.motion(motion)
+    Z = [*(Z.body_columns(b) for b in held.bodies), *_columns(held, Z)]
+    Y, Z = np.concatenate(Y, axis=2)[:, :5], np.concatenate(Z, axis=2)
+    moved = [k for k, f in enumerate(model.effects) if f.effect.where[-1] == model.joints[5]]
+    starts = model.phi.size + np.cumsum([0, *(len(f.parameters) for f in model.effects)])
+    for k in moved:  # friction that is not there any more
+        Y[:, :, starts[k] : starts[k + 1]] = 0.0
+    before = Y @ np.linalg.solve(model.information, np.swapaxes(Y, 1, 2))
+    after = Z @ np.linalg.solve(held.information, np.swapaxes(Z, 1, 2))
+    np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-9 * np.abs(before).max())
+
+
+def _columns(model, seen):
+    return [fitted.effect.regressor(seen) for fitted in model.effects]
+
+
+def test_what_acts_on_held_bodies_is_left_out_and_said():
+    model = load_model(MODELS / "arm6.urdf")
+    drag = FittedEffect(
+        AerodynamicDrag(model.bodies[-1]), np.zeros(len(AerodynamicDrag.parameters))
+    )
+    held = holding(replace(model, effects=(drag,)), {model.joints[5]: 0.0})
+    assert not held.effects
+    assert any(drag.effect.name in note for note in held.notes)
+
+
+def test_a_held_base_joint_takes_its_body_out_of_the_model():
+    model = load_model(MODELS / "double_pendulum.urdf")
+    held = holding(model, {"shoulder": 0.5})
+    assert held.joints == ("elbow",) and held.bodies == model.bodies[1:]
+    np.testing.assert_array_equal(held.phi, model.phi[1:])
+
+
+def test_a_saved_model_remembers_what_it_holds(tmp_path):
+    model = fitted_arm()
+    model = holding(model, {model.joints[5]: 0.4})
+    save_model(model, tmp_path / "model.yaml")
+    again = load_model(tmp_path / "model.yaml")
+    assert again.held == model.held and again.joints == model.joints
+    np.testing.assert_array_equal(again.phi, model.phi)
+    np.testing.assert_allclose(again.information, model.information)
+    motion = motion_of(model)
+    np.testing.assert_array_equal(again.effort(motion), model.effort(motion))
+    further = load_model(tmp_path / "model.yaml", lock={model.joints[4]: 0.1})
+    assert set(further.held) == {model.joints[4], *model.held}
+
+
+@pytest.mark.parametrize(
+    ("held", "words"),
+    [
+        ({"wrist": 0.0}, "no joint 'wrist'.*shoulder, elbow"),
+        ({"shoulder": 99.0}, "limits are"),
+        ({"shoulder": 0.0, "elbow": 0.0}, "All joints .* are held"),
+    ],
+)
+def test_joints_that_cannot_be_held_are_refused(held, words):
+    path = MODELS / "double_pendulum.urdf"
+    with pytest.raises(ModelError, match=words):
+        load_model(path, lock=held)
+    with pytest.raises(ModelError, match=words):
+        holding(load_model(path), held)
+
+
+def test_what_is_held_is_not_held_again():
+    with pytest.raises(ModelError, match=r"held already, at 0.5"):
+        holding(load_model(MODELS / "double_pendulum.urdf", lock={"elbow": 0.5}), {"elbow": 0.0})
+
+
+def log_of(joints, *, name="log", standing=None, **columns):
+    time = np.arange(0.0, 2.0, 0.01)
+    moving = np.sin(np.outer(time, 1.0 + np.arange(len(joints))))
+    position, effort = moving.copy(), np.cos(moving)
+    for joint, (place, torque) in columns.items():
+        position[:, joints.index(joint)], effort[:, joints.index(joint)] = place, torque
+    return JointLog(name, tuple(joints), time, position, effort, standing=standing or {})
+
+
+def test_joints_without_data_are_held_where_they_stand_or_by_default(tmp_path):
+    model = model_of(description(PANDA), tmp_path)
+    arm = model.joints[:7]
+    assert model_of_logs(model, [log_of(model.joints)]) is model
+    absent = model_of_logs(model, [log_of(arm)])
+    assert absent.joints == arm and absent.held == dict.fromkeys(FINGERS, 0.0)
+    assert any("panda_finger_joint1 at 0" in note and "no log" in note for note in absent.notes)
+    standing = model_of_logs(model, [log_of(arm, standing=FINGERS), log_of(arm, name="b")])
+    assert standing.held == FINGERS
+    silent = log_of(model.joints, panda_finger_joint1=(0.02, 0.0), panda_finger_joint2=(0.02, 0.0))
+    held = model_of_logs(model, [silent])
+    assert held.held == pytest.approx(dict.fromkeys(FINGERS, 0.02))
+    assert log_of_model(silent, held).joints == arm
+    # Zero is no place for a joint whose limits leave it out.
+    without = model_of_logs(model, [log_of([j for j in model.joints if j != "panda_joint4"])])
+    assert without.held["panda_joint4"] == pytest.approx(model.limits_of("panda_joint4")[1])
+
+
+def test_logs_that_disagree_or_move_are_refused(tmp_path):
+    model = model_of(description(PANDA), tmp_path)
+    arm = model.joints[:7]
+    apart = [
+        log_of(arm, name=name, standing=dict.fromkeys(FINGERS, at))
+        for name, at in (("a", 0.0), ("b", 0.04))
+    ]
+    with pytest.raises(LogError, match=r"stands at 0 in 'a' and at 0.04 in 'b'.*--lock"):
+        model_of_logs(model, apart)
+    with pytest.raises(LogError, match=r"without effort of panda_finger_joint1.*moves"):
+        model_of_logs(model, [log_of(arm, standing=dict.fromkeys(FINGERS, np.nan))])
+    with pytest.raises(LogError, match=r"has no joint 'panda_joint7'.*--lock"):
+        log_of_model(log_of(arm[:6]), model)
+
+
+def test_what_a_held_hand_carries_is_carried_by_its_parent(tmp_path):
+    model = model_of(description(PANDA), tmp_path)
+    held = holding(model, FINGERS)
+    carried = (KnownPayload("panda_leftfinger", 0.7, (0.0, 0.01, 0.02)),)
+    whole = np.zeros((6, 9))
+    whole[:, 7:] = list(FINGERS.values())
+    motion = motion_of(held)
+    whole[:, :7] = motion.q
+    still = (np.hstack([x, np.zeros((6, 2))]) for x in (motion.v, motion.vd))
+    expected = carrying(model, carried).motion(Motion(whole, *still)).load[:, :7]
+    assert_close(carrying(held, carried).motion(motion).load, expected)
