@@ -27,7 +27,7 @@ from geodrake.robot.recursion import (
     calc_repeated_regressor,
 )
 
-_PIECE = 1 << 16  # numbers of a piece: half a megabyte stays in a core's cache
+_PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 
 
 def inverse_dynamics_regressor(
