@@ -1,16 +1,24 @@
 """The figures of the README: the demo's efforts before and after, and the error falling.
 
-Run it as `python diagrams/readme_figures.py --figures diagrams/figures`.
+With `--pages` also what `geodrake play` shows, as Chromium draws it. Run it as
+`python diagrams/readme_figures.py --pages --figures diagrams/figures`.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
+import shutil
+import subprocess
+import sys
 from importlib.resources import as_file, files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from geodrake import load_model
+from PIL import Image
+
+from geodrake import load_model, save_model
 from geodrake.diagnosis import Explanation, explain
 from geodrake.report import effort_figure, save_figures, step_figure
 
@@ -23,6 +31,30 @@ def explain_demo() -> Explanation:
         return explain(load_model(demo / "demo.urdf"), [demo / "demo.csv"])
 
 
+def picture_of_play(found: Explanation, path: Path) -> None:
+    """A picture of the page of `geodrake play` with what the demo finds."""
+    from playwright.sync_api import sync_playwright
+
+    browsers = (os.environ.get("CHROMIUM"), shutil.which("chromium"), shutil.which("google-chrome"))
+    flags = ["--no-sandbox", "--disable-background-networking", "--enable-unsafe-swiftshader"]
+    with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as folder:
+        page, saved = Path(folder) / "play.html", Path(folder) / "arm.yaml"
+        save_model(found.model, saved)
+        words = ("play", saved, demo / "demo.csv", "--out", page, "--quiet")
+        subprocess.run([sys.executable, "-m", "geodrake", *map(str, words)], check=True)
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(
+                executable_path=next(filter(None, browsers)), args=flags
+            )
+            tab = browser.new_page(viewport={"width": 1200, "height": 760})
+            tab.goto(page.as_uri())
+            tab.wait_for_timeout(4000)  # until meshes are there and the robots have moved
+            tab.screenshot(path=path)
+            browser.close()
+    smaller = Image.open(path).convert("RGB").quantize(128, dither=Image.Dither.NONE)
+    smaller.save(path, optimize=True)
+
+
 def main() -> None:
     """Draw the figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -30,6 +62,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
     parser.add_argument("--json", type=Path, help="write the held-out errors here")
     parser.add_argument("--figures", type=Path, default=ROOT / "diagrams" / "figures")
+    parser.add_argument("--pages", action="store_true", help="pictures of pages, too")
     options = parser.parse_args()
     found = explain_demo()
     figures = {
@@ -38,6 +71,8 @@ def main() -> None:
     }
     for path in save_figures(figures, options.figures):
         print(path)
+    if options.pages:
+        picture_of_play(found, options.figures / "demo_play.png")
     if options.json:
         steps = [{"effect": s.effect, "nrms": s.error_after} for s in found.steps]
         options.json.write_text(json.dumps({"start": found.start.nrms, "steps": steps}, indent=1))
