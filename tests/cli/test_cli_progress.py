@@ -128,8 +128,8 @@ def test_a_second_interrupt_ends_at_once(tmp_path):
     run = started(tmp_path, "--json", "found.json")
     run.stderr.readline()
     run.send_signal(signal.SIGINT)
-    while "Interrupted: fitting" not in run.stderr.readline():
-        pass
+    lines = iter(run.stderr.readline, "")
+    assert any("Interrupted: fitting" in line for line in lines)
     run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=60)
     assert (run.returncode, out, err) == (130, "", "Interrupted.\n")
