@@ -100,8 +100,11 @@ class TestStopped:
 
 
 def started(folder, *options):
+    # Jobs of a shell in the background ignore interrupts, and so do their children.
+    heard = "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)"
+    run = f"{heard}\nfrom geodrake.cli import main\nmain()"
     return subprocess.Popen(
-        [sys.executable, "-m", "geodrake", "explain", MODEL, LOG, *options],
+        [sys.executable, "-c", run, "explain", MODEL, LOG, *options],
         cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
