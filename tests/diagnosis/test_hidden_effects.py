@@ -90,7 +90,9 @@ class TestDrake:
     @pytest.mark.parametrize(
         ("name", "effect", "where", "size"),
         [
-            ("arm7", "coulomb_friction", ("joint_4",), (3.0,)),
+            pytest.param(
+                *("arm7", "coulomb_friction", ("joint_4",), (3.0,)), marks=pytest.mark.thorough
+            ),
             pytest.param(
                 *("arm6", "viscous_friction", ("elbow_pitch",), (5.0,)),
                 marks=pytest.mark.thorough,
@@ -107,7 +109,10 @@ class TestDrake:
                 *("arm6", "rotor_inertia", ("wrist_roll",), (0.06,)), marks=pytest.mark.thorough
             ),
             ("arm7", "payload", ("link_7",), (2.0, 0.02, 0.0, 0.1)),
-            ("arm6", "coupled_friction", ("shoulder_pitch", "elbow_pitch"), (4.0, 3.0)),
+            pytest.param(
+                *("arm6", "coupled_friction", ("shoulder_pitch", "elbow_pitch"), (4.0, 3.0)),
+                marks=pytest.mark.thorough,
+            ),
         ],
     )
     def test_one_effect(self, name, effect, where, size):
