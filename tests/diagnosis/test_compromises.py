@@ -28,7 +28,7 @@ def steps_of(name, *logs):
     return {step.effect: step for step in explain(model_file(name), logs).steps}
 
 
-@pytest.mark.parametrize("pace", [0.6, 0.08])
+@pytest.mark.parametrize("pace", [0.6, pytest.param(0.08, marks=pytest.mark.thorough)])
 def test_rotor_that_turns_with_the_difference_of_two_joints(pace):
     """It turns with each joint too: alone, none of its three entries explains much."""
 
@@ -60,7 +60,7 @@ def test_drag_beside_viscous_friction():
     assert steps["viscous_friction"].parameters[joint]["viscous"] == pytest.approx(3.0, rel=0.15)
 
 
-@pytest.mark.parametrize("pace", [0.5, 0.15])
+@pytest.mark.parametrize("pace", [0.5, pytest.param(0.15, marks=pytest.mark.thorough)])
 def test_spring_beside_viscous_friction(pace):
     """While the friction is not known a compensator of another phase fits better than a spring."""
 

@@ -346,7 +346,9 @@ def test_diagnose_says_that_nothing_is_missing(model):
     assert (found.verdict, found.candidates) == ("adequate", ())
 
 
-@pytest.mark.parametrize("seed", [2, 4, 8])
+@pytest.mark.parametrize(
+    "seed", [2, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (4, 8))]
+)
 def test_diagnose_names_the_simplest_that_does(model, seed):
     """Friction that differs by direction fits as well as dry and viscous friction, and is more."""
     log = pendulum_log(seed, friction((0.3, 0.15), (0.3, 0.12)))

@@ -134,7 +134,7 @@ def test_probabilities_are_those_of_all_that_it_may_be(told):
     assert step.probability + others == pytest.approx(0.9)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_rivals_are_weighed_beside_what_else_was_found(seed):
     """What a rival leaves is told as it is beside an effect that was found only later."""
 
