@@ -74,12 +74,19 @@ def short_repr(value: Any) -> str:
     parts = []
     for field in dataclasses.fields(value):
         own = getattr(value, field.name)
-        if field.repr and not (own is None or (isinstance(own, Collection) and not len(own))):
+        if field.repr and not (own is None or _is_empty(own)):
             parts.append(f"{field.name}={_brief(own)}")
     text = ", ".join(parts)
     name = type(value).__name__
     most = MOST_LETTERS - len(name)
     return f"{name}({text if len(text) <= most else text[:most] + '…'})"
+
+
+def _is_empty(value: object) -> bool:
+    """Whether there is nothing in a collection; an array without dimensions is a number."""
+    if isinstance(value, np.ndarray):
+        return not value.size
+    return isinstance(value, Collection) and not len(value)
 
 
 def _brief(value: object) -> str:

@@ -43,7 +43,10 @@ def verdict(case, folder):
         check_words(out, err)
         assert code == 0 or out == "", "results of a failure"
         written = {"kept.json", "kept.yaml"} if code == 0 else set()
-        assert changed(before, contents(folder)) <= written, "changed file"
+        found = changed(before, contents(folder))
+        if code:  # a mapping may be proposed for a log whose columns are not understood
+            found = {name for name in found if not name.endswith(".mapping.yaml")}
+        assert found <= written, "changed file"
         if code == 0:
             read_json(folder / "kept.json")
     except AssertionError as error:

@@ -140,6 +140,7 @@ class Call:
 
 
 NO_DOOR = {
+    "regressor.put_regressor": "a loop that trusts its arrays",
     **dict.fromkeys(
         (
             "inertia.Array",

@@ -18,7 +18,8 @@ Array = NDArray[np.float64]
 LEAST_ROWS = 10
 _LARGEST_SHARE = 0.5  # of the memory that the numbers of a log may take; the rest is for the work
 _STILL = 2e-3  # rad or m, by which a joint may move and still stand
-_EPOCH = {1e-9: 1e17, 1e-6: 1e14, 1e-3: 1e11}  # factor to s of stamps that are larger than this
+_UNITS = {"ns": 1e-9, "µs": 1e-6, "ms": 1e-3}
+_EPOCH = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged: from 1998 to 2103
 
 
 class Recording:
@@ -125,9 +126,8 @@ class Recording:
         if source is None or source.unit is not None or source.nanoseconds is not None:
             return time, ()
         typical = float(np.nanmedian(time)) if np.isfinite(time).any() else 0.0
-        for factor, least in _EPOCH.items():
-            if typical > least:
-                name = {1e-9: "ns", 1e-6: "µs", 1e-3: "ms"}[factor]
+        for name, factor in _UNITS.items():
+            if _EPOCH[0] < factor * typical < _EPOCH[1]:
                 return factor * time, (f"time is in {name} since 1970, by its size: converted",)
         return time, ()
 
