@@ -187,3 +187,12 @@ def test_a_model_is_read_with_the_options_of_all_commands(tmp_path):
     result = run("log", log, "--model", PENDULUM, "--lock", "elbow=0.3", "--quiet")
     assert result.exit_code == 0, result.output
     assert "nope" in refused("log", log, "--model", PENDULUM, "--lock", "nope=0.3")
+
+
+def test_a_topic_of_a_table_is_noted_to_choose_nothing(tmp_path):
+    log = write(tmp_path / "log.csv", OWN, table())
+    result = run("log", log, "--topic", "/joint_states", "--episode", "3")
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.output.split())
+    assert "log.csv has no topics, so that '/joint_states' chooses nothing" in said
+    assert "log.csv has no episodes, so that 3 chooses nothing" in said
