@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 
 from geodrake.boundary.whole_files import Content, write_together
+from geodrake.cli.model_options import read_model
 from geodrake.cli.options import LogCommandOptions
 from geodrake.cli.progress import progress
 from geodrake.cli.reading_options import proposing
@@ -18,7 +19,6 @@ from geodrake.cli.version import version
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import log_content, parts_of
 from geodrake.logs.inspection import LogInspection, inspect_log
-from geodrake.model.saved_model import load_model
 from geodrake.report.json_output import to_json
 from geodrake.report.log_preview import (
     columns_table,
@@ -54,8 +54,8 @@ def _run(options: LogCommandOptions) -> None:
     check_logs(files)
     inputs = [*files, *filter(None, [options.mapping, options.model])]
     targets.check(inputs)
-    with progress(f"Reading {options.logs[0].name}"):
-        joints = None if options.model is None else load_model(options.model).known_joints
+    with progress(f"Reading {options.logs[0].name}", quiet=options.quiet):
+        joints = None if options.model is None else read_model(options.model, options).known_joints
         found = [
             inspect_log(log, joints=joints, partial=True, reading=options.reading)
             for log in options.logs

@@ -314,7 +314,7 @@ class IdentifyOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogCommandOptions(ReadingOptions):
+class LogCommandOptions(ReadingOptions, ModelOptions):
     """Options of log."""
 
     logs: LogFiles
@@ -335,6 +335,7 @@ class LogCommandOptions(ReadingOptions):
         typer.Option(metavar="FILE.png", help="Draw positions and efforts over time."),
     ] = None
     json: JsonFile = None
+    quiet: Quiet = False
     debug: Debug = False
 
 

@@ -6,6 +6,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 import typer
@@ -107,67 +108,96 @@ def run(command: Command[R], options: LogOptions) -> None:
 
 
 def _run(command: Command[R], options: LogOptions) -> None:
-    more = {**command.more, "series": options.series_target}
-    targets = Targets(options.model_target, options.json, options.report, more)
-    files = [part for log in options.logs for part in parts_of(log)]
-    read = [options.model, *files, *filter(None, [options.mapping]), *(options.effects or ())]
-    check_logs(files)
-    targets.check(read)
-    if options.series_target is not None:
-        check_series(options.series_target)
+    targets, inputs = _checked_targets(command, options)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
-        extra = own_effects(options.effects or ())
-        model = read_model(options.model, options, extra)
-        targets.check([*read, model.path])  # a saved model reads another one
-        update("Reading the logs")
-        known, reading = model.known_joints, options.reading
-        read_logs = [
-            read_log(log, joints=known, partial=True, reading=reading) for log in options.logs
-        ]
-        model = model_of_logs(model, read_logs)
-        command.check(model)
+        given = _read(command, options, targets, inputs, update)
         update(command.working)
-        logs = with_known_payloads(options.logs, read_logs, options.known_payload or (), model)
-        logs = with_facts(logs, options.log_facts)
-        result = command.work(Input(model, logs, extra, options.settings, update))
-        fitted = getattr(result, "model", model)
+        result = command.work(given)
         update("Writing")
         numbers = to_json(
             {"version": version(), "command": command.name, **command.numbers(result)}
         )
-        names = [path.name for path in options.logs]
-        units = {}
-        if pages is not None and command.name not in _WITH_UNITS:
-            units["units"] = Units.of(model, extra)
-
-        def page() -> str:
-            render = getattr(pages, command.page)
-            title, shown = f"{options.model.name}: {command.name}", command.paged(result)
-            return str(
-                render(shown, title=title, model_name=options.model.name, log_names=names, **units)
-            )
-
-        makers: dict[str, Maker] = {"json": lambda: numbers, "report": page}
-        if options.series_target is not None:
-            makers["series"] = lambda: _samples(command.sampled(result), options)
-        written = targets.write(fitted, {**makers, **command.makers(result)})
+        makers = _makers(command, options, given, result, pages)
+        fitted = getattr(result, "model", given.model)
+        written = targets.write(fitted, {"json": lambda: numbers, **makers})
     with printing():
         if options.json == STDOUT:
             print_whole(numbers)
         console = make_console(stderr=options.json == STDOUT)
-        console.print(f"{options.model.name} against {', '.join(names)}", soft_wrap=True)
-        command.show(console, result, Units.of(fitted, extra))
+        names = ", ".join(path.name for path in options.logs)
+        console.print(f"{options.model.name} against {names}", soft_wrap=True)
+        command.show(console, result, Units.of(fitted, given.extra))
         show_saved(console, written, command.saved)
     if getattr(result, "is_interrupted", False):
         raise typer.Exit(INTERRUPTED)
 
 
-def _samples(sampled: Any, options: LogOptions) -> Content:
+def _checked_targets(command: Command[R], options: LogOptions) -> tuple[Targets, list[Path]]:
+    """Where the results go, and the files that are read, none of which is overwritten."""
+    more = {**command.more, "series": options.series_target}
+    targets = Targets(options.model_target, options.json, options.report, more)
+    files = [part for log in options.logs for part in parts_of(log)]
+    inputs = [options.model, *files, *filter(None, [options.mapping]), *(options.effects or ())]
+    check_logs(files)
+    targets.check(inputs)
+    if options.series_target is not None:
+        check_series(options.series_target)
+    return targets, inputs
+
+
+def _read(
+    command: Command[R],
+    options: LogOptions,
+    targets: Targets,
+    inputs: Sequence[Path],
+    update: Activity,
+) -> Input:
+    """The model, the logs and what is known of them."""
+    extra = own_effects(options.effects or ())
+    model = read_model(options.model, options, extra)
+    targets.check([*inputs, model.path])  # a saved model reads another one
+    update("Reading the logs")
+    known, reading = model.known_joints, options.reading
+    logs = [read_log(log, joints=known, partial=True, reading=reading) for log in options.logs]
+    model = model_of_logs(model, logs)
+    command.check(model)
+    carrying = with_known_payloads(options.logs, logs, options.known_payload or (), model)
+    known_logs = with_facts(carrying, options.log_facts)
+    return Input(model, known_logs, extra, options.settings, update)
+
+
+def _makers(
+    command: Command[R], options: LogOptions, given: Input, result: R, pages: ModuleType | None
+) -> dict[str, Maker]:
+    """What makes the contents of the files: the page, the samples, and what the command adds."""
+    units = {}
+    if pages is not None and command.name not in _WITH_UNITS:
+        units["units"] = Units.of(given.model, given.extra)
+
+    def page() -> str:
+        return str(
+            getattr(pages, command.page)(
+                command.paged(result),
+                title=f"{options.model.name}: {command.name}",
+                model_name=options.model.name,
+                log_names=[path.name for path in options.logs],
+                **units,
+            )
+        )
+
+    makers: dict[str, Maker] = {"report": page, **command.makers(result)}
+    if options.series_target is not None:
+        target = options.series_target
+        makers["series"] = lambda: _samples(command.sampled(result), target)
+    return makers
+
+
+def _samples(sampled: Any, target: Path) -> Content:
     from geodrake.report.views import samples  # which needs all kinds of results
 
-    return series_content(samples(sampled), options.series_target or Path("series.csv"))
+    return series_content(samples(sampled), target)
 
 
 def own_effects(paths: Sequence[Path]) -> tuple[type[Effect], ...]:

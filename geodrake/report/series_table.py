@@ -6,13 +6,13 @@ import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.boundary.optional_packages import optional_package
 from geodrake.boundary.whole_files import Content
 from geodrake.control.rollout import Rollout
 from geodrake.control.rollout.results import Window
@@ -112,7 +112,7 @@ def check_series(path: Path) -> None:
 
 
 def optional(module: str, extra: str) -> Any:
-    """A module of a package that geodrake can do without.
+    """A module of a package that results can do without.
 
     Args:
         module: Its name.
@@ -121,14 +121,7 @@ def optional(module: str, extra: str) -> Any:
     Raises:
         ArgumentError: It is not installed.
     """
-    try:
-        return import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise ArgumentError(
-            f"This needs {package}, which is not installed.",
-            advice=f'Install it with: pip install "geodrake[{extra}]"',
-        ) from error
+    return optional_package(module, extra, "tables of results", ArgumentError)
 
 
 def log_of(block: str) -> str:

@@ -180,3 +180,19 @@ def test_figures_and_conversions_are_of_one_log(tmp_path):
     assert "is for one log; 2 are given" in refused("log", *logs, "--figure", tmp_path / "x.png")
     assert "does not end in" in refused("log", logs[0], "--convert", tmp_path / "x.bag")
     assert "is an input" in refused("log", logs[0], "--convert", logs[0])
+
+
+def test_a_model_is_read_with_the_options_of_all_commands(tmp_path):
+    log = write(tmp_path / "log.csv", OWN, table())
+    result = run("log", log, "--model", PENDULUM, "--lock", "elbow=0.3", "--quiet")
+    assert result.exit_code == 0, result.output
+    assert "nope" in refused("log", log, "--model", PENDULUM, "--lock", "nope=0.3")
+
+
+def test_a_topic_of_a_table_is_noted_to_choose_nothing(tmp_path):
+    log = write(tmp_path / "log.csv", OWN, table())
+    result = run("log", log, "--topic", "/joint_states", "--episode", "3")
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.output.split())
+    assert "log.csv has no topics, so that '/joint_states' chooses nothing" in said
+    assert "log.csv has no episodes, so that 3 chooses nothing" in said

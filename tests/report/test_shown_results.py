@@ -6,6 +6,7 @@ import sys
 from dataclasses import is_dataclass
 from importlib import import_module
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pandas
@@ -29,6 +30,7 @@ from geodrake.excitation import (
 )
 from geodrake.identification.models import identify_model
 from geodrake.logs.files import read_log
+from geodrake.report.series_table import check_series
 
 DEMO = files("geodrake") / "demo"
 MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
@@ -189,3 +191,9 @@ class TestSeriesFile:
         monkeypatch.setitem(sys.modules, "pyarrow", None)
         done = self.run("compare", MODEL, LOG, "--series", tmp_path / "s.parquet")
         assert done.exit_code == 2 and 'pip install "geodrake[parquet]"' in done.stderr
+
+
+def test_a_package_that_is_not_there_is_named_with_how_to_install_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ArgumentError, match=r"pyarrow is needed.*geodrake\[parquet\]"):
+        check_series(Path("samples.parquet"))

@@ -106,7 +106,8 @@ def understand(
         if len(parts) > 1:
             return _understood(joined_table(parts, reading), joints, reading, partial=partial)
         if reader := READERS.get(path.suffix.lower()):
-            return reader(path, joints, reading, partial=partial)
+            log, columns = reader(path, joints, reading, partial=partial)
+            return replace(log, notes=(*_unused(path, reading), *log.notes)), columns
         return _understood(read_table(path, reading), joints, reading, partial=partial)
     except UnicodeDecodeError as error:
         raise LogError(
@@ -118,6 +119,16 @@ def understand(
             f"Log {str(path)!r} cannot be read: {error}.",
             advice="Check the file's permissions, and that there is memory for it.",
         ) from error
+
+
+def _unused(path: Path, reading: Reading) -> list[str]:
+    """What was said of topics and episodes, which a table has none of, in words."""
+    said = {"topic": reading.topic, "episode": reading.episode}
+    return [
+        f"{path.name} has no {name}s, so that {value!r} chooses nothing in it"
+        for name, value in said.items()
+        if value is not None
+    ]
 
 
 def log_of(
