@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from matplotlib.figure import Figure
 
 from geodrake.identification.models import ModelIdentification
-from geodrake.report import sections, style, words
+from geodrake.report import sections, words
 from geodrake.report.charts import Stage
 from geodrake.report.effort_chart import effort_chart
 from geodrake.report.figures import joint_error_figure
@@ -21,7 +21,6 @@ from geodrake.report.identification_tables import (
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.page import Page, Section, Tile, render, without_empty
 from geodrake.report.report import footer, subject, with_picture
-from geodrake.report.series_figures import effort_figure, residual_figure
 
 IDENTIFIED = Stage("after", "identified", "after")
 
@@ -79,20 +78,6 @@ def render_identification(
         links or {},
     )
     return render(page)
-
-
-def identification_figures(found: ModelIdentification, units: Units) -> dict[str, Figure]:
-    """The figures of an identification's report, by name.
-
-    Args:
-        found: The identification.
-        units: Units of the joints.
-    """
-    return {
-        "joint_errors": _joint_errors(found),
-        "efforts": effort_figure(found.comparison, units=units),
-        "residuals_after": residual_figure(found.comparison, color=style.AFTER, units=units),
-    }
 
 
 def _joint_errors(found: ModelIdentification) -> Figure:
