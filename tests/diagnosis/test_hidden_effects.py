@@ -237,6 +237,8 @@ SIMPLER = (
     "coulomb and viscous",
     "coulomb at both",
     "spring",
+    "payload",
+    "two late joints",
 )
 """Cases that others of the default run contain."""
 
