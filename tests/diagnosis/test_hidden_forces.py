@@ -59,7 +59,10 @@ def wave(joint, amplitude, order, phase=0.4):
 
 class TestGravityCompensator:
     @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize(("joint", "name"), [(0, "base_yaw"), (1, "shoulder_pitch")])
+    @pytest.mark.parametrize(
+        ("joint", "name"),
+        [pytest.param(0, "base_yaw", marks=pytest.mark.thorough), (1, "shoulder_pitch")],
+    )
     def test_found(self, joint, name, seed):
         recording = effort_log("arm6", seed, wave(joint, (6.0, 20.0)[joint], 1.0), off=0.2)
         steps, _ = assert_found(model_file("arm6"), recording, {"gravity_compensator": (name,)})
@@ -71,7 +74,11 @@ class TestTorqueRipple:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("order", "size"),
-        [(7.0, 3.0), pytest.param(23.4, 1.0, marks=pytest.mark.thorough), (101.0, 1.0)],
+        [
+            (7.0, 3.0),
+            pytest.param(23.4, 1.0, marks=pytest.mark.thorough),
+            pytest.param(101.0, 1.0, marks=pytest.mark.thorough),
+        ],
     )
     def test_found(self, order, size, seed):
         recording = effort_log("arm6", seed, wave(1, size, order), off=0.2)
@@ -170,7 +177,9 @@ def tilted(x, y):
 
 class TestGravityTilt:
     @pytest.mark.parametrize("seed", SEEDS)
-    @pytest.mark.parametrize(("name", "off"), [("arm6", 0.2), ("arm7", 0.0)])
+    @pytest.mark.parametrize(
+        ("name", "off"), [("arm6", 0.2), pytest.param("arm7", 0.0, marks=pytest.mark.thorough)]
+    )
     def test_found(self, name, off, seed):
         recording = effort_log(name, seed, tilted(0.03, -0.05), off=off)
         steps, _ = assert_found(model_file(name), recording, {"gravity_tilt": ()})
@@ -239,7 +248,7 @@ class TestCoupledJoints:
         ("joints", "sense", "dry", "viscous"),
         [
             ((1, 3), 1, 0.8, 0.3),
-            ((3, 5), -1, 0.3, 0.12),
+            pytest.param((3, 5), -1, 0.3, 0.12, marks=pytest.mark.thorough),
             pytest.param((1, 3), -1, 0.8, 0.3, marks=pytest.mark.thorough),
             pytest.param((3, 5), 1, 0.01, 0.01, marks=pytest.mark.thorough),
             pytest.param((0, 2), 1, 3.0, 1.0, marks=pytest.mark.thorough),
@@ -356,7 +365,10 @@ class TestEffortScale:
         save_model(model, path)
         return load_model(path)
 
-    @pytest.mark.parametrize(("joint", "name"), [(1, "shoulder_pitch"), (4, "wrist_pitch")])
+    @pytest.mark.parametrize(
+        ("joint", "name"),
+        [pytest.param(1, "shoulder_pitch", marks=pytest.mark.thorough), (4, "wrist_pitch")],
+    )
     def test_found(self, known, joint, name):
         def hidden(seen):
             effort = rubbing(seen)
@@ -389,11 +401,14 @@ class TestEffortScale:
     def test_nothing_where_nothing_changed(self, known):
         assert explain(known, [effort_log("arm6", 8, rubbing).log]).steps == ()
 
-    def test_not_offered_to_a_model_file(self):
+    @pytest.mark.parametrize(
+        "name", ["double_pendulum", pytest.param("arm6", marks=pytest.mark.thorough)]
+    )
+    def test_not_offered_to_a_model_file(self, name):
         def hidden(seen):
-            return 0.08 * seen.load * np.eye(6)[1]
+            return 0.08 * seen.load * np.eye(seen.load.shape[1])[1]
 
-        found = explain(model_file("arm6"), [effort_log("arm6", 7, hidden).log])
+        found = explain(model_file(name), [effort_log(name, 7, hidden).log])
         assert "effort_scale" not in {step.effect for step in found.steps}
         assert "effort_scale" not in {
             name for step in found.steps for name in step.indistinguishable_from

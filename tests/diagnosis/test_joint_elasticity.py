@@ -122,6 +122,7 @@ class TestDiagnosis:
         compliance = step.parameters[ARM.joints[joint]]["compliance"]
         assert compliance == pytest.approx(1.0 / 2000.0, rel=0.1)
 
+    @pytest.mark.thorough
     def test_under_friction(self):
         found = explain(ARM, [elastic_log(1, 3000.0, 1, friction=1.0).log])
         (step,) = (step for step in found.steps if step.effect == "joint_elasticity")

@@ -58,7 +58,11 @@ class TestPlay:
     @pytest.mark.parametrize(
         "more",
         [
-            pytest.param(lambda log: 0.01 * np.sin(40.0 * log.position), id="ripple"),
+            pytest.param(
+                lambda log: 0.01 * np.sin(40.0 * log.position),
+                id="ripple",
+                marks=pytest.mark.thorough,
+            ),
             pytest.param(
                 lambda log: 0.01 * np.sin(12.0 * np.pi * log.time)[:, None], id="oscillation"
             ),

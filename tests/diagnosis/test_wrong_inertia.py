@@ -37,7 +37,7 @@ def lighter(joint, factor):
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("joint", [2, 3])
+@pytest.mark.parametrize("joint", [pytest.param(2, marks=pytest.mark.thorough), 3])
 def test_one_body(joint, seed):
     found = explain(ARM, [effort_log("arm6", seed, lighter(joint, 0.7)).log])
     (step,) = found.steps

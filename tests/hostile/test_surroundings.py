@@ -179,8 +179,15 @@ def started(arguments, folder, code=""):
     )
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("seconds", [0.4, 1.5])
+@pytest.mark.parametrize(
+    ("number", "seconds"),
+    [
+        *((number, 0.4) for number in SIGNALS),
+        (signal.SIGINT, 1.5),
+        pytest.param(signal.SIGTERM, 1.5, marks=pytest.mark.thorough),
+        pytest.param(signal.SIGHUP, 1.5, marks=pytest.mark.thorough),
+    ],
+)
 def test_a_signal_at_any_time_leaves_a_word_alone(number, seconds, tmp_path):
     fill(tmp_path)
     (tmp_path / "passing").mkdir()
@@ -212,8 +219,21 @@ sys.meta_path.insert(0, Hook())
 """
 
 
-@pytest.mark.parametrize("name", ["geodrake.cli.app", "typer", "numpy", "pydrake", "matplotlib"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+LOADED = ("geodrake.cli.app", "typer", "numpy", "pydrake", "matplotlib")
+INT, TERM = signal.SIGINT, signal.SIGTERM
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        # Either signal by turns; the other one in a thorough run.
+        *zip(LOADED, (INT, TERM, INT, TERM, INT), strict=True),
+        *(
+            pytest.param(name, number, marks=pytest.mark.thorough)
+            for name, number in zip(LOADED, (TERM, INT, TERM, INT, TERM), strict=True)
+        ),
+    ],
+)
 def test_a_signal_while_modules_load(name, number, tmp_path):
     fill(tmp_path)
     (tmp_path / "passing").mkdir()

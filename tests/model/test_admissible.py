@@ -1,6 +1,7 @@
 """Models that geodrake fits are admissible, at whatever edge they end; others are told why not."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -33,6 +34,12 @@ def late(q, v, vd, load):
 
 def log(seed, hidden):
     return pendulum_log(seed, hidden, seconds=16.0, rate=100.0)
+
+
+@cache
+def with_friction(hidden):
+    """A model with what a log that hides something is first taken for."""
+    return add("coulomb_friction", load_model(PENDULUM), [log(1, hidden)]).model
 
 
 def comes_back(model, path):
@@ -73,8 +80,7 @@ def comes_back(model, path):
 )
 @pytest.mark.parametrize("hidden", [DRIVEN, heavy])
 def test_fits_come_back_from_any_edge(effect, hidden, tmp_path):
-    model = load_model(PENDULUM)
-    first = add("coulomb_friction", model, [log(1, hidden)]).model
+    first = with_friction(hidden)
     comes_back(first, tmp_path / "first.yaml")
     comes_back(add(effect, first, [log(2, hidden)]).model, tmp_path / "second.yaml")
 
