@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import as_file, files
@@ -227,8 +226,6 @@ def log(options: LogCommandOptions) -> None:
 @taking(DemoOptions)
 def demo(options: DemoOptions) -> None:
     """Explain a log that comes with the package, made with an effect that its model lacks."""
-    if not options.quiet:
-        print(DEMO_TIME, file=sys.stderr, flush=True)
     from geodrake.cli.explaining import run_explaining
 
     folder = files("geodrake") / "demo"
@@ -240,7 +237,8 @@ def demo(options: DemoOptions) -> None:
                 json=options.json,
                 report=options.report,
                 quiet=options.quiet,
-            )
+            ),
+            DEMO_TIME,
         )
 
 

@@ -38,11 +38,12 @@ class _Explained:
         return self.explanation.is_interrupted
 
 
-def run_explaining(options: Options) -> None:
+def run_explaining(options: Options, promise: str = "") -> None:
     """Run the command.
 
     Args:
         options: Its options.
+        promise: How long it will take, if that is known.
 
     Raises:
         GeodrakeError: Something about the input, or about the targets, does not do.
@@ -59,6 +60,7 @@ def run_explaining(options: Options) -> None:
         _show,
         paged=lambda found: (found.explanation, found.correlates),
         sampled=lambda found: found.explanation,
+        promise=promise,
     )
     run(command, options)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,6 +78,7 @@ class Command(Generic[R]):
         saved: Option -> what its file is, in words.
         check: Refuses a model before the long work.
         sampled: The part of the result that has samples.
+        promise: How long it will take, said before it begins.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Command(Generic[R]):
     saved: Mapping[str, str] = field(default_factory=dict)
     check: Callable[[RobotModel], None] = lambda model: None
     sampled: Callable[[R], Any] = lambda result: result
+    promise: str = ""
 
 
 def run(command: Command[R], options: LogOptions) -> None:
@@ -109,6 +112,8 @@ def run(command: Command[R], options: LogOptions) -> None:
 
 def _run(command: Command[R], options: LogOptions) -> None:
     targets, inputs = _checked_targets(command, options)
+    if command.promise and not options.quiet:
+        print(command.promise, file=sys.stderr, flush=True)
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
