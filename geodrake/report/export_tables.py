@@ -8,7 +8,6 @@ from geodrake.model.exporting.joint_numbers import JointNumbers, joint_numbers
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.numbers import Units, number, percent
 from geodrake.report.tables import Table, cells, effect_cell
-from geodrake.robot.plant import scoped_joint_names
 
 _NAMED = 3  # effects, at most, that a sentence names
 
@@ -46,7 +45,7 @@ def holds_table(found: ProvenExport, units: Units) -> Table:
         found: The export.
         units: Units of the joints.
     """
-    scoped = scoped_joint_names(found.held.plant)
+    scoped = found.held.scoped_joints
     of_joints, rows = joint_numbers(found.held), []
     for joint, name in zip(found.held.joints, scoped, strict=True):
         values = of_joints.get(name, JointNumbers())

@@ -244,3 +244,18 @@ def test_bad_input_is_a_line_and_nothing_is_written(folder, tmp_path):
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     assert "file" in refused(MODEL, "--to", "urdf", tmp_path / "file" / "out")
+
+
+def test_a_robot_with_a_joint_that_follows(tmp_path):
+    link = """<link name="{0}"><inertial><mass value="1"/><origin xyz="0.1 0 0"/>
+    <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+    joint = """<joint name="{0}" type="revolute"><parent link="base"/><child link="{1}"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="9" velocity="9"/>
+    <dynamics damping="0.2"/>{2}</joint>"""
+    parts = (link.format("one"), link.format("two"), joint.format("a", "one", ""))
+    follows = joint.format("b", "two", '<mimic joint="a"/>')
+    path = tmp_path / "gripper.urdf"
+    path.write_text(f'<robot name="g"><link name="base"/>{"".join(parts)}{follows}</robot>')
+    result = export(path, "--to", "urdf", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert "Internal error" not in result.output
