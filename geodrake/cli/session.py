@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
+from urllib.parse import quote
 
 import typer
 from rich.console import Console
@@ -22,7 +24,7 @@ from geodrake.cli.options import LogOptions
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.reading_options import proposing
 from geodrake.cli.surroundings import print_whole, printing
-from geodrake.cli.tables import make_console, show_saved
+from geodrake.cli.tables import SAVED, make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
 from geodrake.effects import load_effect_file
@@ -188,6 +190,7 @@ def _makers(
                 title=f"{options.model.name}: {command.name}",
                 model_name=options.model.name,
                 log_names=[path.name for path in options.logs],
+                links=_links(command, options.report),
                 **units,
             )
         )
@@ -197,6 +200,16 @@ def _makers(
         target = options.series_target
         makers["series"] = lambda: _samples(command.sampled(result), target)
     return makers
+
+
+def _links(command: Command[R], report: Path | None) -> dict[str, str]:
+    """From a report to the other pages that the command writes: words -> relative address."""
+    folder, links = (report or Path()).resolve().parent, {}
+    for option, path in command.more.items():
+        if path is not None and path.suffix.lower() in (".html", ".htm"):
+            words = {**SAVED, **command.saved}[option].capitalize()
+            links[words] = quote(Path(os.path.relpath(path.resolve(), folder)).as_posix())
+    return links
 
 
 def _samples(sampled: Any, target: Path) -> Content:

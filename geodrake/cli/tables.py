@@ -42,7 +42,7 @@ _PLACES_WIDTH = 36
 _WIDE = 110  # letters from which on a table has room for all that is known of a step
 REST = "What is left goes with"
 _TELLING = "Motions that would distinguish what the logs cannot"
-_SAVED = {
+SAVED = {
     "save": "model",
     "json": "numbers",
     "report": "report",
@@ -190,7 +190,7 @@ def show_saved(
     if files:
         console.print()
     for option, path in files.items():
-        what = {**_SAVED, **(words or {})}[option]
+        what = {**SAVED, **(words or {})}[option]
         console.print(f"Saved the {what}: {path}", soft_wrap=True)
 
 

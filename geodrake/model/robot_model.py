@@ -21,7 +21,7 @@ from geodrake.boundary.arguments import (
     real_array,
 )
 from geodrake.boundary.showing import Short
-from geodrake.effects import JointSpring, RobotMotion, Role, catalogue
+from geodrake.effects import RobotMotion, Role, catalogue
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
@@ -29,6 +29,7 @@ from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import Spring
 from geodrake.model.simulation.robot_in_diagram import (
     DiagramOptions,
     FittedRobot,
@@ -471,7 +472,7 @@ def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
             notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
     for joint, stiffness, rest in zip(joints, *loaded.file_springs, strict=True):
         if stiffness:
-            spring = JointSpring(joint, center=float(rest))
+            spring = Spring(joint, center=float(rest))
             effects.append(FittedEffect(spring, np.array([stiffness, 0.0])))
             notes.append(
                 f"The spring in the file ({joint} {stiffness:g}) is kept as {spring.name}."

@@ -348,8 +348,12 @@ def test_a_rollout_is_replayed_as_a_measured_and_a_simulated_robot(before):
 
 def test_rollout_writes_its_replay(tmp_path):
     out = tmp_path / "r.html"
+    report = tmp_path / "report.html"
     words = ["rollout", URDF, LOG, "--windows", "2", "--horizon", "0.2", "--meshcat", out]
+    words += ["--report", report]
     result = CliRunner().invoke(app, [str(word) for word in words])
     assert result.exit_code == 0, result.output
     assert "Saved the replay of measured and simulated motion: " in result.output
+    link = '<a href="r.html">Replay of measured and simulated motion</a>'
+    assert link in report.read_text(encoding="utf-8")
     assert ("/drake/measured/arm6::flange", "position") in tracks(out.read_text())

@@ -21,6 +21,7 @@ from geodrake.control.export_proof.reference import (
 )
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -152,7 +153,7 @@ def _of_rollouts(
         return None
     off = np.abs(np.array(simulated) - ours).reshape(-1, ours.shape[-1])
     moved = (ours - ours[:, :1]).reshape(off.shape)
-    dry = (f.effect.name for f in held.effects if f.effect.name == "coulomb_friction")
+    dry = (f.effect.name for f in held.effects if isinstance(f.effect, DryFriction))
     names = tuple(dict.fromkeys([*names, *dry]))
     return Difference(
         loaded.name, "position", **_largest(off, moved, held), compared=1.0, without=names

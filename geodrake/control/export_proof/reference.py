@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geodrake.effects import CoulombFriction, Effect
+from geodrake.effects import Effect
 from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -55,7 +56,7 @@ def roll_out_all(model: RobotModel, starts: Sequence[Start], step: float) -> Arr
     Returns:
         (W, K + 1, nv) positions, rad or m.
     """
-    smooth = without(model, (CoulombFriction,))
+    smooth = without(model, (DryFriction,))
     q, v = np.array([start.q for start in starts]), np.array([start.v for start in starts])
     found = [q]
     for effort in np.array([start.effort for start in starts]).swapaxes(0, 1):

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.control.export_proof.reference import STEP, Start, position_order
-from geodrake.effects import CoulombFriction
 from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch
+from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ def logged_starts(held: RobotModel, trajectories: Sequence[Trajectory]) -> list[
 def _logged_start(held: RobotModel, part: Segment) -> Start:
     effort = part.effort.copy()
     for fitted in held.effects:
-        if isinstance(fitted.effect, CoulombFriction):
+        if isinstance(fitted.effect, DryFriction):
             at = held.joints.index(fitted.effect.joint)
             effort[:, at] -= fitted.parameters[0] * np.sign(part.velocity[:, at])
     time = np.arange(round(HORIZON / STEP)) * STEP

@@ -5,25 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from geodrake.effects import (
-    CoulombFriction,
-    Effect,
-    EffortDelay,
-    GravityTilt,
-    JointSpring,
-    RotorInertia,
-    ViscousFriction,
-)
+from geodrake.effects import Effect
 from geodrake.errors import ArgumentError
 from geodrake.model.exporting.directives import KINDS, drake_files, stands_free
 from geodrake.model.exporting.export_format import Exported, ExportFormat, Holding, Write
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.isaac import isaac_files
 from geodrake.model.exporting.model_text import model_file, written_kind
+from geodrake.model.file_terms import Damping, Delay, DryFriction, Rotor, Spring, Tilt
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.source import effort_source, is_written
 
-_JOINT_TERMS = (ViscousFriction, CoulombFriction, RotorInertia)
+_JOINT_TERMS = (Damping, DryFriction, Rotor)
 _WITH_SPRINGS = frozenset({"sdf", "xml"})  # formats of files that have springs
 
 
@@ -37,7 +30,7 @@ def _joints(*kinds: str) -> Holding:
         springs = written_kind(model, kinds) in _WITH_SPRINGS
 
         def holds(effect: Effect) -> bool:
-            if isinstance(effect, JointSpring):
+            if isinstance(effect, Spring):
                 return springs and effect.exponent == 1
             return isinstance(effect, _JOINT_TERMS)
 
@@ -90,11 +83,9 @@ FORMATS = {
     for each in (
         ExportFormat("urdf", _joints("urdf"), _file("urdf"), _URDF_ENGINES),
         ExportFormat("sdf", _joints("sdf"), _file("sdf"), ("drake",)),
-        ExportFormat("mjcf", _and(_joints("xml"), GravityTilt), _file("xml"), ("mujoco",)),
-        ExportFormat(
-            "drake", _and(_joints(*KINDS), GravityTilt, stands_free), drake_files, ("drake",)
-        ),
-        ExportFormat("isaac", _and(_joints("urdf"), EffortDelay), isaac_files, _URDF_ENGINES),
+        ExportFormat("mjcf", _and(_joints("xml"), Tilt), _file("xml"), ("mujoco",)),
+        ExportFormat("drake", _and(_joints(*KINDS), Tilt, stands_free), drake_files, ("drake",)),
+        ExportFormat("isaac", _and(_joints("urdf"), Delay), isaac_files, _URDF_ENGINES),
         ExportFormat("python", _written, _source("python"), ("python",)),
         ExportFormat("cpp", _written, _source("cpp")),
     )

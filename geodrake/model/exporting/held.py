@@ -9,26 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from geodrake.effects import (
-    CoulombFriction,
-    Effect,
-    EffortOffset,
-    FittedEffect,
-    GravityTilt,
-    JointSpring,
-    RobotMotion,
-    Role,
-    RotorInertia,
-    ViscousFriction,
-)
+from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
 from geodrake.logs.motion import Motion
+from geodrake.model.file_terms import Damping, DryFriction, Offset, Rotor, Spring, Tilt
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 Holds = Callable[[Effect], bool]
 
-Basis = ViscousFriction | CoulombFriction | RotorInertia
-_BASES: tuple[type[Basis], ...] = (ViscousFriction, CoulombFriction, RotorInertia)
+Basis = Damping | DryFriction | Rotor
+_BASES: tuple[type[Basis], ...] = (Damping, DryFriction, Rotor)
 """Effects into which others are fitted."""
 
 _WORTH = 0.1  # share of the square of an effect that its approximation must take away
@@ -109,7 +99,7 @@ def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[
     springs = {
         fitted.effect.where: fitted
         for fitted in effects
-        if isinstance(fitted.effect, JointSpring)
+        if isinstance(fitted.effect, Spring)
         and fitted.effect.exponent == 1
         and fitted.parameters[0] > 0
         and holds(fitted.effect)
@@ -118,7 +108,7 @@ def _folded(effects: Sequence[FittedEffect], holds: Holds, keep: Holds) -> list[
     for fitted in effects:
         spring = springs.get(fitted.effect.where)
         stays = holds(fitted.effect) or keep(fitted.effect)
-        if spring is None or stays or not isinstance(fitted.effect, EffortOffset):
+        if spring is None or stays or not isinstance(fitted.effect, Offset):
             found.append(fitted)
         else:
             preload = np.array([0.0, fitted.parameters[0]])
@@ -131,19 +121,19 @@ def _merged(effects: Sequence[FittedEffect]) -> dict[Effect, FittedEffect]:
     found: dict[Effect, FittedEffect] = {}
     for fitted in effects:
         effect, values = fitted.effect, fitted.parameters
-        if isinstance(effect, JointSpring) and effect.exponent == 1:
+        if isinstance(effect, Spring) and effect.exponent == 1:
             effect, values = (
-                JointSpring(effect.joint),
+                Spring(effect.joint),
                 values - [0.0, values[0] * effect.center],
             )
-        if isinstance(effect, GravityTilt):  # exact, as simulators turn gravity
-            effect = GravityTilt(*values.tolist())
+        if isinstance(effect, Tilt):  # exact, as simulators turn gravity
+            effect = Tilt(*values.tolist())
         before = found.get(effect)
         if before is not None and len(values):
             values = values + before.parameters
         found[effect] = FittedEffect(effect, values)
     for effect, fitted in [*found.items()]:
-        if isinstance(effect, JointSpring) and effect.exponent == 1:
+        if isinstance(effect, Spring) and effect.exponent == 1:
             del found[effect]
             stiffness, preload = fitted.parameters.tolist()
             if stiffness > 0.0:

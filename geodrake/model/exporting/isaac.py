@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.effects import StribeckFriction
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.joint_numbers import joint_numbers
 from geodrake.model.exporting.model_text import model_file
+from geodrake.model.file_terms import StaticFriction
 from geodrake.model.robot_model import RobotModel
 
 _NOTE = (
@@ -67,5 +67,5 @@ def _static_excess(model: RobotModel) -> dict[str, float]:
     return {
         fitted.effect.where[0]: float(fitted.parameters[0])
         for fitted in model.effects
-        if isinstance(fitted.effect, StribeckFriction)
+        if isinstance(fitted.effect, StaticFriction)
     }

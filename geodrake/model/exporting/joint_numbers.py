@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.effects import CoulombFriction, Effect, JointSpring, RotorInertia, ViscousFriction
+from geodrake.effects import Effect
+from geodrake.model.file_terms import Damping, DryFriction, Rotor, Spring
 from geodrake.model.robot_model import RobotModel, from_loaded_plant
 from geodrake.robot.plant import load_plant
 
 _TERMS: Mapping[type[Effect], str] = {
-    ViscousFriction: "damping",
-    CoulombFriction: "friction",
-    RotorInertia: "armature",
+    Damping: "damping",
+    DryFriction: "friction",
+    Rotor: "armature",
 }
 
 
@@ -51,7 +52,7 @@ def joint_numbers(model: RobotModel) -> Mapping[str, JointNumbers]:
         own = values.get(effect.where[0], {}) if effect.where else {}
         if (term := _TERMS.get(type(effect))) is not None:
             own[term] = own.get(term, 0.0) + float(fitted.parameters[0])
-        elif isinstance(effect, JointSpring) and effect.exponent == 1 and fitted.parameters[0]:
+        elif isinstance(effect, Spring) and effect.exponent == 1 and fitted.parameters[0]:
             stiffness, preload = fitted.parameters.tolist()
             own |= {"stiffness": stiffness, "rest": effect.center - preload / stiffness}
     names = dict(zip(model.joints, model.scoped_joints, strict=True))

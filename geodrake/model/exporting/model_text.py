@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.eigen_geometry import AngleAxis
 
-from geodrake.effects import GravityTilt
 from geodrake.model.export import export_bodies, file_kind
 from geodrake.model.exporting.anew import SUFFIXES, written_anew
 from geodrake.model.exporting.joint_numbers import (
@@ -17,6 +16,7 @@ from geodrake.model.exporting.joint_numbers import (
     joint_numbers,
     stated_numbers,
 )
+from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
 from geodrake.robot.files.mjcf import turns_in_degrees
@@ -110,7 +110,7 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
 
 def tilted(model: RobotModel) -> bool:
     """Whether a model's base is turned against its file's."""
-    return any(isinstance(fitted.effect, GravityTilt) for fitted in model.effects)
+    return any(isinstance(fitted.effect, Tilt) for fitted in model.effects)
 
 
 def tilted_gravity(model: RobotModel) -> Array:
@@ -123,7 +123,7 @@ def tilt_rotation(model: RobotModel) -> Array:
     """(3, 3) rotation R(θ) by which a model's base is turned against its file's."""
     turn = np.eye(3)
     for fitted in model.effects:
-        if isinstance(fitted.effect, GravityTilt):
+        if isinstance(fitted.effect, Tilt):
             vector = np.array([*fitted.parameters, 0.0])
             angle = float(np.linalg.norm(vector))
             if angle:

@@ -14,7 +14,8 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.control.export_proof.engines.base import Array, Engine, Mask, order_of
-from geodrake.effects import CoulombFriction, Effect
+from geodrake.effects import Effect
+from geodrake.model.file_terms import DryFriction
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_errors, drake_messages
 from geodrake.robot.files.packages import add_packages, named_packages
@@ -32,7 +33,7 @@ class DrakeEngine(Engine):
         ModelError: Drake cannot read the file.
     """
 
-    ignores: ClassVar[tuple[type[Effect], ...]] = (CoulombFriction,)
+    ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction,)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Drake {version('drake')}"

@@ -9,8 +9,9 @@ import numpy as np
 import pinocchio
 
 from geodrake.control.export_proof.engines.base import Array, Engine, Mask, order_of
-from geodrake.effects import CoulombFriction, Effect, RotorInertia, ViscousFriction
+from geodrake.effects import Effect
 from geodrake.errors import ModelError
+from geodrake.model.file_terms import Damping, DryFriction, Rotor
 from geodrake.model.robot_model import RobotModel
 
 
@@ -25,7 +26,7 @@ class PinocchioEngine(Engine):
         ModelError: Pinocchio cannot read the file.
     """
 
-    ignores: ClassVar[tuple[type[Effect], ...]] = (CoulombFriction, RotorInertia, ViscousFriction)
+    ignores: ClassVar[tuple[type[Effect], ...]] = (DryFriction, Rotor, Damping)
 
     def __init__(self, file: Path, model: RobotModel) -> None:
         self.name = f"Pinocchio {pinocchio.__version__}"
