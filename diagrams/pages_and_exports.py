@@ -71,12 +71,13 @@ def opened(page: Path) -> dict[str, float]:
 
 
 def measured(
-    folder: Path, model: Path, logs: Sequence[Path], formats: Sequence[str]
+    folder: Path, model: Path, logs: Sequence[Path], formats: Sequence[str], seconds: float
 ) -> dict[str, Any]:
-    """One robot: times, pages, and exports of what `explain` saves to some formats."""
+    """One robot: times, pages, a replay of some seconds, and exports of what `explain` saves."""
     page, saved = folder / "page.html", folder / "robot.yaml"
     explain = cpu_seconds(folder, "explain", model, *logs, "--report", page, "--save", saved)
-    play = cpu_seconds(folder, "play", saved, *logs, "--out", folder / "play.html")
+    replay = ("--out", folder / "play.html", "--seconds", str(seconds))
+    play = cpu_seconds(folder, "play", saved, *logs, *replay)
     fitted, exports = load_model(saved), {}
     for name in formats:
         found = export_to(name, fitted, folder / name, logs)
@@ -139,7 +140,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="the demo, two formats")
+    parser.add_argument("--quick", action="store_true", help="the demo, one format, a short replay")
     parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
@@ -148,7 +149,8 @@ def main() -> None:
     if not options.quick:
         require(parser, options.shared, *UR10E)
     found: dict[str, Any] = {}
-    formats = ("urdf", "python") if options.quick else tuple(FORMATS)
+    formats = ("python",) if options.quick else tuple(FORMATS)
+    seconds = 2.0 if options.quick else 30.0  # of replays
     with as_file(files("geodrake") / "demo") as demo, TemporaryDirectory() as name:
         folder = Path(name)
         if not options.quick:
@@ -160,7 +162,7 @@ def main() -> None:
             robots["UR10e"] = model, logs
         for robot, (model, logs) in robots.items():
             (folder / robot).mkdir()
-            found[robot] = measured(folder / robot, model, logs, formats)
+            found[robot] = measured(folder / robot, model, logs, formats, seconds)
             show(robot, found[robot])
     if options.figures:
         draw(found, options.figures / "pages_and_exports.png")

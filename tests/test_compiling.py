@@ -101,7 +101,7 @@ def said(folder, *, factor=2.0, operation="+", arguments=("1.0", "1.0")):
     path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
     os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
     done = subprocess.run(
-        [sys.executable, "-m", "scaled", *arguments],
+        [sys.executable, "-B", "-m", "scaled", *arguments],
         env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
         capture_output=True,
         text=True,
