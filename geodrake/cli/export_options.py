@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from geodrake.cli.model_options import ModelOptions
-from geodrake.cli.options import Debug, JsonFile, ModelFile, Quiet, ReportFile
+from geodrake.cli.options import Debug, EffectFiles, JsonFile, ModelFile, Quiet, ReportFile
 from geodrake.cli.reading_options import ReadingOptions
 
 
@@ -43,10 +43,7 @@ class ExportOptions(ReadingOptions, ModelOptions):
     json: JsonFile = None
     report: ReportFile = None
     quiet: Quiet = False
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
-    ] = None
+    effects: EffectFiles = None
     bandwidth: Annotated[
         float | None,
         typer.Option(

@@ -52,6 +52,10 @@ Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show results and errors only, no progress.")
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show tracebacks; GEODRAKE_DEBUG=1 does too.")]
+EffectFiles = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
+]
 EffectNames = Annotated[
     list[Path] | None,
     typer.Option(
@@ -71,10 +75,7 @@ class LogOptions(AxisOptions, ModelOptions):
     logs: LogFiles
     json: JsonFile = None
     report: ReportFile = None
-    effects: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE.py", help="Know the effects of this file too; repeatable."),
-    ] = None
+    effects: EffectFiles = None
     bandwidth: Annotated[
         float | None,
         typer.Option(

@@ -215,13 +215,9 @@ def _scripts(page: Page) -> list[str]:
     return [f"/* uPlot\n{licence}\n*/\n{_asset('uplot/uPlot.iife.min.js').strip()}", *own]
 
 
-def render(page: Page) -> str:
-    """The page as one HTML file that loads nothing from elsewhere; all text is escaped.
-
-    Raises:
-        ArgumentError: A link leads to no page.
-    """
-    environment = Environment(
+def templates() -> Environment:
+    """The templates of all pages: what they show is escaped, and what is not there is an error."""
+    return Environment(
         loader=PackageLoader("geodrake", "report"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -229,6 +225,15 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+def render(page: Page) -> str:
+    """The page as one HTML file that loads nothing from elsewhere; all text is escaped.
+
+    Raises:
+        ArgumentError: A link leads to no page.
+    """
+    environment = templates()
     environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
     environment.globals.update(static_plots=static_plots, size=(WIDTH, HEIGHT))
     scripts = _scripts(page)

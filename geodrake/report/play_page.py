@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydrake.geometry import Meshcat, MeshcatAnimation
 
 from geodrake.boundary.escaping import html_text, path_part, printable
 from geodrake.inertia import Array
 from geodrake.report import style
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import shown_text
+from geodrake.report.page import templates
 from geodrake.report.playback import Moment, Playback, PlayedModel
 from geodrake.report.robot_scene import (
     FRAMES,
@@ -130,14 +129,7 @@ def _panel(
     units: Units,
     speed: float,
 ) -> str:
-    environment = Environment(
-        loader=PackageLoader("geodrake", "report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=shown_text,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = templates()
     notes = dict.fromkeys(note for copy in copies for note in copy.scene.notes)
     if playback.seconds_left_out > 0.5:
         left_out = f"{playback.seconds_left_out:.0f} s of the logs"

@@ -9,7 +9,7 @@ import numpy as np
 
 from geodrake.errors import ModelError
 from geodrake.inertia import Array, to_mass_com_inertia
-from geodrake.robot.files.source_text import SourceElement, SourceText
+from geodrake.robot.files.source_text import SourceElement, SourceText, check_in_itself
 from geodrake.robot.files.values import TENSOR, UPPER, numbers, rotation, tensor_words, words
 from geodrake.robot.files.xml_text import SUPPORTED_FORMATS
 
@@ -43,13 +43,7 @@ def with_inertias(data: bytes, path: Path, inertias: Mapping[str, Array]) -> byt
         )
     named, write = _FORMATS[text.root.tag]
     links = dict(named(text.root, path))
-    missing = sorted(set(inertias) - set(links))
-    if missing:
-        raise ModelError(
-            f"{', '.join(name.rpartition('::')[2] for name in missing)} is not in {path} itself.",
-            advice="Put included files into the model, so that all is in one file.",
-            links=missing,
-        )
+    check_in_itself(inertias, links, path)
     for name, phi in inertias.items():
         write(text, links[name], phi)
     return text.edited()

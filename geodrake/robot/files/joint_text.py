@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.errors import ModelError
-from geodrake.robot.files.source_text import SourceElement, SourceText
+from geodrake.robot.files.source_text import SourceElement, SourceText, check_in_itself
 from geodrake.robot.files.values import numbers, words
 
 Change = Mapping[str, float]
@@ -47,13 +47,7 @@ def with_joint_numbers(data: bytes, path: Path, changes: Mapping[str, Change]) -
     text = SourceText(data, path)
     find, write = _FORMATS[text.root.tag]
     joints = find(text.root, path)
-    missing = sorted(set(changes) - set(joints))
-    if missing:
-        raise ModelError(
-            f"{', '.join(name.rpartition('::')[2] for name in missing)} is not in {path} itself.",
-            advice="Put included files into the model, so that all is in one file.",
-            joints=missing,
-        )
+    check_in_itself(changes, joints, path)
     for name, change in changes.items():
         write(text, joints[name], change)
     return text.edited()

@@ -7,7 +7,7 @@ where they stand in the bytes of the file, and edits replace just those bytes.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -195,3 +195,23 @@ class SourceText:
 def _named(element: SourceElement) -> int:
     """Where the tag of an element ends."""
     return element.start + 1 + len(element.tag.encode())
+
+
+def check_in_itself(names: Iterable[str], there: Container[str], path: Path) -> None:
+    """Refuse to write to what a file includes.
+
+    Args:
+        names: Scoped names of links or joints that are to be written.
+        there: Those that stand in the file itself.
+        path: The file.
+
+    Raises:
+        ModelError: One is not in the file itself.
+    """
+    missing = sorted(name for name in names if name not in there)
+    if missing:
+        raise ModelError(
+            f"{', '.join(name.rpartition('::')[2] for name in missing)} is not in {path} itself.",
+            advice="Put included files into the model, so that all is in one file.",
+            missing=missing,
+        )
