@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,11 +27,11 @@ from pydrake.trajectories import Trajectory
 
 from geodrake.boundary.arguments import instance, positive
 from geodrake.control.systems import AdaptiveController, EffectForce
-from geodrake.effects import Effect
+from geodrake.effects.robot_effect import RobotEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
-from geodrake.inertia.bodies import check_plant
-from geodrake.robot.plant import joint_names
+from geodrake.model.simulation.force_law import EffectWithValues
+from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +39,20 @@ class AdaptiveLoop:
     """What `add_adaptive_loop` added, by name.
 
     Attributes:
-        plant: The plant.
+        robot: The robot in its plant; None if the loop was given the ports of a robot elsewhere.
         controller: The controller.
         effect_force: What acts on the plant beside rigid bodies, if anything.
-        state: Positions and velocities of the plant.
+        state: Positions and velocities of the robot, in the order of the controller's joints.
         measured_state: What the controller sees of them.
         desired_state: Desired positions and velocities.
         desired_acceleration: Desired accelerations.
-        actuation: Efforts of the controller, by velocity.
+        actuation: Efforts of the controller, by joint.
         parameters: The estimate.
         logs: Sinks of "state", "desired_state", "actuation", "parameters" and, where the truth is
             known, "lyapunov"; none if nothing is logged.
     """
 
-    plant: MultibodyPlant
+    robot: RobotInstance | None
     controller: AdaptiveController
     effect_force: EffectForce | None
     state: OutputPort
@@ -63,18 +63,41 @@ class AdaptiveLoop:
     parameters: OutputPort
     logs: dict[str, VectorLogSink]
 
+    @property
+    def plant(self) -> MultibodyPlant:
+        """The plant that the robot is in.
+
+        Raises:
+            ArgumentError: The loop was given the ports of a robot elsewhere.
+        """
+        if self.robot is None:
+            raise ArgumentError(
+                "The loop knows the ports of its robot alone, and no plant.",
+                advice="Give add_adaptive_loop the plant, or a RobotInstance of it.",
+            )
+        return self.robot.plant
+
     def context(self, diagram: Diagram) -> Context:
-        """A default Context of the finished diagram, with the plant at the start of the motion.
+        """A default Context of the finished diagram, with the robot at the start of the motion.
 
         Args:
             diagram: What the builder built.
         """
         context = diagram.CreateDefaultContext()
-        desired = self.desired_state.Eval(
-            self.desired_state.get_system().GetMyContextFromRoot(context)
-        )
-        self.plant.SetPositionsAndVelocities(self.plant.GetMyContextFromRoot(context), desired)
+        self.set_start(context)
         return context
+
+    def set_start(self, root: Context) -> None:
+        """Puts the robot where its motion starts, and nothing else.
+
+        Args:
+            root: Context of the finished diagram.
+        """
+        plant, joints = self.plant, self.controller.control.joints
+        source = self.desired_state.get_system()
+        desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
+        if self.robot is not None:
+            self.robot.set_state(plant.GetMyMutableContextFromRoot(root), joints, desired)
 
     def simulated(self, diagram: Diagram, duration: float) -> tuple[Array, dict[str, Array]]:
         """Simulates from the start of the motion.
@@ -108,122 +131,161 @@ class AdaptiveLoop:
 
 def add_adaptive_loop(
     builder: DiagramBuilder,
-    plant: MultibodyPlant,
+    plant: MultibodyPlant | RobotInstance | RobotPorts,
     controller: AdaptiveController,
     motion: Trajectory,
     *,
-    effects: Sequence[tuple[Effect, ArrayLike]] = (),
+    effects: Sequence[EffectWithValues] = (),
     sign_width: ArrayLike = 1e-2,
     log_period: float | None = None,
     sensor: System | None = None,
 ) -> AdaptiveLoop:
-    """Makes a plant follow a motion under an adaptive controller.
+    """Makes a robot follow a motion under an adaptive controller.
 
     Args:
         builder: Where the plant is and the rest goes.
-        plant: A finalized plant of one robot, continuous or discrete, an actuator at every joint.
-        controller: What is to control it; added to the builder.
-        motion: (nq) positions over time, twice differentiable.
-        effects: Effects and their linear parameters μ that act on the plant, see `EffectForce`.
-        sign_width: Speed below which dry friction fades on the plant, rad/s or m/s.
+        plant: A finalized plant of one robot, continuous or discrete; `RobotInstance(plant, name)`
+            where it holds more than the robot; or the ports of a robot that is elsewhere. There is
+            an actuator at every joint, or none at all: efforts are generalized forces then.
+        controller: What is to control it; added to the builder. Its joints may be in another order.
+        motion: (n) positions over time, twice differentiable, in the order of the controller.
+        effects: Effects and their linear parameters μ that act on the robot, see `EffectForce`.
+        sign_width: Speed below which dry friction fades on the robot, rad/s or m/s.
         log_period: Period of the logs, s; None for none.
-        sensor: What the controller sees the plant through, such as noise: a system with one input
+        sensor: What the controller sees the robot through, such as noise: a system with one input
             and one output for positions and velocities; added to the builder. Nothing if None.
 
     Raises:
-        ArgumentError: Plant, controller and motion do not fit together, or a joint has no actuator.
+        ArgumentError: Robot, controller and motion do not fit together, only some joints have an
+            actuator, or the base of the robot leans otherwise than that of the controller's model.
     """
-    _check(plant, controller, motion, log_period)
-    instance(builder, "builder", DiagramBuilder).AddSystem(controller)
-    desired = builder.AddSystem(TrajectorySource(motion, 1))
-    acceleration = builder.AddSystem(TrajectorySource(motion.MakeDerivative(2)))
-    actuation = controller.GetOutputPort("actuation")
-    measured = plant.get_state_output_port()
+    _check(builder, controller, motion, log_period)
+    joints = controller.control.joints
+    robot = plant if isinstance(plant, RobotInstance) else None
+    if robot is None and not isinstance(plant, RobotPorts):
+        robot = RobotInstance(plant)
+    if robot is not None:
+        ports = _robot_ports(builder, robot, controller)
+    else:
+        ports = _given_ports(plant, joints, effects)
+    builder.AddSystem(controller)
+    desired, acceleration = _track(builder, ports, controller, motion)
+    actuation, measured = controller.GetOutputPort("actuation"), ports.state
     if sensor is not None:
         builder.AddSystem(instance(sensor, "sensor", System))
         builder.Connect(measured, sensor.get_input_port())
         measured = sensor.get_output_port()
     builder.Connect(measured, controller.GetInputPort("estimated_state"))
-    builder.Connect(desired.get_output_port(), controller.GetInputPort("desired_state"))
-    builder.Connect(acceleration.get_output_port(), controller.GetInputPort("desired_acceleration"))
-    if controller.HasInputPort("acceleration"):
-        builder.Connect(
-            plant.get_generalized_acceleration_output_port(),
-            controller.GetInputPort("acceleration"),
-        )
-    _actuate(builder, plant, actuation)
     force = None
-    if effects:
-        force = EffectForce.AddToBuilder(builder, plant, effects, sign_width=sign_width)
-        builder.Connect(actuation, force.GetInputPort("applied_effort"))
-    ports = {
-        "state": plant.get_state_output_port(),
-        "desired_state": desired.get_output_port(),
+    if effects and robot is not None:
+        force = EffectForce.AddToBuilder(builder, robot, effects, sign_width=sign_width)
+        _scatter(builder, actuation, robot.to_plant(joints), force.GetInputPort("applied_effort"))
+    named = {
+        "state": ports.state,
+        "desired_state": desired,
         "actuation": actuation,
         "parameters": controller.GetOutputPort("parameters"),
     }
-    loop_logs = {}
-    if log_period is not None:
-        if controller.HasOutputPort("lyapunov"):
-            ports["lyapunov"] = controller.GetOutputPort("lyapunov")
-        loop_logs = {
-            name: LogVectorOutput(port, builder, log_period) for name, port in ports.items()
-        }
+    logs = {} if log_period is None else _logs(builder, controller, named, log_period)
     return AdaptiveLoop(
-        plant,
+        robot,
         controller,
         force,
-        ports["state"],
+        ports.state,
         measured,
-        ports["desired_state"],
-        acceleration.get_output_port(),
+        desired,
+        acceleration,
         actuation,
-        ports["parameters"],
-        loop_logs,
+        named["parameters"],
+        logs,
     )
 
 
-def _actuate(builder: DiagramBuilder, plant: MultibodyPlant, actuation: OutputPort) -> None:
-    """Connects efforts by velocity to actuators in whatever order they are."""
-    to_velocities = plant.MakeActuationMatrix()
-    port: InputPort = plant.get_actuation_input_port()
-    if np.array_equal(to_velocities, np.eye(len(to_velocities))):
-        builder.Connect(actuation, port)
-        return
-    order = builder.AddSystem(MatrixGain(np.linalg.inv(to_velocities)))
-    builder.Connect(actuation, order.get_input_port())
-    builder.Connect(order.get_output_port(), port)
+def _robot_ports(
+    builder: DiagramBuilder, robot: RobotInstance, controller: AdaptiveController
+) -> RobotPorts:
+    """The ports of a robot in a plant, once its base is that of the controller's model."""
+    control = controller.control
+    robot.order(control.joints)
+    if not any(isinstance(effect, RobotEffect) for effect in getattr(control, "effects", ())):
+        tree = getattr(control, "tree", None)  # what stands in for a ControlModel may have none
+        if tree is not None:
+            robot.check_base(tree, control.joints)
+    return robot.ports(builder, control.joints)
+
+
+def _given_ports(
+    ports: RobotPorts, joints: Sequence[str], effects: Sequence[EffectWithValues]
+) -> RobotPorts:
+    if ports.joints != tuple(joints):
+        raise ArgumentError(
+            f"The ports are of {', '.join(ports.joints)}; the controller knows "
+            f"{', '.join(joints)}.",
+            advice="Make the ports with the controller's joints.",
+        )
+    if effects:
+        raise ArgumentError(
+            "Effects act on a plant, and the loop is given ports alone.",
+            advice="Leave effects out, or give a RobotInstance of the plant.",
+        )
+    return ports
+
+
+def _track(
+    builder: DiagramBuilder,
+    ports: RobotPorts,
+    controller: AdaptiveController,
+    motion: Trajectory,
+) -> tuple[OutputPort, OutputPort]:
+    """Connects a controller's efforts and what it is to follow: desired state, acceleration."""
+    desired = builder.AddSystem(TrajectorySource(motion, 1)).get_output_port()
+    acceleration = builder.AddSystem(TrajectorySource(motion.MakeDerivative(2))).get_output_port()
+    builder.Connect(desired, controller.GetInputPort("desired_state"))
+    builder.Connect(acceleration, controller.GetInputPort("desired_acceleration"))
+    builder.Connect(controller.GetOutputPort("actuation"), ports.effort)
+    if controller.HasInputPort("acceleration"):
+        if ports.acceleration is None:
+            raise ArgumentError(
+                "The controller needs accelerations, which the robot's ports do not have.",
+                advice="Give it a bandwidth: the filtered regressor needs none.",
+            )
+        builder.Connect(ports.acceleration, controller.GetInputPort("acceleration"))
+    return desired, acceleration
+
+
+def _logs(
+    builder: DiagramBuilder,
+    controller: AdaptiveController,
+    ports: Mapping[str, OutputPort],
+    period: float,
+) -> dict[str, VectorLogSink]:
+    logged = dict(ports)
+    if controller.HasOutputPort("lyapunov"):
+        logged["lyapunov"] = controller.GetOutputPort("lyapunov")
+    return {name: LogVectorOutput(port, builder, period) for name, port in logged.items()}
+
+
+def _scatter(builder: DiagramBuilder, effort: OutputPort, to_plant: Array, port: InputPort) -> None:
+    """Connects efforts of a robot to a port for those of the whole plant."""
+    if not np.array_equal(to_plant, np.eye(len(to_plant))):
+        gain = builder.AddSystem(MatrixGain(to_plant))
+        builder.Connect(effort, gain.get_input_port())
+        effort = gain.get_output_port()
+    builder.Connect(effort, port)
 
 
 def _check(
-    plant: MultibodyPlant,
+    builder: DiagramBuilder,
     controller: AdaptiveController,
     motion: Trajectory,
     log_period: float | None,
 ) -> None:
+    instance(builder, "builder", DiagramBuilder)
     if log_period is not None:
         positive(log_period, "log_period")  # a negative one would end the process
-    check_plant(plant)
-    instance(controller, "controller", AdaptiveController)
+    joints = instance(controller, "controller", AdaptiveController).control.joints
     instance(motion, "motion", Trajectory)
-    joints = joint_names(plant)
-    if joints != controller.control.joints:
+    if motion.rows() != len(joints) or motion.cols() != 1:
         raise ArgumentError(
-            f"The plant moves {', '.join(joints)}; the controller knows "
-            f"{', '.join(controller.control.joints)}.",
-            advice="Make both from the same file, and weld the plant's base (WeldFrames) before "
-            "Finalize; or take the plant that load_model(file).plant is, its joints held (lock=…) "
-            "that others follow.",
-        )
-    to_velocities = plant.MakeActuationMatrix()
-    if plant.num_actuators() != len(joints) or not to_velocities.any(1).all():
-        without = [joint for joint, row in zip(joints, to_velocities, strict=True) if not row.any()]
-        raise ArgumentError(
-            f"An adaptive loop needs one actuator at every joint; {plant.num_actuators()} are at "
-            f"{len(joints)} joints, none at {', '.join(without) or '-'}.",
-            advice="Use AddJointActuator before Finalize.",
-        )
-    if motion.rows() != plant.num_positions() or motion.cols() != 1:
-        raise ArgumentError(
-            f"The motion has {motion.rows()} positions; the plant {plant.num_positions()}."
+            f"The motion has {motion.rows()} positions; the controller knows {len(joints)} joints."
         )

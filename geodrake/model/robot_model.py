@@ -26,6 +26,7 @@ from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.effects.robot_effect import RobotEffect
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
@@ -35,6 +36,7 @@ from geodrake.model.simulation.robot_in_diagram import (
     FittedRobot,
     RobotInDiagram,
     add_robot,
+    add_robot_to_scene,
 )
 from geodrake.robot.files import Given
 from geodrake.robot.followers import Follower, OwnCoordinates
@@ -50,6 +52,7 @@ from geodrake.robot.plant import (
     velocity_limits,
 )
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
+from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.several_robots import scoped
 
 Array = NDArray[np.float64]
@@ -403,6 +406,56 @@ class RobotModel(Short):
             self.sign_widths(sign_width),
             log,
         )
+        return add_robot(builder, self._as_fitted(), options)
+
+    def add_to_scene(
+        self,
+        builder: DiagramBuilder,
+        robot: RobotInstance,
+        *,
+        sign_width: ArrayLike = 1e-2,
+        log: str | None = None,
+    ) -> RobotInDiagram:
+        """Makes a robot in a larger plant move as this model: inertias, effects and delays.
+
+            robot = model.add_to_scene(builder, RobotInstance(plant, "arm"))
+            builder.Connect(controller.get_output_port(), robot.effort)
+            …
+            robot.set_inertias(root_context)
+
+        As with `add_to_builder`, but the plant is there, with a table, objects and other robots,
+        and bodies that touch. Its inertias are parameters of a Context, so `set_inertias` belongs
+        before a simulation. Efforts are generalized forces: actuators of the robot stay free.
+
+        Args:
+            builder: The diagram's builder, which has the plant.
+            robot: The robot in the plant, its joints and bodies named as in the model's file.
+            sign_width: As for `add_to_builder`.
+            log: As for `add_to_builder`.
+
+        Raises:
+            ArgumentError: The robot is another one, its base leans otherwise than the model's, or
+                the plant has damping or rotor inertia at its joints, which are effects.
+            ModelError: Joints of the model follow others.
+        """
+        instance(builder, "builder", DiagramBuilder)
+        place = instance(robot, "robot", RobotInstance)
+        place.check_base(self.tree, self.joints, turned=self._sees_world)
+        name = "plant" if place.name is None else place.name
+        options = DiagramOptions(0.0, None, name, self.sign_widths(sign_width), log)
+        return add_robot_to_scene(builder, self._as_fitted(), place, options)
+
+    @property
+    def _sees_world(self) -> bool:
+        """Whether an effect depends on how the base is turned about the vertical."""
+        return any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
+
+    def _as_fitted(self) -> FittedRobot:
+        """What a diagram needs to know.
+
+        Raises:
+            ModelError: Joints follow others.
+        """
         if self.followers:
             names = ", ".join(follower.joint.rpartition("::")[2] for follower in self.followers)
             raise ModelError(
@@ -410,10 +463,15 @@ class RobotModel(Short):
                 "constraint for them.",
                 advice="Hold their leaders: geodrake.model.holding(model, {joint: position}).",
             )
-        robot = FittedRobot(
-            self.path, self.floating, self.total_phi, self.effects, self.held, self.given
+        return FittedRobot(
+            self.path,
+            self.floating,
+            self.total_phi,
+            self.effects,
+            self.held,
+            self.given,
+            self.joints,
         )
-        return add_robot(builder, robot, options)
 
     def with_fit(
         self,

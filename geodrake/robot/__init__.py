@@ -5,6 +5,7 @@ from geodrake.robot.floating_base import base_wrench_regressor, body_poses, zero
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.plant import joint_names, load_plant, position_limits, velocity_limits
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+from geodrake.robot.robot_instance import RobotInstance, RobotPorts, take_out_stated
 from geodrake.robot.transmission import (
     InSequence,
     LinearTransmission,
@@ -19,6 +20,8 @@ __all__ = [
     "InSequence",
     "KinematicTree",
     "LinearTransmission",
+    "RobotInstance",
+    "RobotPorts",
     "SideBySide",
     "Transmission",
     "base_parameters",
@@ -32,6 +35,7 @@ __all__ = [
     "position_limits",
     "pushforward_metric",
     "rolling_joint",
+    "take_out_stated",
     "velocity_limits",
     "zero_moment_point",
 ]

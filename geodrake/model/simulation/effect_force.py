@@ -21,6 +21,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw
+from geodrake.robot.robot_instance import RobotInstance, add_generalized_force
 
 
 class EffectForce(LeafSystem):
@@ -58,6 +59,9 @@ class EffectForce(LeafSystem):
     Effects that depend on the time since a log began (`FrictionDrift`, `Contact`) take the time of
     the Context for it. Contacts that were found in a log act only where that log is simulated.
 
+    In a plant that holds more than the robot (`RobotInstance`), state, efforts and forces are still
+    those of the whole plant, with zeros where the robot has no part in them.
+
     The plant's parameters are those of its default context, but for `phi`.
 
     Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
@@ -70,7 +74,7 @@ class EffectForce(LeafSystem):
 
     def __init__(
         self,
-        plant: MultibodyPlant,
+        plant: MultibodyPlant | RobotInstance,
         effects: Iterable[EffectWithValues],
         *,
         sign_width: ArrayLike = 1e-2,
@@ -80,12 +84,13 @@ class EffectForce(LeafSystem):
         """Constructs the system.
 
         Args:
-            plant: A finalized plant, with the joints and bodies that the effects name.
+            plant: A finalized plant, with the joints and bodies that the effects name; or one robot
+                in it, whose joints and bodies they name: then nothing else feels them.
             effects: Effects with their linear parameters μ, in SI units: such as those of a model,
                 or pairs of an effect and μ.
             sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
                 has those of a fitted model); one for all velocities
-                or (nv,).
+                or (nv,), of a robot in a plant (n,).
             phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
                 than the default ones; such as `model.total_phi`, which has the payloads: these are
                 then no effects.
@@ -101,6 +106,8 @@ class EffectForce(LeafSystem):
             plant, sign_width, 0 if log is None else log_number(instance(log, "log", str))
         )
         self._effects = self._law.sort(effects, phi)
+        if isinstance(plant, RobotInstance):
+            plant = plant.plant
         nq, nv = plant.num_positions(), plant.num_velocities()
         self._nq = nq
         self._state_port = self.DeclareVectorInputPort("state", BasicVector(nq + nv))
@@ -120,7 +127,7 @@ class EffectForce(LeafSystem):
     @staticmethod
     def AddToBuilder(
         builder: DiagramBuilder,
-        plant: MultibodyPlant,
+        plant: MultibodyPlant | RobotInstance,
         effects: Iterable[EffectWithValues],
         *,
         sign_width: ArrayLike = 1e-2,
@@ -131,12 +138,12 @@ class EffectForce(LeafSystem):
 
         `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
 
-        `applied_effort` is left to be connected. If other generalized forces act on the plant, sum
-        them in an Adder and use the constructor instead.
+        `applied_effort` is left to be connected. Generalized forces that act on the plant already
+        stay.
 
         Args:
             builder: The diagram's builder.
-            plant: A finalized plant that was added to it.
+            plant: A finalized plant that was added to it, or one robot in it.
             effects: Effects with their parameters, as for the constructor.
             sign_width: Speed below which dry friction fades, rad/s or m/s; one for all velocities
                 or (nv,).
@@ -150,11 +157,9 @@ class EffectForce(LeafSystem):
         system = builder.AddSystem(
             EffectForce(plant, effects, sign_width=sign_width, phi=phi, log=log)
         )
-        builder.Connect(plant.get_state_output_port(), system.GetInputPort("state"))
-        builder.Connect(
-            system.GetOutputPort("generalized_force"),
-            plant.get_applied_generalized_force_input_port(),
-        )
+        whole = plant.plant if isinstance(plant, RobotInstance) else plant
+        builder.Connect(whole.get_state_output_port(), system.GetInputPort("state"))
+        add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))
         return system
 
     @property

@@ -21,11 +21,12 @@ from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
-from geodrake.inertia.bodies import Member, check_plant, lumped_bodies
+from geodrake.inertia.bodies import Member, lumped_bodies
 from geodrake.model.admissible_effect import check_effect
 from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.plant import joint_names, set_inertial_parameters
+from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics_regressor
+from geodrake.robot.robot_instance import RobotInstance
 
 _LOAD_ITERATIONS = 200
 _LOAD_TOLERANCE = 1e-10
@@ -99,14 +100,19 @@ class SortedEffects:
 class ForceLaw:
     """What effects need of a plant: its motion in their terms, and its acceleration."""
 
-    def __init__(self, plant: MultibodyPlant, sign_width: ArrayLike, log: int = 0) -> None:
-        check_plant(plant)
-        self._plant = plant
+    def __init__(
+        self, plant: MultibodyPlant | RobotInstance, sign_width: ArrayLike, log: int = 0
+    ) -> None:
+        robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
+        self._robot, self._plant = robot, (plant := robot.plant)
         self._log = log  # as in RobotMotion
         self._context = plant.CreateDefaultContext()  # scratch, overwritten by every evaluation
         self._phi = inertial_parameters(plant)
-        self._joints = joint_names(plant)
-        self._sign_width = one_or_each(sign_width, "sign_width", len(self._joints))
+        self._joints = robot.velocity_names
+        width = one_or_each(sign_width, "sign_width", len(robot.joints))
+        self._sign_width = np.ones(len(self._joints))  # that of other robots does not matter
+        self._sign_width[robot.velocities] = width
+        self._others = np.delete(np.arange(len(self._joints)), robot.velocities)
         self._direction = smoothed_sign(self._sign_width)
         self._positions = np.full(len(self._joints), -1)
         for index in plant.GetJointIndices():
@@ -116,14 +122,15 @@ class ForceLaw:
         several = np.flatnonzero(self._positions < 0)
         self._several = several if len(several) else None
         self._bodies: dict[str, tuple[int, Member]] = {
-            member.name: (i, member)
+            robot.body_names[member.name]: (i, member)
             for i, body in enumerate(lumped_bodies(plant))
             for member in body.members
         }
 
     @cached_property
     def _tree(self) -> KinematicTree:
-        return KinematicTree.from_plant(self._plant)
+        tree = KinematicTree.from_plant(self._plant)
+        return replace(tree, bodies=tuple(self._robot.body_names[name] for name in tree.bodies))
 
     def sort(
         self, effects: Iterable[EffectWithValues], phi: ArrayLike | None = None
@@ -210,7 +217,7 @@ class ForceLaw:
         instants = np.full(len(vd), time) if effects.timed else None
         arrays = np.tile(q, batch), np.tile(v, batch), vd, np.zeros_like(vd)
         motion = self._motion(*arrays, time=instants)
-        at_unit = effects.accelerated.effort(motion)
+        at_unit = self._own(effects.accelerated.effort(motion))
         M, drift, rigid_drift = self._dynamics(q, v)
         if not effects.loaded.columns.effects:
             f, M_e = direct + at_unit[0], (at_unit[1:] - at_unit[0]).T
@@ -219,7 +226,7 @@ class ForceLaw:
         load = u - direct
         for _ in range(_LOAD_ITERATIONS):
             motion = replace(motion, load=np.tile(load, batch))
-            needed = at_unit + effects.loaded.effort(motion)
+            needed = at_unit + self._own(effects.loaded.effort(motion))
             f, M_e = direct + needed[0], (needed[1:] - needed[0]).T
             acceleration = np.linalg.solve(M + M_e, u - drift - f)
             before, load = load, M @ acceleration + rigid_drift
@@ -248,7 +255,12 @@ class ForceLaw:
             return self._motion(*arrays, time=instant, states=hidden)
 
         joints = JointMotion(self._of_joints(q), v, rest, rest, self._direction(v))
-        return effects.direct.columns.at(joints, seen) @ effects.direct.mu
+        return self._own(effects.direct.columns.at(joints, seen) @ effects.direct.mu)
+
+    def _own(self, effort: Array) -> Array:
+        """Efforts (..., nv) without those that would act on other robots and on objects."""
+        effort[..., self._others] = 0.0
+        return effort
 
     def state_rates(
         self, effects: SortedEffects, q: Array, v: Array, states: Array, *, time: float = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +11,18 @@ from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort, System
-from pydrake.systems.primitives import Adder, PassThrough
+from pydrake.systems.primitives import MatrixGain, PassThrough
 
 from geodrake.boundary.arguments import real_array
 from geodrake.effects import Effect, FittedEffect, Role
 from geodrake.effects.delays import delays_of
+from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.delayed_effort import DelayedEffort
 from geodrake.model.simulation.effect_force import EffectForce
 from geodrake.robot.files import Given
-from geodrake.robot.plant import joint_names, load_plant
+from geodrake.robot.plant import load_plant
+from geodrake.robot.robot_instance import RobotInstance, RobotPorts, add_generalized_force
 from geodrake.robot.visuals import add_visuals
 
 _PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no shorter
@@ -40,6 +42,7 @@ class FittedRobot:
         effects: Effects with their parameters.
         held: Joint that is held -> where, rad or m.
         given: How the model file was read.
+        joints: Names of the velocities.
     """
 
     path: Path
@@ -48,6 +51,7 @@ class FittedRobot:
     effects: tuple[FittedEffect, ...]
     held: Mapping[str, float]
     given: Given
+    joints: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +59,12 @@ class RobotInDiagram:
     """A model that was added to a builder: its systems and its ports.
 
     Attributes:
-        plant: The plant, whose default inertias are the model's, payloads included.
+        robot: The robot in its plant. The default inertias are the model's, payloads included; in a
+            plant that holds more, `set_inertias` makes them so.
         scene_graph: The SceneGraph that the plant is a source of, if any.
         effect_force: What acts on the plant beside rigid bodies, if anything.
+        joints: Names of the model's nv velocities.
+        total_phi: (nb, 10) the model's inertial parameters, payloads included.
         effort: Input (nv) for the efforts at the joints, N·m or N, zero if it is not connected;
             in units of the logs that the model was fitted to, wrong gains included.
         state: Output (nq + nv): positions and velocities.
@@ -68,24 +75,50 @@ class RobotInDiagram:
         notes: What cannot be shown.
     """
 
-    plant: MultibodyPlant
+    robot: RobotInstance
     scene_graph: SceneGraph | None
     effect_force: EffectForce | None
+    joints: tuple[str, ...]
+    total_phi: Array
     effort: InputPort
     state: OutputPort
     logged_effort: OutputPort
     left_out: tuple[Effect, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def plant(self) -> MultibodyPlant:
+        """The plant that the robot is in."""
+        return self.robot.plant
+
+    def ports(self) -> RobotPorts:
+        """Where `add_adaptive_loop` meets the robot."""
+        return RobotPorts(self.joints, self.state, None, self.effort)
+
+    def set_inertias(self, root: Context) -> None:
+        """Gives the robot the model's inertial parameters, payloads included.
+
+        Args:
+            root: Context of the whole diagram.
+        """
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        self.robot.set_inertial_parameters(context, self.total_phi)
+
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Sets where the robot starts.
 
         Args:
             root: Context of the whole diagram.
-            q: (nq,) positions in Drake's order.
+            q: (nq,) positions in Drake's order, of the robot alone.
             v: (nv,) velocities; None for rest.
         """
         plant = self.plant
+        if self.robot.name is not None:
+            q = real_array(q, "q", (len(self.joints),))
+            v = np.zeros(len(q)) if v is None else real_array(v, "v", (len(q),))
+            context = plant.GetMyMutableContextFromRoot(root)
+            self.robot.set_state(context, self.joints, np.concatenate([q, v]))
+            return
         q = real_array(q, "q", (plant.num_positions(),))
         v = np.zeros(plant.num_velocities()) if v is None else v
         context = plant.GetMyMutableContextFromRoot(root)
@@ -134,32 +167,69 @@ def add_robot(
         notes = add_visuals(plant, scene_graph, robot.path, robot.given)
         _show(builder, plant, scene_graph)
 
-    nv = plant.num_velocities()
-    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(nv)))
-    delays = delays_of([fitted.effect for fitted in robot.effects], joint_names(plant))
+    added = _acting(builder, RobotInstance(plant), robot, options)
+    return replace(added, scene_graph=scene_graph, notes=notes)
+
+
+def add_robot_to_scene(
+    builder: DiagramBuilder, robot: FittedRobot, place: RobotInstance, options: DiagramOptions
+) -> RobotInDiagram:
+    """Makes a robot in a larger plant move as a model; see `RobotModel.add_to_scene`.
+
+    Args:
+        builder: The diagram's builder, which has the plant.
+        robot: The model.
+        place: The robot in the plant.
+        options: How.
+    """
+    stated = place.stated_terms
+    if stated:
+        raise ArgumentError(
+            f"{', '.join(stated)} of {place.name!r} would count twice, in the plant and as effects "
+            "of the model.",
+            advice="Call geodrake.robot.take_out_stated(plant, name) before plant.Finalize().",
+        )
+    return _acting(builder, place, robot, options)
+
+
+def _acting(
+    builder: DiagramBuilder,
+    place: RobotInstance,
+    robot: FittedRobot,
+    options: DiagramOptions,
+) -> RobotInDiagram:
+    """Connects effects and delays of a model with its plant."""
+    name, plant, joints = options.name, place.plant, robot.joints
+    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
+    delays = delays_of([fitted.effect for fitted in robot.effects], joints)
     logged = _late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
     acting = _late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
+    state = plant.get_state_output_port()
+    if place.name is not None:
+        state = place.state_port(builder, joints)
+        gain = builder.AddNamedSystem(f"{name}_in_plant", MatrixGain(place.to_plant(joints)))
+        builder.Connect(acting, gain.get_input_port())
+        acting = gain.get_output_port()
+    add_generalized_force(builder, plant, acting)
     forces = [fitted for fitted in robot.effects if fitted.effect.role in FORCES]
-    force, total = None, acting
+    force = None
     if forces:
-        force = EffectForce(plant, forces, sign_width=options.sign_width, log=options.log)
+        phi = None if place.name is None else place.plant_parameters(robot.total_phi)
+        force = EffectForce(place, forces, sign_width=options.sign_width, phi=phi, log=options.log)
         builder.AddNamedSystem(f"{name}_effects", force)
         builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
         builder.Connect(acting, force.GetInputPort("applied_effort"))
-        both = builder.AddNamedSystem(f"{name}_total_effort", Adder(2, nv))
-        builder.Connect(acting, both.get_input_port(0))
-        builder.Connect(force.get_output_port(), both.get_input_port(1))
-        total = both.get_output_port()
-    builder.Connect(total, plant.get_applied_generalized_force_input_port())
+        add_generalized_force(builder, plant, force.get_output_port())
     return RobotInDiagram(
-        plant,
-        scene_graph,
+        place,
+        None,
         force,
+        joints,
+        robot.total_phi,
         effort.get_input_port(),
-        plant.get_state_output_port(),
+        state,
         logged,
         tuple(f.effect for f in robot.effects if f.effect.role is Role.DEFLECTION),
-        notes,
     )
 
 

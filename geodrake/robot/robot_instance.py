@@ -1,0 +1,474 @@
+"""A robot as one model instance of a plant that holds more: its joints, its ports, its base."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    ForceElementIndex,
+    Joint,
+    JointActuator,
+    ModelInstanceIndex,
+    RigidBody,
+    SpatialInertia,
+)
+from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort
+from pydrake.systems.primitives import Adder, MatrixGain
+
+from geodrake.boundary.arguments import instance, real_array
+from geodrake.errors import ArgumentError
+from geodrake.inertia import (
+    PARAMETERS_PER_BODY,
+    Array,
+    inertial_parameters,
+    to_spatial_inertia,
+)
+from geodrake.inertia.bodies import Member, body_names, check_plant, lumped_bodies
+from geodrake.robot.floating_base import body_poses
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.plant import joint_names
+
+_SAME_GRAVITY = 1e-6  # m/s², between two files of one robot
+_SAME_ROTATION = 1e-6
+_WELD_ALIKE = (
+    "Weld both bases alike: as the model, give a Drake directives file that welds the robot as the "
+    "plant has it."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPorts:
+    """Where a controller meets a robot.
+
+    Attributes:
+        joints: Names of the n joints, whose order all ports have.
+        state: Output (2 n): positions, then velocities.
+        acceleration: Output (n): accelerations; None where there are none.
+        effort: Input (n) for efforts, N·m or N.
+    """
+
+    joints: tuple[str, ...]
+    state: OutputPort
+    acceleration: OutputPort | None
+    effort: InputPort
+
+
+@dataclass(frozen=True, eq=False)
+class RobotInstance:
+    """A robot in a plant: one model instance of it, or all that moves in it.
+
+        RobotInstance(plant, "arm")
+
+    Beside it, the plant may hold tables, objects that float and other robots.
+
+    Attributes:
+        plant: The finalized plant.
+        name: Name of the model instance; None for all joints of the plant.
+
+    Raises:
+        ArgumentError: The plant has no model instance of this name, or none of its joints moves.
+        ModelError: The plant is not finalized.
+    """
+
+    plant: MultibodyPlant
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        check_plant(self.plant)
+        if self.name is None:
+            return
+        if not self.plant.HasModelInstanceNamed(instance(self.name, "name", str)):
+            indices = map(ModelInstanceIndex, range(2, self.plant.num_model_instances()))
+            names = ", ".join(map(self.plant.GetModelInstanceName, indices))
+            raise ArgumentError(
+                f"The plant has no model instance {self.name!r}.", advice=f"It has {names}."
+            )
+        if not self._moving:
+            raise ArgumentError(
+                f"No joint of the model instance {self.name!r} moves.",
+                advice="Name the instance of the robot.",
+            )
+
+    @property
+    def index(self) -> ModelInstanceIndex | None:
+        """Index of the model instance, if it is one."""
+        return None if self.name is None else self.plant.GetModelInstanceByName(self.name)
+
+    @cached_property
+    def velocities(self) -> NDArray[np.intp]:
+        """(n,) places of the robot's velocities in v of the plant, in Drake's order."""
+        spans = [(int(j.velocity_start()), j.num_velocities()) for j in self._moving]
+        return np.array([start + k for start, count in spans for k in range(count)], int)
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the robot's velocities, without its own name before them."""
+        return tuple(self.velocity_names[k] for k in self.velocities)
+
+    @cached_property
+    def velocity_names(self) -> tuple[str, ...]:
+        """Names of all velocities of the plant, those of the robot without its name before them."""
+        names = joint_names(self.plant)
+        if self.name is None:
+            return names
+        short = self.plant.GetVelocityNames(
+            add_model_instance_prefix=False, always_add_suffix=False
+        )
+        own = set(self.velocities.tolist())
+        return tuple(short[k] if k in own else name for k, name in enumerate(names))
+
+    @cached_property
+    def body_names(self) -> Mapping[str, str]:
+        """Name of a body among all of the plant -> what the robot calls it."""
+        names = body_names(self.plant)
+        found = {name: name for name in names}
+        for index in () if self.index is None else self.plant.GetBodyIndices(self.index):
+            found[names[int(index)]] = self.plant.get_body(index).name()
+        return found
+
+    def positions(self, joints: Sequence[str] | None = None) -> NDArray[np.intp]:
+        """(n,) places of the positions of joints in q of the plant.
+
+        Args:
+            joints: Names of the robot's joints in some order; all in Drake's order if None.
+
+        Raises:
+            ArgumentError: A joint has not one degree of freedom, as a base that floats has not.
+        """
+        places = {}
+        for joint in self._moving:
+            if joint.num_velocities() != 1 or joint.num_positions() != 1:
+                raise ArgumentError(
+                    f"The joint {joint.name()} of {self._words} has {joint.num_velocities()} "
+                    "degrees of freedom; controllers and logs need one.",
+                    advice="Weld the robot's base (WeldFrames, add_weld) before Finalize.",
+                )
+            places[self.velocity_names[joint.velocity_start()]] = int(joint.position_start())
+        return np.array([places[joint] for joint in joints or self.joints], int)
+
+    def order(self, joints: Sequence[str]) -> NDArray[np.intp]:
+        """(n,) where each of some joints is among the robot's own.
+
+        Raises:
+            ArgumentError: They are not the robot's joints.
+        """
+        if sorted(joints) != sorted(self.joints):
+            more = "" if self.name else ", or name the robot's: RobotInstance(plant, name)"
+            raise ArgumentError(
+                f"T{self._words[1:]} moves {', '.join(self.joints)}; the controller knows "
+                f"{', '.join(joints)}.",
+                advice="Make both from the same file, and weld the plant's base (WeldFrames) "
+                "before Finalize; or take the plant that load_model(file).plant is, its joints "
+                f"held (lock=…) that others follow{more}.",
+            )
+        return np.array([self.joints.index(joint) for joint in joints], int)
+
+    def ports(self, builder: DiagramBuilder, joints: Sequence[str]) -> RobotPorts:
+        """Where a controller of the robot connects, with its joints in an order of one's own.
+
+        Efforts go to the actuators of the robot; to generalized forces of its joints if it has no
+        actuators.
+
+        Args:
+            builder: The builder that the plant is in.
+            joints: Names of all the robot's joints.
+
+        Raises:
+            ArgumentError: They are not the robot's joints, a joint has several degrees of freedom,
+                or only some have an actuator.
+        """
+        order = self.order(joints)
+        plant, which = self.plant, () if self.index is None else (self.index,)
+        if self._actuators:
+            effort = builder.AddSystem(MatrixGain(self._to_actuators(joints)))
+            builder.Connect(effort.get_output_port(), plant.get_actuation_input_port(*which))
+        else:
+            effort = builder.AddSystem(MatrixGain(self.to_plant(joints)))
+            add_generalized_force(builder, plant, effort.get_output_port())
+        at_v = _places(self.velocities[order], self._in_ports[1])
+        acceleration = plant.get_generalized_acceleration_output_port(*which)
+        return RobotPorts(
+            tuple(joints),
+            self.state_port(builder, joints),
+            _selected(builder, acceleration, at_v),
+            effort.get_input_port(),
+        )
+
+    def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
+        """Output (2 n) with positions and then velocities of joints.
+
+        Args:
+            builder: The builder that the plant is in.
+            joints: Names of all the robot's joints, in the order of the output.
+
+        Raises:
+            ArgumentError: They are not the robot's joints, or one has several degrees of freedom.
+        """
+        order, (q, v) = self.order(joints), self._in_ports
+        at_q = _places(self.positions(joints), q)
+        at_v = _places(self.velocities[order], v)
+        which = () if self.index is None else (self.index,)
+        port = self.plant.get_state_output_port(*which)
+        return _selected(builder, port, np.concatenate([at_q, len(q) + at_v]))
+
+    def to_plant(self, joints: Sequence[str]) -> Array:
+        """(nv, n) matrix that puts efforts at joints to the plant's velocities.
+
+        Args:
+            joints: Names of all the robot's joints, in the order of the efforts.
+
+        Raises:
+            ArgumentError: They are not the robot's joints.
+        """
+        matrix = np.zeros((self.plant.num_velocities(), len(joints)))
+        matrix[self.velocities[self.order(joints)], np.arange(len(joints))] = 1.0
+        return matrix
+
+    def set_state(self, context: Context, joints: Sequence[str], state: ArrayLike) -> None:
+        """Puts the robot somewhere in a Context of its plant; all else stays.
+
+        Args:
+            context: The plant's Context, changed.
+            joints: Names of all the robot's joints.
+            state: (2 n,) their positions and then velocities.
+
+        Raises:
+            ArgumentError: They are not the robot's joints, or the state is not theirs.
+        """
+        state = real_array(state, "state", (2 * len(joints),))
+        q, v = self.plant.GetPositions(context), self.plant.GetVelocities(context)
+        q[self.positions(joints)] = state[: len(joints)]
+        v[self.velocities[self.order(joints)]] = state[len(joints) :]
+        self.plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))
+
+    def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
+        """Gives the robot's bodies inertial parameters in a Context of its plant.
+
+        What other model instances weld to a body, as a gripper, stays beside them.
+
+        Args:
+            context: The plant's Context, changed.
+            phi: (nb, 10) parameters of the robot's bodies, in the order of `lumped_bodies` of a
+                plant of its own.
+
+        Raises:
+            ArgumentError: The shape does not fit, or a value is not finite.
+        """
+        lumps = [[m for m in lump.members if self._is_own(m)] for lump in lumped_bodies(self.plant)]
+        lumps = [members for members in lumps if members]
+        phi = real_array(phi, "phi", (len(lumps), PARAMETERS_PER_BODY))
+        for members, parameters in zip(lumps, phi, strict=True):
+            for member in members[1:]:
+                body = self.plant.get_body(member.index)
+                body.SetSpatialInertiaInBodyFrame(context, SpatialInertia.Zero())
+            body = self.plant.get_body(members[0].index)
+            body.SetSpatialInertiaInBodyFrame(context, to_spatial_inertia(parameters))
+
+    def plant_parameters(self, phi: ArrayLike) -> Array:
+        """(nb, 10) inertial parameters of the whole plant, with those of the robot in their places.
+
+        Args:
+            phi: As for `set_inertial_parameters`.
+
+        Raises:
+            ArgumentError: The shape does not fit, or a value is not finite.
+        """
+        context = self.plant.CreateDefaultContext()
+        self.set_inertial_parameters(context, phi)
+        return inertial_parameters(self.plant, context)
+
+    @property
+    def stated_terms(self) -> tuple[str, ...]:
+        """Damping, rotor inertia and springs that the plant itself has at the robot's joints."""
+        rotors = [actuator.default_reflected_inertia() for actuator in self._actuators]
+        damping = [np.any(joint.default_damping_vector()) for joint in self._moving]
+        elements = map(ForceElementIndex, range(1, self.plant.num_force_elements()))
+        own = [self.plant.get_force_element(i).model_instance() == self.index for i in elements]
+        found = {"Damping": damping, "rotor inertia": rotors, "springs": own}
+        return tuple(name for name, values in found.items() if any(values))
+
+    def check_base(
+        self, tree: KinematicTree, joints: Sequence[str], *, turned: bool = False
+    ) -> None:
+        """Checks that gravity acts on the robot's base as it does in a model of the robot.
+
+        A base may stand anywhere and be turned about the vertical, as efforts are then the same.
+
+        Args:
+            tree: Kinematics of the model.
+            joints: Names of its velocities.
+            turned: Whether a turn about the vertical matters too, as to what acts in world axes.
+
+        Raises:
+            ArgumentError: The joints are others, or the base moves, or leans otherwise than that of
+                the model.
+        """
+        plant = self.plant
+        self.order(joints)
+        context = plant.CreateDefaultContext()
+        q = plant.GetPositions(context)
+        q[self.positions()] = 0.0
+        plant.SetPositions(context, q)
+        poses = body_poses(tree, np.zeros((1, tree.num_positions)))[0]
+        standing = {int(body.index()) for body in plant.GetBodiesWeldedTo(plant.world_body())}
+        for mobilizer in tree.mobilizers:
+            name = joints[mobilizer.velocities.start]
+            if mobilizer.parent >= 0:
+                continue
+            joint = next(j for j in self._moving if self._name(j) == name)
+            ends = (joint.parent_body(), joint.child_body())
+            outer = [body for body in ends if int(body.index()) not in standing]
+            if len(outer) > 1:
+                raise ArgumentError(
+                    f"The base of {self._words} moves: its joint {name} connects "
+                    f"{ends[0].name()} and {ends[1].name()}, and stands still in the model.",
+                    advice="Weld the base, or give a model of all that moves.",
+                )
+            R_WB, there_R_WB = _rotation(context, outer[0]), poses[mobilizer.body, :3, :3]
+            here = R_WB.T @ _gravity(plant, outer[0])
+            there = there_R_WB.T @ tree.gravity * mobilizer.gravity
+            if turned and np.abs(R_WB - there_R_WB).max() > _SAME_ROTATION:
+                raise ArgumentError(
+                    f"The base of {self._words} is turned otherwise than the model's, of which an "
+                    "effect acts in axes of the world.",
+                    advice=_WELD_ALIKE,
+                )
+            if not np.allclose(here, there, rtol=0.0, atol=_SAME_GRAVITY):
+                raise ArgumentError(
+                    f"The base of {self._words} leans otherwise than the model's: at zero, gravity "
+                    f"on {outer[0].name()} is {np.round(here, 3).tolist()} m/s² in the plant and "
+                    f"{np.round(there, 3).tolist()} m/s² in the model.",
+                    advice=_WELD_ALIKE,
+                )
+
+    def _is_own(self, member: Member) -> bool:
+        body = self.plant.get_body(member.index)
+        return self.index is None or body.model_instance() == self.index
+
+    @cached_property
+    def _in_ports(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Places in q and v of the plant of what the robot's state port has, in its order."""
+        plant = self.plant
+        q, v = np.arange(plant.num_positions()), np.arange(plant.num_velocities())
+        if self.index is not None:
+            q = plant.GetPositionsFromArray(self.index, q.astype(float)).astype(int)
+            v = plant.GetVelocitiesFromArray(self.index, v.astype(float)).astype(int)
+        return q, v
+
+    def _name(self, joint: Joint) -> str:
+        return self.velocity_names[joint.velocity_start()]
+
+    @property
+    def _words(self) -> str:
+        return "the plant" if self.name is None else f"the model instance {self.name!r}"
+
+    @cached_property
+    def _moving(self) -> list[Joint]:
+        """Joints that move, in the order of their velocities."""
+        plant, index = self.plant, self.index
+        indices = plant.GetJointIndices() if index is None else plant.GetJointIndices(index)
+        joints = [plant.get_joint(i) for i in indices]
+        moving = [joint for joint in joints if joint.num_velocities()]
+        return sorted(moving, key=lambda joint: int(joint.velocity_start()))
+
+    @cached_property
+    def _actuators(self) -> list[JointActuator]:
+        plant, index = self.plant, self.index
+        indices = (
+            plant.GetJointActuatorIndices()
+            if index is None
+            else plant.GetJointActuatorIndices(index)
+        )
+        return [plant.get_joint_actuator(i) for i in indices]
+
+    def _to_actuators(self, joints: Sequence[str]) -> Array:
+        """(n, n) matrix that puts efforts at joints to the robot's actuators."""
+        at = [joints.index(self._name(actuator.joint())) for actuator in self._actuators]
+        without = [joint for k, joint in enumerate(joints) if k not in at]
+        if without or len(at) != len(joints):
+            raise ArgumentError(
+                f"An adaptive loop needs one actuator at every joint, or none at all; {len(at)} "
+                f"are at {len(joints)} joints, none at {', '.join(without) or '-'}.",
+                advice="Use AddJointActuator before Finalize.",
+            )
+        return np.eye(len(joints))[at]
+
+
+def take_out_stated(plant: MultibodyPlant, name: str) -> None:
+    """Takes damping and rotor inertia out of a robot, where they are to be effects of a model.
+
+    Args:
+        plant: A plant that is not finalized.
+        name: Name of the robot's model instance.
+    """
+    index = plant.GetModelInstanceByName(name)
+    for joint_index in plant.GetJointIndices(index):
+        joint = plant.get_mutable_joint(joint_index)
+        joint.set_default_damping_vector(np.zeros(joint.num_velocities()))
+    for actuator_index in plant.GetJointActuatorIndices():
+        actuator = plant.get_mutable_joint_actuator(actuator_index)
+        if actuator.model_instance() == index:
+            actuator.set_default_rotor_inertia(0.0)
+
+
+def add_generalized_force(
+    builder: DiagramBuilder, plant: MultibodyPlant, force: OutputPort
+) -> None:
+    """Connects a generalized force to a plant, beside those that already act on it.
+
+    Args:
+        builder: The builder that the plant is in.
+        plant: A finalized plant.
+        force: Output (nv), N·m or N.
+
+    Raises:
+        ArgumentError: The plant's port for generalized forces is an input of the diagram.
+    """
+    port = plant.get_applied_generalized_force_input_port()
+    if builder.IsConnectedOrExported(port):
+        place = (plant, port.get_index())
+        if place not in builder.connection_map():
+            raise ArgumentError(
+                "The generalized forces of the plant are an input of the diagram.",
+                advice="Add what belongs to robots before ExportInput, and sum forces in an Adder.",
+            )
+        system, index = builder.connection_map()[place]
+        other = system.get_output_port(index)
+        builder.Disconnect(other, port)
+        total = builder.AddSystem(Adder(2, plant.num_velocities()))
+        builder.Connect(other, total.get_input_port(0))
+        builder.Connect(force, total.get_input_port(1))
+        force = total.get_output_port()
+    builder.Connect(force, port)
+
+
+def _selected(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
+    """The values of a port at some places."""
+    if np.array_equal(places, np.arange(port.size())):
+        return port
+    gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
+    builder.Connect(port, gain.get_input_port())
+    return gain.get_output_port()
+
+
+def _places(wanted: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Where each of some numbers is among others."""
+    at = {int(number): place for place, number in enumerate(there)}
+    return np.array([at[int(number)] for number in wanted], int)
+
+
+def _rotation(context: Context, body: RigidBody) -> Array:
+    """(3, 3) R_WB."""
+    return np.asarray(body.EvalPoseInWorld(context).rotation().matrix())
+
+
+def _gravity(plant: MultibodyPlant, body: RigidBody) -> Array:
+    """(3,) gravity on a body in the world frame, m/s²."""
+    if not plant.is_gravity_enabled(body.model_instance()):
+        return np.zeros(3)
+    return np.asarray(plant.gravity_field().gravity_vector())
