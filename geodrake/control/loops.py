@@ -146,11 +146,7 @@ def add_adaptive_loop(
     builder.Connect(measured, controller.GetInputPort("estimated_state"))
     builder.Connect(desired.get_output_port(), controller.GetInputPort("desired_state"))
     builder.Connect(acceleration.get_output_port(), controller.GetInputPort("desired_acceleration"))
-    if controller.HasInputPort("acceleration"):
-        builder.Connect(
-            plant.get_generalized_acceleration_output_port(),
-            controller.GetInputPort("acceleration"),
-        )
+    _measure(builder, plant, controller)
     _actuate(builder, plant, actuation)
     force = None
     if effects:
@@ -181,6 +177,19 @@ def add_adaptive_loop(
         ports["parameters"],
         loop_logs,
     )
+
+
+def _measure(
+    builder: DiagramBuilder, plant: MultibodyPlant, controller: AdaptiveController
+) -> None:
+    """Connects what only some controllers measure: accelerations and efforts, exactly."""
+    ports = {
+        "acceleration": plant.get_generalized_acceleration_output_port(),
+        "effort": controller.GetOutputPort("actuation"),
+    }
+    for name, port in ports.items():
+        if controller.HasInputPort(name):
+            builder.Connect(port, controller.GetInputPort(name))
 
 
 def _actuate(builder: DiagramBuilder, plant: MultibodyPlant, actuation: OutputPort) -> None:
