@@ -36,6 +36,7 @@ from geodrake.control import (
     BregmanProjectionEstimator,
     ControlModel,
     PassivityBasedAdaptiveController,
+    PredictionError,
     SampleUpdate,
     add_adaptive_loop,
     natural_adaptation,
@@ -135,7 +136,11 @@ class Arm:
     def filtered(self, law: UpdateLaw | None) -> AdaptiveController:
         """Computed torque by the filtered regressor."""
         return AdaptiveComputedTorqueController(
-            self.control, law, bandwidth=20.0, time_step=CONTROL_STEP, parameters=self.start
+            self.control,
+            law,
+            time_step=CONTROL_STEP,
+            parameters=self.start,
+            prediction=PredictionError(1.0, alone=True),
         )
 
     @cached_property

@@ -29,6 +29,7 @@ from rich.console import Console
 from geodrake.control import (
     AdaptiveComputedTorqueController,
     PassivityBasedAdaptiveController,
+    PredictionError,
     VaryingGains,
 )
 from geodrake.control.systems import AdaptiveController
@@ -38,7 +39,7 @@ CONTROLLERS = (PASSIVITY, ACCELERATION, FILTERED)
 LAWS = (NONE, EUCLIDEAN, NATURAL)
 SIGMAS = (0.1, 0.2, 0.4)
 NOISE = 0.02  # rad/s
-BANDWIDTH = 20.0  # 1/s
+PREDICTION = PredictionError(1.0, alone=True)
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def make_controller(draw: Draw, seed: int) -> AdaptiveController:
         wam.control,
         law,
         rate=RATE,
-        bandwidth=BANDWIDTH if draw.controller == FILTERED else None,
+        prediction=PREDICTION if draw.controller == FILTERED else None,
         parameters=start,
         truth=wam.truth,
     )

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 
-from adaptive.laws import PartialLaw, make_law
-from geodrake.control import ControlModel, parameter_manifold
+from adaptive.laws import make_law
+from geodrake.control import ControlModel, PartialLaw, parameter_manifold
 from geodrake.control.regressor.control_model import ControlSample
 from geodrake.effects import (
     CoulombFriction,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -53,35 +51,3 @@ def make_law(name: str, manifold: Manifold, start: ArrayLike, speed: float) -> U
     return natural_adaptation(
         manifold, gamma, integrator="euler" if name == NATURAL_EULER else "geodesic"
     )
-
-
-@dataclass(frozen=True, eq=False)
-class PartialLaw(UpdateLaw):
-    """A law of some parameters; the others are known and stay.
-
-    Attributes:
-        law: The law.
-        part: (p,) which parameters it moves.
-    """
-
-    law: UpdateLaw
-    part: NDArray[np.bool_]
-
-    def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
-        """The rate (p,), zero for what is known."""
-        rate = np.zeros(len(self.part))
-        rate[self.part] = self.law.rate(self._own(parameters), self._own(b))
-        return rate
-
-    def step(self, parameters: ArrayLike, b: ArrayLike, dt: float) -> Array:
-        """The estimate (p,) after dt seconds."""
-        following = np.array(parameters, float)
-        following[self.part] = self.law.step(self._own(parameters), self._own(b), dt)
-        return following
-
-    def parameter_error(self, truth: ArrayLike, parameters: ArrayLike) -> Array:
-        """V_p of what is adapted."""
-        return self.law.parameter_error(self._own(truth), self._own(parameters))
-
-    def _own(self, values: ArrayLike) -> Array:
-        return np.asarray(values, float)[..., self.part]

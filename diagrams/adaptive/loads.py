@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from adaptive.laws import PartialLaw, make_law
+from adaptive.laws import make_law
 from adaptive.wam import load_wam
-from geodrake.control import ControlModel
+from geodrake.control import ControlModel, PartialLaw
 from geodrake.effects import FittedEffect, Payload
 from geodrake.inertia import from_mass_com_inertia
 from geodrake.manifolds import PhysicalInertia

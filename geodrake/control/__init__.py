@@ -1,7 +1,9 @@
 """Models in the loop: adaptation laws, online estimation, LeafSystems, closed loops, rollouts."""
 
 from geodrake.control.adaptation import (
+    PartialLaw,
     ProjectedLaw,
+    adapted_parameters,
     euclidean_adaptation,
     natural_adaptation,
     parameter_manifold,
@@ -20,6 +22,7 @@ from geodrake.control.systems import (
     LogSource,
     ModelResidual,
     PassivityBasedAdaptiveController,
+    PredictionError,
     VaryingGains,
     add_tracking_drives,
 )
@@ -35,11 +38,14 @@ __all__ = [
     "FixedGains",
     "LogSource",
     "ModelResidual",
+    "PartialLaw",
     "PassivityBasedAdaptiveController",
+    "PredictionError",
     "ProjectedLaw",
     "Rollout",
     "SampleUpdate",
     "VaryingGains",
+    "adapted_parameters",
     "add_adaptive_loop",
     "add_tracking_drives",
     "euclidean_adaptation",

@@ -247,9 +247,11 @@ def _track(
         if ports.acceleration is None:
             raise ArgumentError(
                 "The controller needs accelerations, which the robot's ports do not have.",
-                advice="Give it a bandwidth: the filtered regressor needs none.",
+                advice="Adapt by PredictionError(…, alone=True), which needs none.",
             )
         builder.Connect(ports.acceleration, controller.GetInputPort("acceleration"))
+    if controller.HasInputPort("effort"):  # measured exactly
+        builder.Connect(controller.GetOutputPort("actuation"), controller.GetInputPort("effort"))
     return desired, acceleration
 
 

@@ -40,12 +40,14 @@ from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     FixedGains,
     PassivityBasedAdaptiveController,
+    PredictionError,
     Safeguards,
 )
 from geodrake.effects import FittedEffect, JointEffect, Parameter
 from geodrake.inertia import is_physical, to_spatial_inertia
 
 START = perturbed(0.15)
+FILTERED = PredictionError(1.0, alone=True)
 STRONG = Safeguards(effort_limits=[8.0, 4.0])
 LIMITS = intersection(
     parameter_limits(len(TRUTH), [0, 10], 0.05 * TRUTH[[0, 10]], 20.0 * TRUTH[[0, 10]]),
@@ -71,8 +73,8 @@ def controller(kind, law=None, **options):
     if kind == "fixed":
         gains = FixedGains([6.0, 3.0], [6.0, 7.0])
         return PassivityBasedAdaptiveController(CONTROL, law, gains=gains, **options)
-    bandwidth = 20.0 if kind == "filtered" else None
-    options = {"rate": 15.0, "bandwidth": bandwidth, **options}
+    prediction = FILTERED if kind == "filtered" else None
+    options = {"rate": 15.0, "prediction": prediction, **options}
     return AdaptiveComputedTorqueController(CONTROL, law, **options)
 
 
@@ -266,7 +268,7 @@ def test_effects_that_overflow(time_step):
     for system in (
         PassivityBasedAdaptiveController(control, law, time_step=time_step, truth=control.prior),
         AdaptiveComputedTorqueController(
-            control, law, time_step=time_step, bandwidth=10.0 if time_step else None
+            control, law, time_step=time_step, prediction=FILTERED if time_step else None
         ),
     ):
         context = system.CreateDefaultContext()

@@ -38,6 +38,7 @@ from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     FixedGains,
     PassivityBasedAdaptiveController,
+    PredictionError,
     Safeguards,
     VaryingGains,
 )
@@ -46,6 +47,7 @@ from geodrake.inertia import is_physical
 from geodrake.model.robot_model import load_description
 
 START = perturbed(0.15)
+FILTERED = PredictionError(1.0, alone=True)
 GAINS = {"varying": VaryingGains(8.0), "fixed": FixedGains([8.0, 4.0], [6.0, 7.0])}
 
 
@@ -103,7 +105,7 @@ def test_lyapunov_value_of_computed_torque():
 
 
 def test_filtered_computed_torque_never_takes_the_estimate_away_from_the_truth():
-    controller = computed(natural(1e-2), rate=10.0, bandwidth=20.0)
+    controller = computed(natural(1e-2), rate=10.0, prediction=FILTERED)
     _, logs = run(controller, 3.0)
     V = logs["lyapunov"].ravel()
     assert np.diff(V).max() <= 1e-5 * V[0]
@@ -113,7 +115,7 @@ def test_filtered_computed_torque_never_takes_the_estimate_away_from_the_truth()
 
 
 def test_filtered_computed_torque_with_a_sensor_of_a_third_of_the_rate():
-    controller = computed(natural(1e-2), rate=10.0, bandwidth=20.0)
+    controller = computed(natural(1e-2), rate=10.0, prediction=FILTERED)
     _, logs = run(controller, 1.5, sensor=SlowSensor(4, 3e-3))
     V = logs["lyapunov"].ravel()
     assert np.diff(V).max() <= 1e-3 * V[0]
@@ -332,7 +334,7 @@ def test_what_does_not_fit_is_refused():
         with pytest.raises(ArgumentError, match=r"rates? must be"):
             computed(rate=rate)
     with pytest.raises(ArgumentError, match="needs a time step"):
-        computed(time_step=0.0, bandwidth=10.0)
+        computed(time_step=0.0, prediction=FILTERED)
     with pytest.raises(ArgumentError, match="moves 5 parameters"):
         passive(natural_adaptation(euclidean_adaptation(5).manifold))
 

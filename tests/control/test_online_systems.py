@@ -37,6 +37,7 @@ from geodrake.control.systems import (
     LogSource,
     ModelResidual,
     PassivityBasedAdaptiveController,
+    PredictionError,
 )
 from geodrake.effects import ViscousFriction
 from geodrake.errors import ArgumentError, LogError
@@ -341,11 +342,13 @@ def test_the_residual_with_gaps_and_before_samples():
 LAW = natural()
 MAKERS = {
     "PassivityBasedAdaptiveController": lambda: [
-        PassivityBasedAdaptiveController(CONTROL, LAW, truth=TRUTH)
+        PassivityBasedAdaptiveController(
+            CONTROL, LAW, truth=TRUTH, prediction=PredictionError(measured=True)
+        )
     ],
     "AdaptiveComputedTorqueController": lambda: [
-        AdaptiveComputedTorqueController(CONTROL, LAW, truth=TRUTH, bandwidth=bandwidth)
-        for bandwidth in (None, 10.0)
+        AdaptiveComputedTorqueController(CONTROL, LAW, truth=TRUTH, prediction=prediction)
+        for prediction in (None, PredictionError(measured=True))
     ],
     "BregmanProjectionEstimator": lambda: [BregmanProjectionEstimator(CONTROL, UPDATE)],
     "ModelResidual": lambda: [

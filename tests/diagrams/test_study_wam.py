@@ -6,9 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geodrake.control.adaptation import natural_adaptation
 from geodrake.inertia import is_physical, to_mass_com_inertia
-from geodrake.manifolds import PhysicalInertia
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "diagrams"))
@@ -73,20 +71,6 @@ class TestOptions:
         write_json(options.json, {"rows": rows})
         assert table.is_file()
         assert len(table.with_suffix(".draws.jsonl").read_text().splitlines()) == 2
-
-
-class TestPartialLaw:
-    def test_moves_its_part_alone(self):
-        rng = np.random.default_rng(0)
-        part = np.repeat([False, True], 10)
-        law = natural_adaptation(PhysicalInertia(), 0.5)
-        partial = laws.PartialLaw(law, part)
-        p, b = np.concatenate([rng.normal(size=10), loads.GUESS]), rng.normal(size=20)
-        moved = partial.step(p, b, 1e-3)
-        np.testing.assert_array_equal(moved[:10], p[:10])
-        np.testing.assert_allclose(moved[10:], law.step(p[10:], b[10:], 1e-3))
-        np.testing.assert_allclose(partial.rate(p, b)[10:], law.rate(p[10:], b[10:]))
-        assert partial.parameter_error(p, moved) == law.parameter_error(p[10:], moved[10:])
 
 
 class TestRule:

@@ -33,8 +33,9 @@ from geodrake.control.adaptation.law import (
     natural_adaptation,
     pullback_adaptation,
 )
+from geodrake.control.adaptation.partial import PartialLaw
 from geodrake.control.adaptation.projected import ProjectedLaw
-from geodrake.control.adaptation.robot_manifold import parameter_manifold
+from geodrake.control.adaptation.robot_manifold import adapted_parameters, parameter_manifold
 
 __all__ = [
     "AdaptationLaw",
@@ -42,8 +43,10 @@ __all__ = [
     "ConvexSet",
     "FunctionSet",
     "LinearSet",
+    "PartialLaw",
     "ProjectedLaw",
     "UpdateLaw",
+    "adapted_parameters",
     "body_limits",
     "center_of_mass_box",
     "computed_torque_covector",

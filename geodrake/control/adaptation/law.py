@@ -27,6 +27,31 @@ class UpdateLaw(abc.ABC):
     With V = V_t + `parameter_error`, V never rises, [Lee2019] Proposition 5.7.
     """
 
+    @property
+    def dimension(self) -> int | None:
+        """Number n of parameters; None if any will do."""
+        return None
+
+    def contains(self, parameters: ArrayLike) -> bool:
+        """Whether an estimate is one that the law can move.
+
+        Args:
+            parameters: (n,) estimate.
+        """
+        return bool(np.isfinite(np.asarray(parameters, float)).all())
+
+    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+        """The rate, 1/s, that no error Y p̃ exceeds while it drives the law itself, b = Yᵀ Y p̃.
+
+        Args:
+            parameters: (n,) estimate p̂.
+            rows: (k, n) regressor Y.
+
+        Returns:
+            Such a rate; zero from a law that does not know one.
+        """
+        return 0.0
+
     @abc.abstractmethod
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """The rate of the estimate (n,), for a continuous integrator.
@@ -82,6 +107,15 @@ class AdaptationLaw(UpdateLaw):
         positive(self.gamma, "gamma")
         one_of(self.integrator, "integrator", ("geodesic", "euler"))
 
+    @property
+    def dimension(self) -> int:
+        """That of the manifold."""
+        return self.manifold.dimension
+
+    def contains(self, parameters: ArrayLike) -> bool:
+        """Whether an estimate (n,) is inside of the manifold."""
+        return bool(self.manifold.contains(parameters))
+
     def rate(self, parameters: ArrayLike, b: ArrayLike) -> Array:
         """−γ⁻¹ g(p̂)⁻¹ b (n,), [Lee2019] Eq. (5.4.51); zero if b is not finite."""
         b = _finite(b)
@@ -96,12 +130,7 @@ class AdaptationLaw(UpdateLaw):
         return self.manifold.calc_natural_step(np.asarray(parameters, float), b, dt / self.gamma)
 
     def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
-        """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n): no |Y p̂|² falls faster along −Yᵀ Y p̂.
-
-        Args:
-            parameters: (n,) estimate p̂.
-            rows: (k, n) regressor Y.
-        """
+        """γ⁻¹ tr(Y g(p̂)⁻¹ Yᵀ), 1/s, of rows Y (k, n), which is at least the greatest eigenvalue."""
         p, rows = np.asarray(parameters, float), np.asarray(rows, float)
         return self.manifold.calc_mirror_span(p, rows).squared_length / self.gamma
 

@@ -60,6 +60,19 @@ class ProjectedLaw(UpdateLaw):
                 f"{convex.polyhedron.matrix.shape[1]}."
             )
 
+    @property
+    def dimension(self) -> int:
+        """That of the law inside of C."""
+        return self.law.dimension
+
+    def contains(self, parameters: ArrayLike) -> bool:
+        """Whether an estimate (n,) is inside of the manifold; it may begin outside of C."""
+        return self.law.contains(parameters)
+
+    def reach(self, parameters: ArrayLike, rows: ArrayLike) -> float:
+        """That of the law inside of C: limits make no rate greater."""
+        return self.law.reach(parameters, rows)
+
     @cached_property
     def _set(self) -> ConvexSet:
         given = self.constraints

@@ -1,11 +1,15 @@
-"""The manifold of all parameters of a robot: its bodies, and then its effects."""
+"""The parameters of a robot, its bodies and then its effects: their manifold, and some of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, positive
 from geodrake.errors import ArgumentError
+from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.manifolds import Manifold, PhysicalInertia, Product
 from geodrake.model.robot_model import RobotModel
 
@@ -37,12 +41,7 @@ def parameter_manifold(
     weights = dict(instance(weights or {}, "weights", Mapping))
     bodies = dict(instance(bodies or {}, "bodies", Mapping))
     names = {fitted.effect.name for fitted in model.effects}
-    unknown = (set(weights) - names | set(bodies)) - set(model.bodies)
-    if unknown:
-        raise ArgumentError(
-            f"There is no {', '.join(sorted(unknown))} in the robot.",
-            advice=f"It has {', '.join((*model.bodies, *sorted(names)))}.",
-        )
+    _check_names(model, set(weights) - names | set(bodies), names)
     factors, factor_weights = [], []
     for body in model.bodies:
         factor = instance(bodies.get(body, PhysicalInertia()), f"bodies[{body!r}]", Manifold)
@@ -57,3 +56,41 @@ def parameter_manifold(
             factors.append(fitted.effect.manifold)
             factor_weights.append(weights.get(fitted.effect.name, effect_weight))
     return Product(tuple(factors), tuple(factor_weights))
+
+
+def adapted_parameters(model: RobotModel, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Which of a robot's parameters [φ, μ] are those of some bodies and effects.
+
+    Args:
+        model: The robot.
+        names: Bodies, and kinds of effects: ["payload"], or ["wrist_3_link", "viscous_friction"].
+
+    Returns:
+        (p,) booleans, for a `PartialLaw`.
+
+    Raises:
+        ArgumentError: There is no such body or effect, or no name.
+    """
+    instance(model, "model", RobotModel)
+    wanted = set([names] if isinstance(names, str) else instance(names, "names", Sequence))
+    kinds = {fitted.effect.name for fitted in model.effects if fitted.effect.parameters}
+    _check_names(model, wanted - kinds, kinds)
+    if not wanted:
+        raise ArgumentError("names must be of what is to be adapted; there is none.")
+    adapted = [body in wanted for body in model.bodies for _ in range(PARAMETERS_PER_BODY)]
+    for fitted in model.effects:
+        adapted += [fitted.effect.name in wanted] * len(fitted.effect.parameters)
+    return np.array(adapted)
+
+
+def _check_names(model: RobotModel, bodies: set[str], effects: set[str]) -> None:
+    """Checks that what is no effect is a body.
+
+    Raises:
+        ArgumentError: Something is neither.
+    """
+    if unknown := bodies - set(model.bodies):
+        raise ArgumentError(
+            f"There is no {', '.join(sorted(map(str, unknown)))} in the robot.",
+            advice=f"It has {', '.join((*model.bodies, *sorted(effects)))}.",
+        )

@@ -14,6 +14,7 @@ from geodrake.control.systems.passivity_based_adaptive_controller import (
     PassivityBasedAdaptiveController,
     VaryingGains,
 )
+from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import Safeguards
 from geodrake.control.systems.tracking import add_tracking_drives
 from geodrake.model.simulation.delayed_effort import DelayedEffort
@@ -29,6 +30,7 @@ __all__ = [
     "LogSource",
     "ModelResidual",
     "PassivityBasedAdaptiveController",
+    "PredictionError",
     "Safeguards",
     "VaryingGains",
     "add_tracking_drives",

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues
+from pydrake.systems.framework import BasicVector, Context, InputPort
 
-from geodrake.control.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw, error_weight
-from geodrake.control.adaptation.covectors import (
-    calc_computed_torque_covector,
-    calc_prediction_covector,
-)
-from geodrake.control.online_estimation import FilteredRegressor
+from geodrake.control.adaptation import UpdateLaw, error_weight
+from geodrake.control.adaptation.covectors import calc_computed_torque_covector
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import checked_control
 from geodrake.control.systems.adaptive_controller import AdaptiveController
 from geodrake.control.systems.control_result import ControlResult
-from geodrake.control.systems.requirements import checked_gains, checked_time_step
+from geodrake.control.systems.prediction_error import PredictionError
+from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
-from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 
 
@@ -33,6 +29,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         - desired_state
         - desired_acceleration
         - acceleration
+        - effort
         output_ports:
         - actuation
         - parameters
@@ -42,19 +39,19 @@ class AdaptiveComputedTorqueController(AdaptiveController):
 
         actuation = M̂ (q̈_d − K_v ė − K_p e) + b̂(q, q̇)               [Lee2019] Eq. (5.2.4)
 
-    Adaptation is one of two:
+    Adaptation is one of three:
 
     - By the measured `acceleration` (nv), rad/s² or m/s²: b = Y(q, q̇, q̈)ᵀ M̂⁻¹ Bᵀ P e, Eq. (5.2.9),
       and `lyapunov` is ½ eᵀ P e + γ D(p‖p̂).
-    - With a `bandwidth`, by the filtered regressor, which needs no acceleration: b is the gradient
-      of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f), of the controller's own efforts. `lyapunov`
-      is γ D(p‖p̂), which never rises, whatever tracking does. This needs a time step,
-      and the whole effort that moves the robot to be this controller's. Efforts at their limits and
-      the dead zone do not stop it.
+    - With a `PredictionError` by that too, its weight for a tracking error M̂⁻¹ Bᵀ P e.
+    - With one that is `alone`, by the filtered regressor, which needs no acceleration: b is the
+      gradient of the error of prediction, Y_fᵀ W (Y_f p̂ − u_f). `lyapunov` is γ D(p‖p̂), which never
+      rises, whatever tracking does. Efforts at their limits and the dead zone do not stop it.
 
     M̂ is invertible while the estimate is physical, which the natural law sees to.
 
-    There is no port `acceleration` with a bandwidth, and no `lyapunov` without the true p.
+    There is no port `acceleration` if prediction is alone, no `effort` unless it has measured
+    efforts, and no `lyapunov` without the true p.
 
     What happens when inputs are missing is said in `AdaptiveController`; a measured acceleration
     that is not finite only makes adaptation wait.
@@ -66,11 +63,11 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         law: UpdateLaw | None,
         *,
         rate: ArrayLike = 10.0,
-        bandwidth: float | None = None,
         time_step: float = 1e-3,
         parameters: ArrayLike | None = None,
         truth: ArrayLike | None = None,
         safeguards: Safeguards | None = None,
+        prediction: PredictionError | None = None,
     ) -> None:
         """Constructs the system.
 
@@ -78,11 +75,12 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             control: The robot.
             law: How the estimate moves; None for a controller that does not adapt.
             rate: λ of both poles of each joint's error, 1/s: K_v = 2 λ and K_p = λ².
-            bandwidth: Bandwidth of the filtered regressor, 1/s; None for the acceleration port.
             time_step: Period of control and adaptation, s; zero for continuous time.
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
             safeguards: Limits; none if None, but for sensors that stand still.
+            prediction: Adaptation by the error of prediction, beside the tracking error or alone;
+                needs a time step.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -92,16 +90,6 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         poles = checked_gains(rate, nv, "rates")
         self._K_p, self._K_v = poles**2, 2.0 * poles
         self._P = error_weight(self._K_p, self._K_v, np.eye(2 * nv))
-        self._filter: FilteredRegressor | None = None
-        if bandwidth is not None:
-            if checked_time_step(time_step) == 0:
-                raise ArgumentError(
-                    "The filtered regressor needs a time step.",
-                    advice="Use the acceleration port in continuous time.",
-                )
-            self._filter = FilteredRegressor(
-                control, period=time_step, bandwidth=bandwidth, held_effort=True
-            )
         super().__init__(
             control,
             law,
@@ -109,11 +97,11 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             parameters=parameters,
             truth=truth,
             safeguards=Safeguards() if safeguards is None else safeguards,
+            prediction=prediction,
         )
-        if self._filter is None:
+        self._measured_port: InputPort | None = None
+        if prediction is None or not prediction.alone:
             self._measured_port = self.DeclareVectorInputPort("acceleration", BasicVector(nv))
-        else:
-            self._memory = self.DeclareDiscreteState(self._filter.start())
 
     def _result_at(self, p: Array, seen: Seen) -> ControlResult:
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
@@ -124,52 +112,16 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         )
 
     def _covector(self, context: Context, p: Array, seen: Seen, e: Array) -> Array | None:
-        if self._filter is not None:
-            return None  # adaptation is by the filtered rows
+        if self._measured_port is None:
+            return None  # adaptation is by the error of prediction alone
         acceleration = self._measured_port.Eval(context)
         if not np.isfinite(acceleration).all():
             return None
         sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
         return calc_computed_torque_covector(sample.regressor, sample.mass_matrix(p), self._P, e)
 
-    def _following(
-        self,
-        context: Context,
-        state: DiscreteValues,
-        p: Array,
-        seen: Seen,
-        result: ControlResult | None,
-    ) -> Array:
-        if self._filter is None:
-            return super()._following(context, state, p, seen, result)
-        if self.law is None:
-            return p
-        memory = context.get_discrete_state(self._memory).value()
-        if not (seen.trusted or seen.repeated) or result is None:
-            state.set_value(self._memory, self._filter.skipped(memory))
-            return p
-        # (Efforts at their limits are known as well, so adaptation need not wait for them.)
-        effort = self._held(context)
-        memory = self._filter.advanced(
-            memory, seen.q, seen.qd, effort, sample=result.sample, repeated=seen.repeated
-        )
-        state.set_value(self._memory, memory)
-        if seen.repeated:
-            return p
-        rows = self._filter.rows(memory)
-        return self._adapted(p, lambda _: self._prediction_error(p, *rows), context)
-
-    def _prediction_error(self, p: Array, Y: Array, effort: Array) -> Array:
-        """Y_fᵀ W (Y_f p̂ − u_f), W such that one step cannot overshoot."""
-        b = calc_prediction_covector(Y, p, effort)
-        law = self.law.law if isinstance(self.law, ProjectedLaw) else self.law
-        if not isinstance(law, AdaptationLaw):
-            return b
-        # The greatest eigenvalue of Y g⁻¹ Yᵀ is at most its trace.
-        return b / (1.0 + self._time_step * law.reach(p, Y))
-
     def _tracking_energy(self, truth: Array, seen: Seen) -> float:
-        if self._filter is not None:
+        if self._measured_port is None:
             return 0.0
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
         return float(0.5 * e @ self._P @ e)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +22,10 @@ from geodrake.boundary.arguments import instance
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.control_result import ControlResult, Covector
+from geodrake.control.systems.prediction_error import Prediction, PredictionError
 from geodrake.control.systems.requirements import (
     checked_estimate,
     checked_time_step,
-    manifold_of,
     require_single_joints,
 )
 from geodrake.control.systems.safeguards import Safeguards, Seen, Watch, usable
@@ -54,6 +55,10 @@ class AdaptiveController(LeafSystem):
       step: none is applied).
     - Efforts beyond their limits are cut off, and adaptation waits.
 
+    Adaptation by the error of prediction goes on at limits and in the dead zone, as efforts are
+    known there. Of its filter, whose memory is a discrete state, whatever is missing is left out
+    on both sides, a measured effort that is not finite too.
+
     `lyapunov` is the largest float where it is not finite, as where the estimate is not physical.
 
     Large errors that no parameters can explain, as of a motion that the motors cannot make, still
@@ -69,6 +74,7 @@ class AdaptiveController(LeafSystem):
         parameters: ArrayLike | None,
         truth: ArrayLike | None,
         safeguards: Safeguards,
+        prediction: PredictionError | None,
     ) -> None:
         """Declares what all adaptive controllers have.
 
@@ -79,6 +85,7 @@ class AdaptiveController(LeafSystem):
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
             safeguards: Limits.
+            prediction: Adaptation by the error of prediction; None for none.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -91,9 +98,14 @@ class AdaptiveController(LeafSystem):
         self._nv = nv = len(control.joints)
         self._size = len(control.prior)
         self._time_step = checked_time_step(time_step)
-        self._manifold = manifold_of(law)
-        start = checked_estimate(control, self._manifold, parameters)
-        self._truth = None if truth is None else checked_estimate(control, self._manifold, truth)
+        self._prediction: Prediction | None = None
+        if prediction is not None:
+            instance(prediction, "prediction", PredictionError)
+            self._prediction = Prediction.of(prediction, control, time_step)
+        if law is not None:
+            instance(law, "law", UpdateLaw)
+        start = checked_estimate(control, law, parameters)
+        self._truth = None if truth is None else checked_estimate(control, law, truth)
         self._limits = safeguards.limits(nv)
         self._dead_zone = safeguards.dead_zones(nv)
         self._rests = bool((self._dead_zone > 0).any())
@@ -113,6 +125,10 @@ class AdaptiveController(LeafSystem):
             self._declare_discrete(start)
         else:
             self._declare_continuous(start)
+        if self._prediction is not None:
+            self._memory = self.DeclareDiscreteState(self._prediction.filtered.start())
+            if self._prediction.measured:
+                self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
 
     def _declare_discrete(self, start: Array) -> None:
         parameters, actuation, _ = (
@@ -176,7 +192,7 @@ class AdaptiveController(LeafSystem):
         Raises:
             ArgumentError: It is not in the manifold of the law, or has the wrong length.
         """
-        p = checked_estimate(self.control, self._manifold, parameters)
+        p = checked_estimate(self.control, self.law, parameters)
         if self._time_step > 0:
             context.SetDiscreteState(_PARAMETERS, p)
         else:
@@ -206,6 +222,7 @@ class AdaptiveController(LeafSystem):
         waits = (
             self.law is None
             or not seen.trusted
+            or (self._prediction is not None and self._prediction.alone)
             or bool((applied != effort).any())
             or (self._rests and self._resting(seen))
         )
@@ -219,13 +236,13 @@ class AdaptiveController(LeafSystem):
         """The actuation (nv,) since the last update."""
         return np.asarray(context.get_discrete_state(_ACTUATION).value())
 
-    def _adapted(self, p: Array, covector: Covector, context: Context) -> Array:
+    def _adapted(self, p: Array, covectors: Sequence[Covector], context: Context) -> Array:
         """The estimate after a time step; as it was where it cannot be moved."""
         if self.law is None:
             return p
         try:
-            b = covector(context)
-            following = p if b is None else self.law.step(p, b, self._time_step)
+            found = [b for covector in covectors if (b := covector(context)) is not None]
+            following = self.law.step(p, sum(found), self._time_step) if found else p
         except (GeodrakeError, np.linalg.LinAlgError):
             return p
         return following if usable(following) else p
@@ -251,9 +268,30 @@ class AdaptiveController(LeafSystem):
         result: ControlResult | None,
     ) -> Array:
         """The estimate (p,) after a time step."""
-        if result is None or result.covector is None:
+        law, covectors = self.law, []
+        if law is None:
             return p
-        return self._adapted(p, result.covector, context)
+        if result is not None and result.covector is not None:
+            covectors.append(result.covector)
+        if (prediction := self._prediction) is not None:
+            memory = self._filtered(context, prediction, seen, result)
+            state.set_value(self._memory, memory)
+            if seen.trusted and result is not None:
+                covectors.append(lambda _: prediction.covector(law, p, memory))
+        return self._adapted(p, covectors, context) if covectors else p
+
+    def _filtered(
+        self, context: Context, prediction: Prediction, seen: Seen, result: ControlResult | None
+    ) -> Array:
+        """The memory of the filter after a sample."""
+        memory = context.get_discrete_state(self._memory).value()
+        if not (seen.trusted or seen.repeated) or result is None:
+            return prediction.filtered.skipped(memory)
+        # (Efforts at their limits are known as well, so prediction need not wait for them.)
+        effort = self._effort_port.Eval(context) if prediction.measured else self._held(context)
+        return prediction.filtered.advanced(
+            memory, seen.q, seen.qd, effort, sample=result.sample, repeated=seen.repeated
+        )
 
     @_QUIETLY
     def _calc_result(self, context: Context, value: AbstractValue) -> None:

@@ -15,6 +15,7 @@ from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import checked_control
 from geodrake.control.systems.adaptive_controller import AdaptiveController
 from geodrake.control.systems.control_result import ControlResult
+from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.errors import ArgumentError
@@ -67,6 +68,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         - estimated_state
         - desired_state
         - desired_acceleration
+        - effort
         output_ports:
         - actuation
         - parameters
@@ -77,10 +79,11 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         actuation = Y(q, q̇, v, a) p̂ − K r          [Lee2019] Eq. (5.2.10), b = Yᵀ r
         actuation = Y(q, q̇, v, a − λ r) p̂          [Lee2019] Remark 5.1, b = Y(…, a − λ r)ᵀ r
 
-    and the law moves p̂ by b. `lyapunov` is ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises
-    except by what a time step adds, if friction grows with speed or effects see the measured
-    velocity, and no effect is in proportion to the load. It leaves out the first term while an
-    input is missing. Without the true p there is no such port.
+    and the law moves p̂ by b, to which a `PredictionError` adds. `lyapunov` is
+    ½ rᵀ M r + γ D(p‖p̂) for the true p, which never rises except by what a time step adds, if
+    friction grows with speed or effects see the measured velocity, and no effect is in proportion
+    to the load. It leaves out the first term while an input is missing. Without the true p there is
+    no such port, and no `effort` unless prediction has measured efforts.
 
     `actuation` (nv) is N·m or N in the order of velocities, `parameters` (p) that of ControlModel,
     states are q and then q̇. What happens when inputs are missing is said in `AdaptiveController`.
@@ -96,6 +99,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
         parameters: ArrayLike | None = None,
         truth: ArrayLike | None = None,
         safeguards: Safeguards | None = None,
+        prediction: PredictionError | None = None,
     ) -> None:
         """Constructs the system.
 
@@ -107,6 +111,8 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             parameters: (p,) first estimate; that of the model if None.
             truth: (p,) true parameters, for the port `lyapunov`.
             safeguards: Limits; none if None, but for sensors that stand still.
+            prediction: Adaptation by the error of prediction, beside the tracking error or alone;
+                needs a time step.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
@@ -126,6 +132,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             parameters=parameters,
             truth=truth,
             safeguards=Safeguards() if safeguards is None else safeguards,
+            prediction=prediction,
         )
 
     def _error(self, seen: Seen) -> tuple[Array, Array, Array]:

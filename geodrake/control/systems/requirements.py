@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from geodrake.boundary.arguments import instance, number, one_or_each, real_array
-from geodrake.control.adaptation import AdaptationLaw, ProjectedLaw, UpdateLaw
+from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.online_estimation import FilteredRegressor
 from geodrake.control.regressor import ControlModel
 from geodrake.control.regressor.control_model import checked_control
@@ -68,41 +68,29 @@ def require_same_robot(control: ControlModel, filtered: FilteredRegressor) -> No
         )
 
 
-def manifold_of(law: UpdateLaw | None) -> Manifold | None:
-    """The manifold on which a law moves an estimate; None if the law does not say.
-
-    Raises:
-        ArgumentError: It is no law.
-    """
-    if law is not None:
-        instance(law, "law", UpdateLaw)
-    law = law.law if isinstance(law, ProjectedLaw) else law
-    return law.manifold if isinstance(law, AdaptationLaw) else None
-
-
 def checked_estimate(
-    control: ControlModel, manifold: Manifold | None, parameters: ArrayLike | None
+    control: ControlModel, domain: Manifold | UpdateLaw | None, parameters: ArrayLike | None
 ) -> Array:
     """A copy of parameters (p,) that an estimate can start from; those of the model if None.
 
     Args:
         control: The robot.
-        manifold: Where the estimate lives, if that is known.
+        domain: The manifold where the estimate lives, or the law that moves it; None for neither.
         parameters: (p,) the parameters.
 
     Raises:
-        ArgumentError: They are not as many as the robot's, not finite or not in the manifold.
+        ArgumentError: They are not as many as the robot's, not finite or not in the domain.
     """
     given = control.prior if parameters is None else parameters
     p = real_array(given, "parameters", control.prior.shape).copy()
-    if manifold is None:
+    if domain is None:
         return p
-    if manifold.dimension != len(p):
+    if domain.dimension not in (None, len(p)):
         raise ArgumentError(
-            f"The law moves {manifold.dimension} parameters; the robot has {len(p)}.",
+            f"The law moves {domain.dimension} parameters; the robot has {len(p)}.",
             advice="Make manifold and ControlModel from the same RobotModel.",
         )
-    if not manifold.contains(p):
+    if not domain.contains(p):
         raise ArgumentError(
             f"These parameters are not inside of the law's manifold: {p.tolist()}.",
             advice="Start from a physical estimate, friction and the like above zero.",

@@ -1,0 +1,202 @@
+"""Composite adaptation: by tracking errors and errors of prediction, alone and together."""
+
+import numpy as np
+import pytest
+from adaptive_loops import (
+    CONTROL,
+    MANIFOLD,
+    MODEL,
+    TRUTH,
+    FaultySensor,
+    natural,
+    noisy,
+    nothing,
+    perturbed,
+    run,
+)
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake.control.adaptation import (
+    PartialLaw,
+    adapted_parameters,
+    natural_adaptation,
+    prediction_covector,
+)
+from geodrake.control.online_estimation import FilteredRegressor
+from geodrake.control.systems import (
+    AdaptiveComputedTorqueController,
+    PassivityBasedAdaptiveController,
+    PredictionError,
+    Safeguards,
+)
+from geodrake.errors import ArgumentError
+from geodrake.inertia import is_physical
+from geodrake.manifolds import PhysicalInertia
+
+LAST = adapted_parameters(MODEL, [MODEL.bodies[-1]])
+START = np.where(LAST, perturbed(0.3), TRUTH)
+LAW = PartialLaw(natural_adaptation(PhysicalInertia(), 0.1), LAST)
+STEP = 2e-3
+REST = PiecewisePolynomial(np.array([[0.7], [-0.4]]))
+
+
+def passive(prediction, law=LAW, **options):
+    options = {"parameters": START, "truth": TRUTH, "time_step": STEP, **options}
+    return PassivityBasedAdaptiveController(CONTROL, law, prediction=prediction, **options)
+
+
+def computed(prediction, law=LAW, **options):
+    options = {"parameters": START, "truth": TRUTH, "time_step": STEP, **options}
+    return AdaptiveComputedTorqueController(CONTROL, law, prediction=prediction, **options)
+
+
+def check(logs):
+    """Everything is finite and every estimate physical."""
+    for name, values in logs.items():
+        assert np.isfinite(values).all(), name
+    phi = logs["parameters"][:, : CONTROL.num_inertial]
+    assert is_physical(phi.reshape(len(phi), -1, 10)).all()
+
+
+@pytest.mark.parametrize("make", [passive, computed])
+def test_the_estimate_nears_the_truth_faster_than_by_tracking_alone(make):
+    fallen = []
+    for prediction in (None, PredictionError(0.5)):
+        _, logs = run(make(prediction), 1.0)
+        check(logs)
+        V = logs["lyapunov"].ravel()
+        assert np.diff(V).max() <= 1e-4 * V[0]
+        D = MANIFOLD.divergence(TRUTH, logs["parameters"])
+        fallen.append(D[0] - D[-1])
+    assert fallen[1] > 2.0 * fallen[0] > 0.0
+
+
+def test_an_exact_sensor_of_efforts_says_what_the_controller_knows():
+    own, measured = (run(passive(PredictionError(0.5, measured=m)), 0.1)[1] for m in (False, True))
+    np.testing.assert_allclose(measured["parameters"], own["parameters"], rtol=1e-9)
+    assert np.abs(own["parameters"][-1] - START).max() > 1e-6
+
+
+def test_a_step_is_by_the_sum_of_both_covectors():
+    """Against the pure functions, from the second sample on, where there are filtered rows."""
+    error = PredictionError([0.3, 0.2], bandwidth=30.0, tolerance=[0.01, 0.02])
+    system = passive(error, natural(0.7), parameters=perturbed(0.2))
+    context = system.CreateDefaultContext()
+    filtered = FilteredRegressor(CONTROL, STEP, 30.0, held_effort=True)
+    memory, held, p = filtered.start(), np.zeros(2), perturbed(0.2)
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        q, qd, q_d, v_d, a_d = rng.normal(size=(5, 2))
+        system.GetInputPort("estimated_state").FixValue(context, np.concatenate([q, qd]))
+        system.GetInputPort("desired_state").FixValue(context, np.concatenate([q_d, v_d]))
+        system.GetInputPort("desired_acceleration").FixValue(context, a_d)
+        v, a = v_d - 10.0 * (q - q_d), a_d - 10.0 * (qd - v_d)
+        sample = CONTROL.at(q, qd, v, a - 10.0 * (qd - v))
+        memory = filtered.advanced(memory, q, qd, held)
+        Y, u = filtered.rows(memory)
+        wrong = Y @ p - u
+        believed = np.sign(wrong) * np.maximum(np.abs(wrong) - [0.01, 0.02], 0.0)
+        b = prediction_covector(Y, p, Y @ p - believed, weight=[0.3, 0.2])
+        W = np.diag([0.3, 0.2])
+        pulls = MANIFOLD.inverse_metric_times(p, Y)
+        b = b / (1.0 + STEP * np.trace(W @ (pulls @ Y.T)) / 0.7) + sample.covector(qd - v)
+        held, p = sample.effort(p), natural(0.7).step(p, b, STEP)
+        context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+        np.testing.assert_allclose(system.parameters(context), p, rtol=1e-9, atol=1e-12)
+    # All of it is in the Context: a clone goes on alike, and a fresh one begins anew.
+    ends = [
+        system.EvalUniquePeriodicDiscreteUpdate(one).value(0) for one in (context, context.Clone())
+    ]
+    np.testing.assert_array_equal(*ends)
+    np.testing.assert_array_equal(system.parameters(system.CreateDefaultContext()), perturbed(0.2))
+
+
+def test_without_excitation_nothing_diverges():
+    """At rest and with noise: what no motion shows stays where it is."""
+    found = []
+    for tolerance in (0.0, 0.5):
+        error = PredictionError(0.5, tolerance=tolerance)
+        guards = Safeguards(dead_zone=0.6)
+        system = passive(error, natural(0.05), parameters=TRUTH, safeguards=guards)
+        sensor = FaultySensor(4, noisy(1e-4, 0.05))
+        _, logs = run(system, 0.8, size=REST, sensor=sensor)
+        check(logs)
+        found.append(MANIFOLD.divergence(TRUTH, logs["parameters"]))
+    assert found[0].max() < 1e-2  # that of a mass that is a tenth off
+    assert found[1].max() == 0.0 < found[0].max()  # as noise is not believed
+    # And from a wrong estimate, it goes nowhere but nearer.
+    _, logs = run(passive(PredictionError(0.5), natural(0.05)), 0.8, size=REST)
+    check(logs)
+    D = MANIFOLD.divergence(TRUTH, logs["parameters"])
+    assert D.max() <= D[0] * (1.0 + 1e-6) and D[-1] < D[0]
+
+
+@pytest.mark.parametrize("make", [passive, computed])
+def test_a_sensor_that_fails_for_a_while(make):
+    sensor = FaultySensor(4, nothing, 0.4, 0.6)
+    time, logs = run(make(PredictionError(0.5)), 0.9, sensor=sensor)
+    check(logs)
+    during = logs["parameters"][(time > 0.402) & (time < 0.599)]
+    np.testing.assert_array_equal(during, np.broadcast_to(during[0], during.shape))
+    assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-6
+
+
+def test_efforts_that_are_not_measured_move_nothing():
+    """Tracking goes on to adapt by itself, and the filter leaves the samples out."""
+    ends = {}
+    for name, prediction in (
+        ("none", None),
+        ("measured", PredictionError(0.5, measured=True)),
+        ("alone", PredictionError(1.0, measured=True, alone=True)),
+    ):
+        system = passive(prediction)
+        context = system.CreateDefaultContext()
+        for k in range(5):
+            x = np.array([0.1, 0.2, 0.3, -0.1]) * (1.0 + k)
+            system.GetInputPort("estimated_state").FixValue(context, x)
+            system.GetInputPort("desired_state").FixValue(context, np.zeros(4))
+            system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+            if prediction is not None:
+                system.GetInputPort("effort").FixValue(context, [np.nan, 1e300])
+            context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+        ends[name] = system.parameters(context)
+    np.testing.assert_array_equal(ends["measured"], ends["none"])
+    np.testing.assert_array_equal(ends["alone"], START)
+    assert np.abs(ends["none"] - START).max() > 1e-6
+
+
+def test_prediction_goes_on_where_efforts_are_at_their_limits():
+    tight = Safeguards(effort_limits=0.05)
+    moved = {}
+    for name, prediction in (("tracking", None), ("both", PredictionError(0.5))):
+        system = passive(prediction, safeguards=tight)
+        context = system.CreateDefaultContext()
+        for k in range(4):
+            x = np.array([0.5, 0.2, 0.3, -0.1]) * (1.0 + 0.01 * k)
+            system.GetInputPort("estimated_state").FixValue(context, x)
+            system.GetInputPort("desired_state").FixValue(context, np.zeros(4))
+            system.GetInputPort("desired_acceleration").FixValue(context, np.zeros(2))
+            context.SetDiscreteState(system.EvalUniquePeriodicDiscreteUpdate(context))
+            assert (np.abs(system.GetOutputPort("actuation").Eval(context)) <= 0.05).all()
+        moved[name] = np.abs(system.parameters(context) - START).max()
+    assert moved["tracking"] == 0.0 < moved["both"]
+
+
+def test_what_does_not_fit_is_refused():
+    for options, message in (
+        ({"weight": -1.0}, "weight must be"),
+        ({"weight": np.nan}, "weight"),
+        ({"bandwidth": 0.0}, "bandwidth must be"),
+        ({"tolerance": [[1.0]]}, "tolerance must be"),
+        ({"measured": 1}, "measured must be"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            PredictionError(**options)
+    with pytest.raises(ArgumentError, match="weight must be"):
+        passive(PredictionError([0.1, 0.2, 0.3]))
+    with pytest.raises(ArgumentError, match="needs a time step"):
+        passive(PredictionError(), time_step=0.0)
+    with pytest.raises(ArgumentError, match="prediction must be"):
+        passive(0.1)
+    system = computed(PredictionError(alone=True))
+    assert not system.HasInputPort("acceleration") and not system.HasInputPort("effort")
