@@ -33,6 +33,7 @@ class SharedArguments(TypedDict, total=False):
     extra_bounds: ArrayLike | None
     constraints: BodyConstraints | None
     solver: str | None
+    certify: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from geodrake.boundary.arguments import instance, number, one_of
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.certificate import Certificate
 from geodrake.identification.constraints import BodyConstraints, checked_bounds
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.euclidean import Euclidean
@@ -64,6 +65,14 @@ class IdentificationResult(Short):
         return self.fit.note
 
     @property
+    def certificate(self) -> Certificate | None:
+        """What the MathematicalProgram of the fit says; None if it was not asked.
+
+        Point masses have none: their solution is that of a MathematicalProgram itself.
+        """
+        return self.fit.certificate
+
+    @property
     def minima(self) -> LocalMinima | None:
         """For a regularizer that is not convex: what the starts led to. None for a convex one."""
         return self.fit.minima if isinstance(self.fit, RiemannianFit) else None
@@ -88,6 +97,7 @@ def identify(  # noqa: PLR0913 - the stable interface
     extra_bounds: ArrayLike | None = None,
     constraints: BodyConstraints | None = None,
     solver: str | None = None,
+    certify: bool = True,
 ) -> IdentificationResult:
     """Physical parameters that fit A x ≈ b and stay near a prior.
 
@@ -115,6 +125,9 @@ def identify(  # noqa: PLR0913 - the stable interface
             rest, whose last digits Newton's method adds, and which takes its place where it gives
             up (`note` of the result). Or one alone: "newton", but for point masses, or a name of
             `SOLVERS`; SCS and CSDP are there to cross-check Clarabel.
+        certify: Whether, without a `solver`, the MathematicalProgram of the fit is solved too, and
+            its better solution taken if there is one (`certificate` of the result); some 0.1 s,
+            which series of fits can save.
 
     Returns:
         The parameters and how they were found.
@@ -141,7 +154,10 @@ def identify(  # noqa: PLR0913 - the stable interface
     problem = build_problem(factor, prior, constraints=bodies, extra_bounds=extra_bounds)
     problem = replace(problem, residual_bound=residual_bound)
     try:
-        fit = kind.solve(problem, prior, 1.0 if gamma is None else gamma, solver)
+        weight = 1.0 if gamma is None else gamma
+        fit = kind.solve(problem, prior, weight, solver)
+        if instance(certify, "certify", bool) and solver is None:
+            fit = kind.certified(problem, prior, weight, fit)
     except np.linalg.LinAlgError as error:
         raise _rounded(str(error)) from error
     phi, extra = fit.x[: prior.size].reshape(prior.shape), fit.x[prior.size :]

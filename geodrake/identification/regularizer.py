@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from geodrake.errors import IdentificationError
+from geodrake.identification.certification import certified
 from geodrake.identification.conic_fit import solve_exactly
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.newton import solve_newton
@@ -84,6 +85,19 @@ class Regularizer(ABC):
                 if "columns" not in error.evidence:
                     raise
         return solve_fit(replace(regularized, margin=_MARGINS[-1] * problem.margin), solver=solver)
+
+    def certified(
+        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
+    ) -> FitResult:
+        """A solution of `solve` with its `Certificate`, or the better one of its program.
+
+        Args:
+            problem: The data, bounds and constraints.
+            prior: (nb, 10) physical prior Φ⁰.
+            gamma: Weight γ of d².
+            fit: The solution.
+        """
+        return certified(self.regularize(problem, prior, gamma), fit)
 
 
 class QuadraticRegularizer(Regularizer):

@@ -11,6 +11,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
+from geodrake.identification.certification import certified
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.fit import FitResult
 from geodrake.identification.interior_point import LocalMinimum
@@ -100,6 +101,18 @@ class Riemannian(Regularizer):
         else:
             minima = search.compared(found, best)
         return search.result(best, weight, minima, time.perf_counter() - begin)
+
+    def certified(
+        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
+    ) -> FitResult:
+        """The solution with a certificate that it is a local minimum.
+
+        The program is that of the cost's second order at the solution, with all constraints, and
+        with the weight that meets a residual bound.
+        """
+        search = RiemannianSearch.of(problem, prior, gamma)
+        local, size = search.second_order(fit.x, fit.prior_weight)
+        return certified(local, fit, size=size, scope="local")
 
     def _others(
         self, search: RiemannianSearch, first: Array, prior: Array, gamma: float

@@ -143,6 +143,27 @@ class RiemannianSearch:
         cost = replace(cost, size=max(min(cost.value(z), cost.value(0.0 * z)), weight * cost.gamma))
         return minimize(cost, self.region, z, barrier=_WARM if warm else 1e-2)
 
+    def second_order(self, x: Array, weight: float) -> tuple[FitProblem, float]:
+        """The problem whose cost is the second order of this one's at x, and the cost there.
+
+        Args:
+            x: (p,) parameters.
+            weight: w of the regularizer; inf leaves the data out.
+        """
+        data, weight = (0.0, 1.0) if np.isinf(weight) else (1.0, weight)
+        cost, z = replace(self.cost, data=data, weight=weight), self.coordinates.at(x)
+        gradient, hessian = cost.derivatives(z)
+        inverse = np.linalg.inv(self.coordinates.transform)
+        target = z - np.linalg.lstsq(hessian, gradient, rcond=None)[0]
+        problem = replace(
+            self.problem,
+            factor=np.zeros((1, len(z) + 1)),
+            prior_mean=self.coordinates.parameters(target),
+            prior_information=0.5 * inverse.T @ hessian @ inverse,
+            residual_bound=None,
+        )
+        return problem, cost.value(z) + data * self._floor
+
     def meet_bound(self, z: Array, weight: float) -> tuple[LocalMinimum, float]:
         """A minimum, and in the point-to-set form the weight w for which it meets the bound.
 

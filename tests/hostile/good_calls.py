@@ -190,6 +190,7 @@ NO_DOOR = {
             "excitation.Separation",
             "excitation.Target",
             "export.Export",
+            "identification.Certificate",
             "identification.FitResult",
             "identification.IdentificationResult",
             "identification.RegularizerComparison",

@@ -96,6 +96,7 @@ class LogFits:
         gamma: float | None = None,
         residual_bound: float | None = None,
         without: int | None = None,
+        certify: bool = False,
     ) -> IdentificationResult:
         """The fit to all folds, or to all but one; see `geodrake.identification.identify`.
 
@@ -104,6 +105,7 @@ class LogFits:
             gamma: Weight of the regularizer; exactly one of gamma and residual_bound.
             residual_bound: Greatest weighted squared residual.
             without: The fold to leave out.
+            certify: Whether a MathematicalProgram certifies it.
         """
         A, b = self.data(without)
         with drake_messages():  # an error says it all when a solver gives up
@@ -116,6 +118,7 @@ class LogFits:
                 residual_bound=residual_bound,
                 extra_bounds=self.extra_bounds,
                 total_mass=self.total_mass,
+                certify=certify,
             )
 
     def data(self, without: int | None = None) -> tuple[Array, Array]:
@@ -158,6 +161,7 @@ class LogFits:
                 reference=reference,
                 extra_bounds=self.extra_bounds,
                 total_mass=self.total_mass,
+                certify=False,
             )
 
     def least_residual(self, without: int | None = None) -> float:

@@ -118,7 +118,7 @@ def identify_model(
             *model_notes(fitted, body_changes(fits, result)),
             *sweep_notes(gamma, sweep),
             *bound_notes(result.gamma),
-            *filter(None, [result.note]),
+            *result.fit.notes,
         ),
     )
 
@@ -179,8 +179,10 @@ def _bounded(
     ratio = settings.residual_ratio or 1.0
 
     def solve(without: int | None) -> IdentificationResult:
-        bound = ratio**2 * fits.least_residual(without)
-        return fits.solve(settings.regularizer, residual_bound=bound, without=without)
+        bound, certify = ratio**2 * fits.least_residual(without), without is None
+        return fits.solve(
+            settings.regularizer, residual_bound=bound, without=without, certify=certify
+        )
 
     try:
         return solve(None), [solve(f) for f in fits.folds]
@@ -203,7 +205,7 @@ def _weighted(
     """The fits to all and to all but each fold, with one γ."""
     try:
         folds = [fits.solve(regularizer, gamma=gamma, without=f) for f in fits.folds]
-        return fits.solve(regularizer, gamma=gamma), folds
+        return fits.solve(regularizer, gamma=gamma, certify=True), folds
     except IdentificationError as error:
         blocks = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
         where = f" ({', '.join(block_names(fits)[k] for k in blocks)})" if blocks else ""
