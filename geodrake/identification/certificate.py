@@ -8,7 +8,10 @@ from typing import Literal
 Scope = Literal["global", "local"]
 
 TOLERANCE = 1e-6
-"""Greatest gap, as a share of the cost, and greatest violation that a certificate allows."""
+"""How far a fit may be above the solver's cost, and that above the least, as shares of the cost.
+
+It is also the greatest violation of a constraint.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +48,8 @@ class Certificate:
 
     @property
     def holds(self) -> bool:
-        """Whether gap and violation are within `TOLERANCE`."""
-        return self.relative_gap <= TOLERANCE and self.violation <= TOLERANCE
+        """Whether both parts of the gap and the violation are within `TOLERANCE`."""
+        return self.relative_gap <= 2.0 * TOLERANCE and self.violation <= TOLERANCE
 
     @property
     def words(self) -> str:

@@ -172,6 +172,13 @@ def parameters_of(fit: FitProgram, solution: MathematicalProgramResult) -> Array
     """
     x = fit.coordinates.parameters(solution.GetSolution(fit.z))
     x = np.clip(x, fit.problem.lower, fit.problem.upper)
+    scalars = np.array(list(fit.problem.entropic_scalars), int)
+    if not np.all(x[scalars] > 0):
+        raise IdentificationError(
+            f"The solver's parameters at columns {scalars[x[scalars] <= 0].tolist()} are not "
+            "positive: it did not reach the accuracy that the data and prior need.",
+            advice="Raise gamma, or check units and noise levels.",
+        )
     smallest = fit.coordinates.smallest_eigenvalues(x)
     if not np.all(smallest > 0):
         wrong = np.array(fit.problem.inertia_blocks)[~(smallest > 0)].tolist()
@@ -194,7 +201,8 @@ def _at_boundary(coordinates: Coordinates, x: Array) -> tuple[int, ...]:
 def _without_solver(coordinates: Coordinates) -> tuple[Array | None, str]:
     """Parameters by least squares alone, or None when they do not solve the problem."""
     problem = coordinates.problem
-    if problem.entropic or problem.constraints is not None or problem.residual_bound is not None:
+    entropic = problem.entropic or problem.entropic_scalars
+    if entropic or problem.constraints is not None or problem.residual_bound is not None:
         return None, ""
     lower, upper = coordinates.bounds()
     bounded = np.isfinite(lower) | np.isfinite(upper)
@@ -283,6 +291,8 @@ def fit_result(
         gammas = np.array([gamma for _, gamma in problem.entropic.values()])
         metric = gammas[:, None, None] * pullback_metric(x[places])
         prior[places[:, :, None], places[:, None, :]] += metric
+    for column, (_, gamma) in problem.entropic_scalars.items():
+        prior[column, column] += 0.5 * gamma / x[column] ** 2
     information = prior if np.isinf(prior_weight) else R.T @ R + prior_weight * prior
     scale = np.diagonal(coordinates.transform)
     at_bound = np.minimum(x - problem.lower, problem.upper - x) <= _BOUNDARY * scale

@@ -32,6 +32,7 @@ class FitProgram:
         triangle: (k, p + 1) rows [F f] of the quadratic cost ‖F z − f‖².
         errors: (k,) variables F z − f.
         logarithms: Number of an entropic block -> the variables (10,) and (4,) of its log|S|.
+        scalar_logarithms: (k,) variables, the logarithms of the entropic scalars over their priors.
     """
 
     problem: FitProblem
@@ -44,12 +45,13 @@ class FitProgram:
     triangle: Array
     errors: Any
     logarithms: Mapping[int, tuple[Any, Any]]
+    scalar_logarithms: Any
 
     def point(self, x: Array) -> Array:
         """Values of all variables at parameters x (p,), each as favourable as x allows.
 
         Args:
-            x: (p,) parameters whose entropic blocks are physical.
+            x: (p,) parameters whose entropic blocks are physical, and scalars positive.
         """
         z = self.coordinates.at(x)
         values = np.zeros(self.program.num_vars())
@@ -67,6 +69,11 @@ class FitProgram:
             pivots = np.diagonal(root)
             put(Z, (root * pivots)[np.tril_indices(4)])
             put(t, 2.0 * np.log(pivots))
+        if len(self.scalar_logarithms):
+            ratios = self.coordinates.scalars(self.problem.entropic_scalars).ratios(z)
+            if not np.all(ratios > 0):
+                raise np.linalg.LinAlgError("a scalar with an entropic prior is not positive")
+            put(self.scalar_logarithms, np.log(ratios))
         return values
 
 
@@ -98,12 +105,14 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
         rows = np.column_stack([C, np.zeros(len(C))])
         cone, residual_scale = _bound_residual(program, z, M, d, problem.residual_bound)
     triangle = triangular_factor([rows])[: problem.size]
-    gammas = [gamma for _, gamma in problem.entropic.values()]
+    priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
+    gammas = [gamma for _, gamma in priors]
     start = np.zeros(problem.size) if centre is None else coordinates.at(centre)
     cost_scale = _cost_scale(triangle, gammas, start)
     triangle = triangle / np.sqrt(cost_scale)
     errors = _add_squares(program, z, triangle)
     logarithms = _add_bodies(program, z, coordinates, cost_scale)
+    scalar_logarithms = _add_scalars(program, z, coordinates, cost_scale)
     _add_bounds(program, z, coordinates)
     return FitProgram(
         problem=problem,
@@ -116,6 +125,7 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
         triangle=triangle,
         errors=errors,
         logarithms=logarithms,
+        scalar_logarithms=scalar_logarithms,
     )
 
 
@@ -174,6 +184,26 @@ def _add_bodies(
         program.AddLinearCost(slope, 0.0, block)
         logarithms[i] = _maximize_log_determinant(program, block, coordinates.starts[i], weight)
     return logarithms
+
+
+def _add_scalars(
+    program: MathematicalProgram, z: Any, coordinates: Coordinates, cost_scale: float
+) -> Any:
+    """Cost γ (y − log y) of the entropic scalars; the variables t ≤ log y."""
+    scalars = coordinates.scalars(coordinates.problem.entropic_scalars)
+    if not len(scalars.columns):
+        return np.empty(0)
+    t = program.NewContinuousVariables(len(scalars.columns), "log")
+    weights = scalars.weights / cost_scale
+    for t_k, column, begin, slope in zip(
+        t, scalars.columns.tolist(), scalars.begin, scalars.slope, strict=True
+    ):
+        cone = np.array([[0.0, slope], [0.0, 0.0], [1.0, 0.0]])
+        offset = np.array([begin, 1.0, 0.0])
+        program.AddExponentialConeConstraint(cone, offset, np.array([t_k, z[column]]))
+    program.AddLinearCost(weights * scalars.slope, 0.0, z[scalars.columns])
+    program.AddLinearCost(-weights, 0.0, t)
+    return t
 
 
 def _maximize_log_determinant(

@@ -70,6 +70,10 @@ class Riemannian(Regularizer):
         logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
         return 0.5 * float(np.square(logs).sum())
 
+    def scalar_divergence(self, values: Array, priors: Array) -> Array:
+        """½ log²(x/x⁰) of positive scalars ([Lee2019] Eq. (3.6.60))."""
+        return np.asarray(0.5 * np.log(values / priors) ** 2)
+
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
         """The entropic problem, a convex neighbour that agrees with this one to second order."""
         return Entropic().regularize(problem, prior, gamma)

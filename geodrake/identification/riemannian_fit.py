@@ -37,7 +37,7 @@ _FARTHEST = 1.5
 
 @dataclass(frozen=True, eq=False)
 class RiemannianSearch:
-    """A search for minima of ‖R x − r‖² + w (γ d(Φ, Φ⁰)² + prior information).
+    """A search for minima of ‖R x − r‖² + w (γ d(Φ, Φ⁰)² + prior information), scalars included.
 
     Attributes:
         problem: What is to be fitted; its references are the prior Φ⁰.
@@ -73,12 +73,19 @@ class RiemannianSearch:
             prior=root.T @ root,
             starts=coordinates.starts,
             blocks=np.array(problem.inertia_blocks, int),
+            scalars=coordinates.scalars(problem.scalar_priors),
             gamma=gamma,
             data=1.0,
             weight=1.0,
             size=gamma,
         )
-        inequalities, equalities = coordinates.rows()
+        # The distance keeps scalars with a prior positive; a barrier there would push them away.
+        positive = list(problem.scalar_priors)
+        lower = problem.lower.copy()
+        lower[positive] = np.where(lower[positive] > 0, lower[positive], -np.inf)
+        inequalities, equalities = replace(
+            coordinates, problem=replace(problem, lower=lower)
+        ).rows()
         region = Region.of(equalities[0], *inequalities)
         return cls(problem, coordinates, region, equalities, cost)
 
@@ -264,6 +271,7 @@ class RiemannianSearch:
         """
         S = self.cost.matrices(best.z)
         root = np.linalg.inv(np.linalg.cholesky(S))
+        own = self.cost.scalars.ratios(best.z)
         costs, distances = [], []
         for minimum in found.values():
             if minimum is None:
@@ -273,7 +281,8 @@ class RiemannianSearch:
             ratio = root @ self.cost.matrices(minimum.z) @ np.swapaxes(root, -1, -2)
             logs = np.log(np.linalg.eigvalsh(ratio))
             costs.append(minimum.value)
-            distances.append(float(np.sqrt(np.square(logs).sum())))
+            scalars = np.log(self.cost.scalars.ratios(minimum.z) / own)
+            distances.append(float(np.sqrt(np.square(logs).sum() + np.square(scalars).sum())))
         return LocalMinima(tuple(found), np.array(costs), np.array(distances), best.strict)
 
 
