@@ -1060,6 +1060,8 @@ def _identification(t):
                 "regularizer": "pullback",
                 "residual_bound": 10.0,
                 "extra_bounds": np.array([[0.0, 1.0]]),
+                "extra_prior": np.array([[0.5, 2.0]]),
+                "certify": False,
             },
             infinite=True,
         ),

@@ -54,8 +54,8 @@ def identify_model(
     The inertial parameters are regularized towards those of the model. Of its effects, positive
     parameters such as friction and rotor inertias are known to within their own size, by the
     divergence of P(1) that belongs to the regularizer ([Lee2019] Remark 3.13); others and new
-    effects are not regularized. A joint's residuals are weighted by its held-out error and reduced to
-    effective samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
+    effects are not regularized. A joint's residuals are weighted by its held-out error and reduced
+    to effective samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
 
     Args:
         model: The model as it stands, which is the prior.
