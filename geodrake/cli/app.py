@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperGroup
 
 from geodrake.boundary.escaping import printable
+from geodrake.cli.check_options import CheckOptions
 from geodrake.cli.excitation_options import ExciteOptions, IdentifiableOptions
 from geodrake.cli.export_options import ExportOptions
 from geodrake.cli.options import (
@@ -211,6 +212,15 @@ def export(options: ExportOptions) -> None:
     from geodrake.cli.export import run_export
 
     run_export(options)
+
+
+@app.command()
+@taking(CheckOptions)
+def check(options: CheckOptions) -> None:
+    """Compare the model's dynamics with MultibodyPlant's; exit code 1 if they are not the same."""
+    from geodrake.cli.check import run_check
+
+    run_check(options)
 
 
 @app.command()

@@ -21,7 +21,7 @@ from geodrake.identification.models import (
 from geodrake.inertia import PARAMETER_NAMES
 from geodrake.model.export import check_export, export_model
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.json_output import bodies_dict, number_or
+from geodrake.report.json_output import bodies_dict, certificate_dict, number_or
 
 
 def run_identify(options: IdentifyOptions) -> None:
@@ -133,6 +133,7 @@ def identification_dict(found: ModelIdentification) -> dict[str, Any]:
         "residual": found.result.residual,
         "divergence": found.result.divergence,
         "solver": found.result.solver,
+        "certificate": certificate_dict(found.result.certificate),
         "error": {
             "start": found.before.by_joint(),
             "end": found.after.by_joint(),

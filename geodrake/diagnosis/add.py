@@ -89,9 +89,10 @@ def add(
         fit.model,
         before,
         after,
-        (*case.notes, *filter(None, [fit.result.note])),
+        (*case.notes, *fit.result.notes),
         changed_bodies(model, fit),
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
+        certificate=fit.result.certificate,
     )
 
 

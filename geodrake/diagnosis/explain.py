@@ -185,7 +185,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     changed = bool(steps) or not np.array_equal(widths, known)
     after = comparison(after_case, fit.unknowns, fit.held_out)
     errors = after.errors if changed else before.errors
-    companions = [*companion_notes(trail.end.unknowns, fit), *filter(None, [fit.result.note])]
+    companions = [*companion_notes(trail.end.unknowns, fit), *fit.result.notes]
     found = (*transition_speed_notes(model, fit.model), *stated_mass_notes(case, fit.model))
     more = (*companions, *found) if changed else ()
     explanation = Explanation(
@@ -201,6 +201,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         changed_bodies(model, fit) if changed else (),
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
         trail.is_stopped,
+        fit.result.certificate if changed else None,
     )
     end = freed(trail.end.moved(after_case.dataset, delay=0))
     return Investigation(explanation, after_case, end)

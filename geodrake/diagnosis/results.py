@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from geodrake.boundary.showing import Short, Shown
+from geodrake.identification.certificate import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Series
 from geodrake.identification.models.results import BodyChange
 from geodrake.model.robot_model import RobotModel
@@ -170,6 +171,8 @@ class Explanation(Shown):
             function of positions and velocities predicts on held-out data. Of the final model;
             without a step, of the model refitted within its prior.
         is_interrupted: Whether the search was stopped before its end.
+        certificate: What the MathematicalProgram of the final fit says of it; None where the model
+            stays as it is.
     """
 
     verdict: Verdict
@@ -184,3 +187,4 @@ class Explanation(Shown):
     bodies: tuple[BodyChange, ...] = ()
     of_motion: Mapping[str, float] = field(default_factory=dict)
     is_interrupted: bool = False
+    certificate: Certificate | None = None

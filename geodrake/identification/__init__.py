@@ -1,5 +1,6 @@
 """Identification: fits of physical parameters to data, near a prior."""
 
+from geodrake.identification.certificate import Certificate
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
 from geodrake.identification.constraints import BodyConstraints
 from geodrake.identification.fit import FitResult, solve_fit
@@ -21,6 +22,7 @@ from geodrake.identification.riemannian import Riemannian
 __all__ = [
     "REGULARIZERS",
     "BodyConstraints",
+    "Certificate",
     "FitProblem",
     "FitResult",
     "IdentificationResult",

@@ -31,8 +31,10 @@ class SharedArguments(TypedDict, total=False):
     ellipsoids: ArrayLike | None
     total_mass: float | None
     extra_bounds: ArrayLike | None
+    extra_prior: ArrayLike | None
     constraints: BodyConstraints | None
     solver: str | None
+    certify: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

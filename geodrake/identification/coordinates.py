@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import FitProblem
@@ -13,6 +14,27 @@ from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
 
 Rows = tuple[Array, Array]
 """Rows (m, p) of linear constraints, and their values (m,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scalars:
+    """Positive scalars over their priors, y = begin + slope z.
+
+    Attributes:
+        columns: (k,) indices in z.
+        begin: (k,) y at z = 0.
+        slope: (k,) change of y with z.
+        weights: (k,) weights of their divergence.
+    """
+
+    columns: NDArray[np.intp]
+    begin: Array
+    slope: Array
+    weights: Array
+
+    def ratios(self, z: Array) -> Array:
+        """Y (k,) at z (p,)."""
+        return self.begin + self.slope * z[self.columns]
 
 
 def _symmetric_basis() -> Array:
@@ -35,7 +57,8 @@ class Coordinates:
 
     An inertia block has P(φ) = P(φ₀) + L smat(z) Lᵀ with the Cholesky factor L of its reference
     P = L Lᵀ: there the pullback metric ([Lee2019] Eq. (B.1.7)) is half the identity, whatever
-    the frame and units. A scalar is divided by the norm of its column of data and prior.
+    the frame and units. A scalar is divided by its prior, where it is a positive one that has
+    one, and else by the norm of its column of data and prior.
 
     Attributes:
         problem: The problem they belong to.
@@ -60,7 +83,12 @@ class Coordinates:
         """
         R = problem.factor[:, :-1]
         norms = np.sqrt((R * R).sum(0) + np.diagonal(problem.prior_information))
-        transform = np.diag(1.0 / np.where(norms > 0, norms, 1.0))
+        scale = 1.0 / np.where(norms > 0, norms, 1.0)
+        for column, (prior, _) in (problem.scalar_priors | problem.entropic_scalars).items():
+            scale[column] = prior
+            if centre is not None:
+                scale[column] = max(centre[column], 0.0) + _CENTRE_FLOOR * prior
+        transform = np.diag(scale)
         references = scales = _references(problem)
         if centre is not None:
             scales = _pseudo_inertias(problem, centre) + _CENTRE_FLOOR * references
@@ -101,13 +129,27 @@ class Coordinates:
             root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         return root
 
+    def scalars(self, priors: Mapping[int, tuple[float, float]]) -> Scalars:
+        """Positive scalars relative to their priors, as functions of z.
+
+        Args:
+            priors: Column -> (x⁰, weight).
+        """
+        columns = np.array(list(priors), int)
+        values = np.reshape([priors[k] for k in priors], (-1, 2)).astype(float)
+        begin = self.problem.prior_mean[columns] / values[:, 0]
+        slope = np.diagonal(self.transform)[columns] / values[:, 0]
+        return Scalars(columns, begin, slope, values[:, 1])
+
     def bounds(self) -> tuple[Array, Array]:
         """Bounds (p,) and (p,) of z that belong to those of x."""
         scale = np.ones(self.problem.size)
         scalar = np.isfinite(self.problem.lower) | np.isfinite(self.problem.upper)
         scale[scalar] = np.diagonal(self.transform)[scalar]
-        mean = self.problem.prior_mean
-        return (self.problem.lower - mean) / scale, (self.problem.upper - mean) / scale
+        mean, least = self.problem.prior_mean, self.problem.lower.copy()
+        for column in self.problem.entropic_scalars:  # whose divergence keeps them positive
+            least[column] = least[column] if least[column] > 0 else -np.inf
+        return (least - mean) / scale, (self.problem.upper - mean) / scale
 
     def rows(self) -> tuple[Rows, Rows]:
         """Bounds and constraints as inequalities G z ≥ h and equalities E z = e.

@@ -26,10 +26,19 @@ class Entropic(Regularizer):
         logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
         return float((np.expm1(logs) - logs).sum())
 
+    def scalar_divergence(self, values: Array, priors: Array) -> Array:
+        """x/x⁰ − log(x/x⁰) − 1 of positive scalars ([Lee2019] Eqs. (3.6.60), (5.3.33))."""
+        change = values / priors - 1.0
+        return np.asarray(change - np.log1p(change))
+
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
-        """The problem with an entropic prior for every body."""
+        """The problem with an entropic prior for every body, and every scalar that has a prior."""
         priors = zip(problem.inertia_blocks, prior, strict=True)
-        return replace(problem, entropic={start: (phi, gamma) for start, phi in priors})
+        return replace(
+            problem,
+            entropic={start: (phi, gamma) for start, phi in priors},
+            entropic_scalars={k: (x, gamma * w) for k, (x, w) in problem.scalar_priors.items()},
+        )
 
     def solve(
         self, problem: FitProblem, prior: Array, gamma: float, solver: str | None

@@ -16,6 +16,10 @@ class Euclidean(QuadraticRegularizer):
 
     name = "euclidean"
 
+    def scalar_metric(self, priors: Array) -> Array:
+        """One for every scalar."""
+        return np.ones_like(priors)
+
     def metric(self, prior: Array) -> Array:
         """The identity for every body."""
         return np.broadcast_to(np.eye(10), (len(prior), 10, 10))

@@ -15,6 +15,7 @@ from scipy.optimize import lsq_linear
 from geodrake.boundary.arguments import instance
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.certificate import Certificate
 from geodrake.identification.coordinates import Coordinates
 from geodrake.identification.newton_program import NewtonProgram
 from geodrake.identification.newton_root import bounded_minimum, first_minimum
@@ -54,6 +55,7 @@ class FitResult(Short):
             solver.
         solve_time: Time of the whole solution, s.
         note: Why another solver than usual gave the answer; empty if it was the usual one.
+        certificate: What the MathematicalProgram of the fit says of it; None if it was not asked.
     """
 
     x: Array
@@ -65,6 +67,13 @@ class FitResult(Short):
     solver: str
     solve_time: float
     note: str = ""
+    certificate: Certificate | None = None
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What solved it, where that was not the usual, and what certifies it, in words."""
+        certificate = self.certificate
+        return tuple(filter(None, [self.note, certificate.words if certificate else ""]))
 
     def standard_deviations(self) -> Array:
         """Standard deviations (p,) of x, in its units; inf where nothing is known.
@@ -131,8 +140,8 @@ def _by_conic_solver(
     # The first solution only says where and how to scale the program for the second.
     fit = build_fit(problem, centre=_centre(problem, solver))
     solution = run_solver(fit.program, solver, accuracies)
-    x = _parameters(fit, solution)
-    return fit.coordinates, x, _prior_weight(fit, solution, x)
+    x = parameters_of(fit, solution)
+    return fit.coordinates, x, prior_weight_of(fit, solution, x)
 
 
 def _centre(problem: FitProblem, solver: str) -> Array:
@@ -148,13 +157,28 @@ def _centre(problem: FitProblem, solver: str) -> Array:
         except IdentificationError:
             pass  # The conic solver says why.
     rough = build_fit(problem)
-    return _parameters(rough, run_solver(rough.program, solver, ROUGHLY))
+    return parameters_of(rough, run_solver(rough.program, solver, ROUGHLY))
 
 
-def _parameters(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
-    """Parameters (p,) of a conic solution, inside bounds and physical."""
+def parameters_of(fit: FitProgram, solution: MathematicalProgramResult) -> Array:
+    """Parameters (p,) of a conic solution, inside bounds and physical.
+
+    Args:
+        fit: The program.
+        solution: Its solution.
+
+    Raises:
+        IdentificationError: A body is not physical, as the solver was not exact enough.
+    """
     x = fit.coordinates.parameters(solution.GetSolution(fit.z))
     x = np.clip(x, fit.problem.lower, fit.problem.upper)
+    scalars = np.array(list(fit.problem.entropic_scalars), int)
+    if not np.all(x[scalars] > 0):
+        raise IdentificationError(
+            f"The solver's parameters at columns {scalars[x[scalars] <= 0].tolist()} are not "
+            "positive: it did not reach the accuracy that the data and prior need.",
+            advice="Raise gamma, or check units and noise levels.",
+        )
     smallest = fit.coordinates.smallest_eigenvalues(x)
     if not np.all(smallest > 0):
         wrong = np.array(fit.problem.inertia_blocks)[~(smallest > 0)].tolist()
@@ -177,7 +201,8 @@ def _at_boundary(coordinates: Coordinates, x: Array) -> tuple[int, ...]:
 def _without_solver(coordinates: Coordinates) -> tuple[Array | None, str]:
     """Parameters by least squares alone, or None when they do not solve the problem."""
     problem = coordinates.problem
-    if problem.entropic or problem.constraints is not None or problem.residual_bound is not None:
+    entropic = problem.entropic or problem.entropic_scalars
+    if entropic or problem.constraints is not None or problem.residual_bound is not None:
         return None, ""
     lower, upper = coordinates.bounds()
     bounded = np.isfinite(lower) | np.isfinite(upper)
@@ -226,11 +251,16 @@ def check_residual_bound(problem: FitProblem) -> None:
         )
 
 
-def _prior_weight(fit: FitProgram, solution: MathematicalProgramResult, x: Array) -> float:
+def prior_weight_of(fit: FitProgram, solution: MathematicalProgramResult, x: Array) -> float:
     """γ of the regularized problem with the same solution, from the residual cone's multiplier.
 
     At the boundary ‖u‖ = s of the cone, d² + μ (‖u‖ − s)/s is stationary, and so is
     d² + ‖u‖²/γ with γ = 2 s²/μ.
+
+    Args:
+        fit: The program.
+        solution: Its solution.
+        x: (p,) the parameters of the solution.
     """
     bound = fit.problem.residual_bound
     if bound is None:
@@ -261,6 +291,8 @@ def fit_result(
         gammas = np.array([gamma for _, gamma in problem.entropic.values()])
         metric = gammas[:, None, None] * pullback_metric(x[places])
         prior[places[:, :, None], places[:, None, :]] += metric
+    for column, (_, gamma) in problem.entropic_scalars.items():
+        prior[column, column] += 0.5 * gamma / x[column] ** 2
     information = prior if np.isinf(prior_weight) else R.T @ R + prior_weight * prior
     scale = np.diagonal(coordinates.transform)
     at_bound = np.minimum(x - problem.lower, problem.upper - x) <= _BOUNDARY * scale

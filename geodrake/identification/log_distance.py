@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geodrake.identification.coordinates import SYMMETRIC_BASIS
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Scalars
 from geodrake.inertia import Array
 
 
@@ -57,13 +57,16 @@ def _turned_basis(V: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LogCost:
-    """data ‖F z − f‖² + weight (zᵀ Λ z + γ Σ_i ½ ‖log S_i‖²), an `SmoothCost`.
+    """data ‖F z − f‖² + weight (zᵀ Λ z + γ (Σ_i ½ ‖log S_i‖² + Σ_k w_k ½ log² y_k)).
+
+    It is a `SmoothCost`.
 
     Attributes:
         triangle: (p, p + 1) factor [F f] of the data.
         prior: (p, p) Λ.
         starts: (n_blocks, 4, 4) S_i at z = 0.
         blocks: (n_blocks,) first coordinate of every block.
+        scalars: Positive scalars y with their weights w.
         gamma: γ.
         data: Weight of the data, 1 or 0.
         weight: Weight of the prior against the data.
@@ -74,6 +77,7 @@ class LogCost:
     prior: Array
     starts: Array
     blocks: Array
+    scalars: Scalars
     gamma: float
     data: float
     weight: float
@@ -90,6 +94,8 @@ class LogCost:
     def value(self, z: Array) -> float:
         """The cost at z; infinite where a body is not physical."""
         logs = float(half_squared_logs(self.matrices(z)).sum())
+        ratios = self.scalars.ratios(z)[:, None, None]
+        logs += float((self.scalars.weights * half_squared_logs(ratios)).sum())
         prior = float(z @ self.prior @ z) + self.gamma * logs
         return self.data * self.misfit(z) + self.weight * prior
 
@@ -102,6 +108,10 @@ class LogCost:
         scale = self.weight * self.gamma
         gradient[self.inside] += scale * slopes
         hessian[self.inside[:, :, None], self.inside[:, None, :]] += scale * curvatures
+        columns, slope, y = self.scalars.columns, self.scalars.slope, self.scalars.ratios(z)
+        weights, logs = scale * self.scalars.weights, np.log(y)
+        gradient[columns] += weights * slope * logs / y
+        hessian[columns, columns] += weights * np.square(slope / y) * (1.0 - logs)
         return gradient, hessian
 
     def metric(self, z: Array) -> Array:
@@ -110,6 +120,10 @@ class LogCost:
         metric = 2.0 * np.eye(len(z))
         metric[self.inside[:, :, None], self.inside[:, None, :]] = scale * log_metric(
             self.matrices(z)
+        )
+        rates = self.scalars.slope / self.scalars.ratios(z)
+        metric[self.scalars.columns, self.scalars.columns] += (
+            scale * self.scalars.weights * rates**2
         )
         return metric
 

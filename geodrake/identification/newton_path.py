@@ -78,7 +78,7 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
         IdentificationError: The constraints contradict each other, or rounding got in the way.
     """
     best: Minimum | None = None
-    gamma = float(weighted.gamma.min(initial=np.inf))
+    gamma = weighted.least_weight
     stalled = 0
     here, last = _linearized(weighted, start), start
     for count in range(_STEPS):
@@ -95,7 +95,7 @@ def minimize(weighted: WeightedProgram, start: Iterate) -> Minimum:
         if best is not None and stalled > _PATIENCE and best.gap <= _GOOD * cost:
             break
         here = _next(here)
-    if best is None or best.gap > _GOOD * max(weighted.cost(best.point.z), weighted.gamma.sum()):
+    if best is None or best.gap > _GOOD * max(weighted.cost(best.point.z), weighted.total_weight):
         raise _failure(weighted, last)
     if best.gap > _QUADRATIC * gamma:
         return best
@@ -182,7 +182,8 @@ def cold_start(weighted: WeightedProgram) -> Iterate:
     scalars[program.blocks] = 0.0
     slack = np.maximum(slack, _SLACK * (1.0 + error * np.linalg.norm(G * scalars, axis=1)))
     Z = (weighted.gamma + push)[:, None, None] * np.eye(4)
-    return Iterate(z, Z, slack, push / slack, np.zeros(len(program.equalities[1])))
+    multipliers = (push + weighted.targets) / slack
+    return Iterate(z, Z, slack, multipliers, np.zeros(len(program.equalities[1])))
 
 
 def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
@@ -197,21 +198,24 @@ def warm_start(weighted: WeightedProgram, z: Array) -> Iterate:
     S, slope = program.matrices(z), weighted.slope(z)
     G, h = program.inequalities
     slack = G @ z - h
+    entropic = weighted.targets > 0
+    multipliers = np.zeros(len(slack))
+    multipliers[entropic] = weighted.targets[entropic] / slack[entropic]
     # What the slope has beyond γ S⁻¹ is for the active inequalities and the equalities.
-    rest = slope.copy()
+    rest = slope - G.T @ multipliers
     inverse = np.asarray(np.linalg.inv(S), float)
     rest[program.blocks] -= weighted.gamma[:, None] * svec(inverse)
-    near = slack < _ACTIVE * (1.0 + np.abs(z).max(initial=0.0))
+    near = ~entropic & (slack < _ACTIVE * (1.0 + np.abs(z).max(initial=0.0)))
     E = program.equalities[0]
     known = np.linalg.lstsq(np.vstack([G[near], E]).T, rest)[0]
     forces = known[np.count_nonzero(near) :]
-    push = _LIFT * weighted.gamma.min(initial=1.0)
-    multipliers = np.zeros(len(slack))
+    push = _LIFT * min(weighted.least_weight, 1.0)
     multipliers[near] = known[: np.count_nonzero(near)]
     slope = slope - G.T @ multipliers - E.T @ forces
-    held = np.maximum(multipliers, 0.0) > push / _ACTIVE
-    slack = np.where(held, push / np.where(held, multipliers, 1.0), np.maximum(slack, _ACTIVE))
-    multipliers = np.where(held, multipliers, push / slack)
+    held = ~entropic & (np.maximum(multipliers, 0.0) > push / _ACTIVE)
+    free = np.where(entropic, slack, np.maximum(slack, _ACTIVE))
+    slack = np.where(held, push / np.where(held, multipliers, 1.0), free)
+    multipliers = np.where(held | entropic, multipliers, push / slack)
     # The slope that is left would be svec(Z) at the minimum; products S Z are kept positive.
     root = np.linalg.cholesky(S)
     turned = np.swapaxes(root, 1, 2)
@@ -235,12 +239,16 @@ def continued(minimum: Minimum, weighted: WeightedProgram) -> Iterate:
     values, vectors = np.linalg.eigh(weighted.program.matrices(point.z))
     duals = np.maximum(before / values + gamma - before, _WELL_INSIDE * gamma / values)
     Z = vectors * duals[:, None, :] @ np.swapaxes(vectors, 1, 2)
-    push = _LIFT * weighted.gamma.min(initial=1.0)
-    s, y = point.slack, point.multipliers
+    push = _LIFT * min(weighted.least_weight, 1.0)
+    s, entropic = point.slack, weighted.targets > 0
+    raised = minimum.weighted.targets / s + weighted.targets - minimum.weighted.targets
+    y = np.where(
+        entropic, np.maximum(raised, _WELL_INSIDE * weighted.targets / s), point.multipliers
+    )
     # Products of nothing would hold the next steps at the boundary that is active here.
-    active = s * weighted.gamma.max(initial=1.0) < y
+    active = ~entropic & (s * weighted.gamma.max(initial=1.0) < y)
     slack = np.where(active, np.maximum(s, push / y), s)
-    multipliers = np.where(active, y, np.maximum(y, push / s))
+    multipliers = np.where(active | entropic, y, np.maximum(y, push / s))
     return Iterate(point.z, Z, slack, multipliers, point.forces)
 
 

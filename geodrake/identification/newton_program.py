@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
-from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, Rows
+from geodrake.identification.coordinates import SYMMETRIC_BASIS, Coordinates, Rows, Scalars
 from geodrake.identification.problem import FitProblem
 from geodrake.inertia import Array
 from geodrake.robot.reduction import triangular_factor
@@ -39,9 +39,10 @@ def svec(matrices: Array) -> Array:
 class NewtonProgram:
     """A fit in the coordinates z of `Coordinates`, split into data and prior.
 
-    Minimizes ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i (tr S_i − log|S_i|)) with S_i = B_i + smat(z_i) ≻ 0,
-    G z ≥ h and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). A block whose prior is quadratic has a
-    γ_i next to nothing, as the barrier that keeps it physical.
+    Minimizes ‖M z − d‖² + w (‖C z‖² + Σ_i γ_i (tr S_i − log|S_i|) + Σ_k γ_k (s_k − log s_k)) with
+    S_i = B_i + smat(z_i) ≻ 0, s = G z − h ≥ 0 and E z = e ([Lee2019] Eqs. (3.5.45), (3.5.46)). The
+    γ_k of an inequality is 0, but for positive scalars over their priors. A block whose prior is
+    quadratic has a γ_i next to nothing, as the barrier that keeps it physical.
 
     Attributes:
         coordinates: Map to the parameters of the problem.
@@ -53,7 +54,8 @@ class NewtonProgram:
         gamma: (n,) weights γ.
         least: (n,) least w γ of a barrier, whatever w, so that rounding does not drown it.
         strength: Size of the prior, to which weights w are relative.
-        inequalities: G (m, p) and h (m,), with rows of unit length.
+        targets: (m,) weights γ_k of the inequalities.
+        inequalities: G (m, p) and h (m,), with rows of unit length but those of positive scalars.
         equalities: E (l, p) and e (l,), with independent rows of unit length.
         floor: Least squared residual of any parameters, also unphysical ones.
     """
@@ -67,6 +69,7 @@ class NewtonProgram:
     gamma: Array
     least: Array
     strength: float
+    targets: Array
     inequalities: Rows
     equalities: Rows
     floor: float
@@ -85,21 +88,24 @@ class NewtonProgram:
         blocks = np.reshape(
             [np.arange(start, start + 10) for start in problem.inertia_blocks], (-1, 10)
         ).astype(np.intp)
+        scalars = coordinates.scalars(problem.entropic_scalars)
         inequalities, equalities = coordinates.rows()
         gamma, strength = _weights(problem, prior, blocks)
+        known = np.append(blocks.ravel(), scalars.columns)
         barrier = np.array([start not in problem.entropic for start in problem.inertia_blocks])
         margins = np.where(barrier, problem.margin, 0.0)[:, None, None]
         program = cls(
             coordinates=coordinates,
             data=triangle[:p],
             prior=prior,
-            fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), blocks),
+            fixing=_undetermined(np.vstack([triangle[:p, :p], prior]), known),
             blocks=blocks,
             begin=coordinates.starts - margins * coordinates.references,
             gamma=gamma,
             least=np.zeros(len(gamma)),
-            strength=strength,
-            inequalities=inequalities,
+            strength=max(strength, scalars.weights.max(initial=0.0)),
+            targets=np.append(scalars.weights, np.zeros(len(inequalities[1]))),
+            inequalities=_with_scalars(inequalities, scalars),
             equalities=equalities,
             floor=float(triangle[p, p] ** 2) if len(triangle) > p else 0.0,
         )
@@ -126,7 +132,7 @@ class NewtonProgram:
         return self.begin + smat(z[self.blocks])
 
     def lifted(self, z: Array, least: float) -> Array:
-        """Coordinates z (p,) with no eigenvalue of S below a least one.
+        """Coordinates z (p,) with no eigenvalue of S, and no entropic scalar, below a least one.
 
         Args:
             z: (p,) coordinates.
@@ -134,10 +140,12 @@ class NewtonProgram:
         """
         if least <= 0:
             return z
+        scalars = self.coordinates.scalars(self.coordinates.problem.entropic_scalars)
+        z = z.copy()
+        z[scalars.columns] += np.maximum(least - scalars.ratios(z), 0.0) / scalars.slope
         values, vectors = np.linalg.eigh(self.matrices(z))
         matrices = vectors * np.maximum(values, least)[:, None, :] @ np.swapaxes(vectors, 1, 2)
         low = values[:, 0] < least
-        z = z.copy()
         z[self.blocks[low]] = svec(matrices - self.begin)[low]
         return z
 
@@ -155,12 +163,15 @@ class NewtonProgram:
             factor=np.asfortranarray(np.sqrt(2.0) * np.triu(triangle[:, :p])),
             target=np.sqrt(2.0) * triangle[:, p],
             gamma=np.maximum(weight * self.gamma, self.least),
+            targets=weight * self.targets,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedProgram:
-    """A `NewtonProgram` with one weight: ½‖F z − f‖² + Σ γ_i (tr S_i − log|S_i|).
+    """A `NewtonProgram` with one weight.
+
+        ½‖F z − f‖² + Σ_i γ_i (tr S_i − log|S_i|) + Σ_k γ_k (s_k − log s_k)
 
     Attributes:
         program: The program.
@@ -168,6 +179,7 @@ class WeightedProgram:
         factor: (p, p) upper triangular F, in Fortran's order.
         target: (p,) f.
         gamma: (n,) weights w γ_i, or those of barriers.
+        targets: (m,) weights w γ_k of the inequalities.
     """
 
     program: NewtonProgram
@@ -175,12 +187,23 @@ class WeightedProgram:
     factor: Array
     target: Array
     gamma: Array
+    targets: Array
+
+    @property
+    def least_weight(self) -> float:
+        """The smallest weight of an entropic prior or barrier; inf if there is none."""
+        return float(np.append(self.gamma, self.targets[self.targets > 0]).min(initial=np.inf))
+
+    @property
+    def total_weight(self) -> float:
+        """All these weights together."""
+        return float(self.gamma.sum() + self.targets.sum())
 
     def slope(self, z: Array) -> Array:
         """Gradient (p,) of the cost without its logarithms at z (p,)."""
         gradient = self.factor.T @ (self.factor @ z - self.target)
         gradient[self.program.blocks] += self.gamma[:, None] * IDENTITY
-        return gradient
+        return gradient + self.program.inequalities[0].T @ self.targets
 
     def cost(self, z: Array) -> float:
         """Cost at z (p,), counted from a perfect fit at the prior."""
@@ -188,7 +211,11 @@ class WeightedProgram:
         logs = np.linalg.slogdet(S)[1]
         divergences = np.trace(S, axis1=1, axis2=2) - logs - 4.0
         errors = self.factor @ z - self.target
-        return float(0.5 * errors @ errors + self.gamma @ divergences)
+        G, h = self.program.inequalities
+        weighty = self.targets > 0
+        slack = G[weighty] @ z - h[weighty]
+        scalars = self.targets[weighty] @ (slack - np.log(slack) - 1.0)
+        return float(0.5 * errors @ errors + self.gamma @ divergences + scalars)
 
 
 def _weights(problem: FitProblem, prior: Array, blocks: NDArray[np.intp]) -> tuple[Array, float]:
@@ -208,12 +235,20 @@ def _weights(problem: FitProblem, prior: Array, blocks: NDArray[np.intp]) -> tup
     return gamma, float(strengths.max(initial=0.0)) or 1.0
 
 
-def _undetermined(rows: Array, blocks: NDArray[np.intp]) -> Array:
+def _with_scalars(inequalities: Rows, scalars: Scalars) -> Rows:
+    """The inequalities after those of positive scalars over their priors."""
+    rows = np.zeros((len(scalars.columns), inequalities[0].shape[1]))
+    rows[np.arange(len(rows)), scalars.columns] = scalars.slope
+    return np.vstack([rows, inequalities[0]]), np.append(-scalars.begin, inequalities[1])
+
+
+def _undetermined(rows: Array, known: NDArray[np.intp]) -> Array:
     """Weak rows for the directions of scalars that no row determines.
 
-    Every block has its barrier, so only scalars can be without curvature.
+    Every block and every entropic scalar (`known`) has its curvature, so only others can be
+    without.
     """
-    scalars = np.setdiff1d(np.arange(rows.shape[1]), blocks.ravel())
+    scalars = np.setdiff1d(np.arange(rows.shape[1]), known)
     if not len(scalars):
         return np.zeros((0, rows.shape[1]))
     factor = triangular_factor([rows[:, scalars]])

@@ -2,9 +2,11 @@
 
 With dual matrices Z_i and multipliers λ, the minimum of a `WeightedProgram` is where
 
-    F'(F z − f) + γ svec(I) − svec(Z) − Gᵀ λ − Eᵀ ν = 0,   S_i Z_i = γ_i I,   s λ = 0,   s = G z − h
+    F'(F z − f) + γ svec(I) − svec(Z) + Gᵀ(γ − λ) − Eᵀ ν = 0,
+    S_i Z_i = γ_i I,   s_k λ_k = γ_k,   s = G z − h
 
-so the entropic divergence is the point γ on the central path of S ⪰ 0, and a method that follows
+with γ_k = 0 for a mere inequality and the weight of its prior for a positive scalar s_k. So the
+entropic divergence is the point γ on the central path of S ⪰ 0, and a method that follows
 the path stops there: it needs as few steps for a tiny γ, which leaves S nearly singular, as for a
 large one. Steps are those of Nesterov and Todd with Mehrotra's predictor and corrector; S, Z, s
 and λ stay strictly positive.
@@ -107,7 +109,9 @@ class Linearization:
         self._prior_pull = weighted.gamma[:, None, None] * (np.swapaxes(T, 1, 2) @ T)
         self._scaling = np.linalg.inv(T)
         self._errors = weighted.target - weighted.factor @ at.z
-        self._aim = np.maximum(weighted.gamma, _FLOOR * float(self._errors @ self._errors))
+        floor = _FLOOR * float(self._errors @ self._errors)
+        self._aim = np.maximum(weighted.gamma, floor)
+        self._targets = np.where(weighted.targets > 0, np.maximum(weighted.targets, floor), 0.0)
         self._stiffness = at.multipliers / at.slack
         self._factor(T, G)
         self._spread = _solve(self._R, E.T, transposed=True)
@@ -159,9 +163,13 @@ class Linearization:
         ratio = self.products / aim
         logs = (aim * (ratio - 1.0 - np.log(ratio))).sum()
         pull = self._D - self._prior_pull
-        error = self._reduced(self._errors, pull, np.sqrt(at.slack * at.multipliers))
+        rows = (at.multipliers - self.weighted.targets) / np.sqrt(self._stiffness)
+        error = self._reduced(self._errors, pull, rows)
         error = error + self._spread @ at.forces
-        return float(logs + at.slack @ at.multipliers + 0.5 * error @ error)
+        products, weighty = at.slack * at.multipliers, self._targets > 0
+        shares = products[weighty] / self._targets[weighty]
+        logs += self._targets[weighty] @ (shares - 1.0 - np.log(shares))
+        return float(logs + products[~weighty].sum() + 0.5 * error @ error)
 
     def direction(self, centre: float, predicted: Direction | None = None) -> Direction:
         """Step to S Z = (γ + centre) I and s λ = centre, with the predicted second order.
@@ -172,7 +180,7 @@ class Linearization:
         """
         at, d, G = self.at, self._d, self.weighted.program.inequalities[0]
         wanted = (self._aim[:, None] + centre - self.products)[:, :, None] * np.eye(4)
-        force = centre / at.slack
+        force = (self._targets + centre) / at.slack
         if predicted is not None:
             product = predicted.primal @ predicted.dual
             wanted = wanted - 0.5 * (product + np.swapaxes(product, 1, 2))
@@ -180,7 +188,8 @@ class Linearization:
         force = force - self._stiffness * self.slack_error
         M = 2.0 * wanted / (d[:, :, None] + d[:, None, :])
         pull = M + self._D - self._prior_pull
-        right = self._reduced(self._errors, pull, force / np.sqrt(self._stiffness))
+        rows = (force - self.weighted.targets) / np.sqrt(self._stiffness)
+        right = self._reduced(self._errors, pull, rows)
         dz, forces = self._constrained(right, -self.equality_error)
         change = smat(dz[self.weighted.program.blocks])
         primal = self._scaling @ change @ np.swapaxes(self._scaling, 1, 2)
@@ -202,7 +211,8 @@ class Linearization:
         moves = weighted.gamma > weighted.program.least  # a least barrier stays as it is
         pull = (weighted.gamma[:, None] / self._d)[:, :, None] * np.eye(4) - self._prior_pull
         pull = moves[:, None, None] * pull
-        right = self._reduced(np.zeros_like(at.z), pull, np.zeros_like(at.slack))
+        rows = weighted.targets * (1.0 / at.slack - 1.0) / np.sqrt(self._stiffness)
+        right = self._reduced(np.zeros_like(at.z), pull, rows)
         change = 2.0 * weighted.weight * (prior.T @ (prior @ at.z))
         right = right - _solve(self._R, change, transposed=True)
         return self._constrained(right, np.zeros_like(at.forces))[0]
@@ -220,7 +230,7 @@ class Linearization:
         return 1.0 / max(falls) if max(falls) > 0 else np.inf
 
     def excess(self, direction: Direction | None = None, length: float = 0.0) -> float:
-        """Mean of what S Z has beyond γ and of s λ, after a length of a step.
+        """Mean of what S Z and s λ have beyond γ, after a length of a step.
 
         Args:
             direction: The step; None to stay.
@@ -231,7 +241,10 @@ class Linearization:
             S, Z = S + length * direction.primal, Z + length * direction.dual
             s, y = s + length * direction.step.slack, y + length * direction.step.multipliers
         beyond = np.maximum((S * Z).sum((1, 2)) - 4.0 * self._aim, 0.0)
-        return float(beyond.sum() + max(s @ y, 0.0)) / max(self._d.size + len(s), 1)
+        mere = self._targets == 0
+        scalars = np.maximum(s * y - self._targets, 0.0)[~mere]
+        products = beyond.sum() + scalars.sum() + max(s[mere] @ y[mere], 0.0)
+        return float(products) / max(self._d.size + len(s), 1)
 
 
 _BASIS = smat(np.eye(10))

@@ -117,6 +117,12 @@ class PointMassRegularizer(Regularizer):
         fit = fit_result(coordinates, x, weight, solver, time.perf_counter() - begin)
         return PointMassFit(**vars(fit), masses=masses)
 
+    def certified(
+        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
+    ) -> FitResult:
+        """The solution as it is: a MathematicalProgram has solved it."""
+        return fit
+
     def _shares(
         self,
         program: PointMassProgram,

@@ -72,7 +72,7 @@ class FitProblem(Short):
 
     Minimizes, with P ≻ 0 for every inertia block φ_i of x and all bounds and constraints kept,
 
-        ‖R x − r‖² + (x − x₀)ᵀ Λ (x − x₀) + Σ_i γ_i d(φ_i ‖ φ_i⁰)²
+        ‖R x − r‖² + (x − x₀)ᵀ Λ (x − x₀) + Σ_i γ_i d(φ_i ‖ φ_i⁰)² + Σ_k γ_k d(x_k ‖ x_k⁰)²
 
     ([Lee2019] Eqs. (3.5.43), (3.5.47)); with `residual_bound` c it minimizes the last two terms
     subject to ‖R x − r‖² ≤ c instead (Eq. (3.5.52)). P ≻ 0 is kept strictly, as
@@ -89,6 +89,10 @@ class FitProblem(Short):
         entropic: First column of a block -> (φ⁰ (10,), γ) of its entropic divergence.
         reference: First column of a block -> physical φ (10,) of the size that is expected of it;
             φ⁰ of `entropic`, else the prior mean, when absent.
+        scalar_priors: Column of a positive scalar -> (x⁰, w), of which a regularizer of weight γ
+            makes γ w d(x, x⁰)² ([Lee2019] Remark 3.13); by itself it only sets the scale.
+        entropic_scalars: Column of a positive scalar -> (x⁰, γ) of its entropic divergence
+            x/x⁰ − log(x/x⁰) − 1 (Eq. (5.3.33)).
         constraints: Further linear constraints on x.
         residual_bound: Greatest squared residual c of the point-to-set form; None for the sum.
         margin: Smallest eigenvalue of P(reference)⁻¹ P(φ) that is allowed.
@@ -106,6 +110,8 @@ class FitProblem(Short):
     upper: Array = field(default_factory=lambda: np.array(np.inf))
     entropic: Mapping[int, tuple[Array, float]] = field(default_factory=dict)
     reference: Mapping[int, Array] = field(default_factory=dict)
+    scalar_priors: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    entropic_scalars: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     constraints: LinearConstraints | None = None
     residual_bound: float | None = None
     margin: float = 1e-4
@@ -124,6 +130,8 @@ class FitProblem(Short):
         put(self, "upper", upper)
         put(self, "entropic", _entropic(self))
         put(self, "reference", _references(self))
+        for name in ("scalar_priors", "entropic_scalars"):
+            put(self, name, _scalars(self, name))
         if self.constraints is not None:
             _check_constraints(self.constraints, p)
         if self.residual_bound is not None:
@@ -224,6 +232,25 @@ def _entropic(problem: FitProblem) -> dict[int, tuple[Array, float]]:
             raise ArgumentError(f"entropic[{start}] must be a pair of φ⁰ and γ; got {pair!r}.")
         gamma = number(pair[1], f"gamma at column {start}", lower=0.0, strict=True, finite=False)
         priors[start] = (checked(f"entropic[{start}]", pair[0], (10,)), gamma)
+    return priors
+
+
+def _scalars(problem: FitProblem, name: str) -> dict[int, tuple[float, float]]:
+    given = instance(getattr(problem, name), name, Mapping)
+    inertial = {k for start in problem.inertia_blocks for k in range(start, start + 10)}
+    priors = {}
+    for column, pair in given.items():
+        if column in inertial or not 0 <= column < problem.size:
+            raise ArgumentError(f"{name} has column {column}, where there is no scalar parameter.")
+        if len(instances(pair, f"{name}[{column}]", object)) != 2:
+            raise ArgumentError(
+                f"{name}[{column}] must be a pair of x⁰ and a weight; got {pair!r}."
+            )
+        what = f"x⁰ at column {column}", f"the weight at column {column}"
+        prior, weight = (
+            number(v, w, lower=0.0, strict=True) for v, w in zip(pair, what, strict=True)
+        )
+        priors[column] = (prior, weight)
     return priors
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,10 @@ class FitProgram:
         residual_cone: Constraint of the point-to-set form, or None.
         cost_scale: Value by which the cost was divided.
         residual_scale: Value by which the residual was divided in `residual_cone`.
+        triangle: (k, p + 1) rows [F f] of the quadratic cost ‖F z − f‖².
+        errors: (k,) variables F z − f.
+        logarithms: Number of an entropic block -> the variables (10,) and (4,) of its log|S|.
+        scalar_logarithms: (k,) variables, the logarithms of the entropic scalars over their priors.
     """
 
     problem: FitProblem
@@ -37,6 +42,39 @@ class FitProgram:
     residual_cone: Any
     cost_scale: float
     residual_scale: float
+    triangle: Array
+    errors: Any
+    logarithms: Mapping[int, tuple[Any, Any]]
+    scalar_logarithms: Any
+
+    def point(self, x: Array) -> Array:
+        """Values of all variables at parameters x (p,), each as favourable as x allows.
+
+        Args:
+            x: (p,) parameters whose entropic blocks are physical, and scalars positive.
+        """
+        z = self.coordinates.at(x)
+        values = np.zeros(self.program.num_vars())
+
+        def put(variables: Any, numbers: Array) -> None:
+            values[self.program.FindDecisionVariableIndices(variables)] = numbers
+
+        put(self.z, z)
+        if len(self.errors):
+            put(self.errors, self.triangle @ np.append(z, -1.0))
+        for i, (Z, t) in self.logarithms.items():
+            start = self.problem.inertia_blocks[i]
+            change = np.einsum("k,kij->ij", z[start : start + 10], SYMMETRIC_BASIS)
+            root = np.linalg.cholesky(self.coordinates.starts[i] + change)
+            pivots = np.diagonal(root)
+            put(Z, (root * pivots)[np.tril_indices(4)])
+            put(t, 2.0 * np.log(pivots))
+        if len(self.scalar_logarithms):
+            ratios = self.coordinates.scalars(self.problem.entropic_scalars).ratios(z)
+            if not np.all(ratios > 0):
+                raise np.linalg.LinAlgError("a scalar with an entropic prior is not positive")
+            put(self.scalar_logarithms, np.log(ratios))
+        return values
 
 
 def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram:
@@ -67,13 +105,28 @@ def build_fit(problem: FitProblem, *, centre: Array | None = None) -> FitProgram
         rows = np.column_stack([C, np.zeros(len(C))])
         cone, residual_scale = _bound_residual(program, z, M, d, problem.residual_bound)
     triangle = triangular_factor([rows])[: problem.size]
-    gammas = [gamma for _, gamma in problem.entropic.values()]
+    priors = (*problem.entropic.values(), *problem.entropic_scalars.values())
+    gammas = [gamma for _, gamma in priors]
     start = np.zeros(problem.size) if centre is None else coordinates.at(centre)
     cost_scale = _cost_scale(triangle, gammas, start)
-    _add_squares(program, z, triangle / np.sqrt(cost_scale))
-    _add_bodies(program, z, coordinates, cost_scale)
+    triangle = triangle / np.sqrt(cost_scale)
+    errors = _add_squares(program, z, triangle)
+    logarithms = _add_bodies(program, z, coordinates, cost_scale)
+    scalar_logarithms = _add_scalars(program, z, coordinates, cost_scale)
     _add_bounds(program, z, coordinates)
-    return FitProgram(problem, coordinates, program, z, cone, cost_scale, residual_scale)
+    return FitProgram(
+        problem=problem,
+        coordinates=coordinates,
+        program=program,
+        z=z,
+        residual_cone=cone,
+        cost_scale=cost_scale,
+        residual_scale=residual_scale,
+        triangle=triangle,
+        errors=errors,
+        logarithms=logarithms,
+        scalar_logarithms=scalar_logarithms,
+    )
 
 
 def _cost_scale(triangle: Array, gammas: list[float], z: Array) -> float:
@@ -84,20 +137,21 @@ def _cost_scale(triangle: Array, gammas: list[float], z: Array) -> float:
     return max([value, 1e-8 * curvature, *gammas]) or 1.0
 
 
-def _add_squares(program: MathematicalProgram, z: Any, triangle: Array) -> None:
-    """Cost ‖F z − f‖² for the triangle [F f].
+def _add_squares(program: MathematicalProgram, z: Any, triangle: Array) -> Any:
+    """Cost ‖F z − f‖² for the triangle [F f]; the variables F z − f.
 
     The differences are variables of their own: with FᵀF as Hessian the solution is some hundred
     times less exact.
     """
     p = len(z)
     if not len(triangle):
-        return
+        return np.empty(0)
     errors = program.NewContinuousVariables(len(triangle), "e")
     matrix = csc_matrix(np.hstack([triangle[:, :p], -np.eye(len(triangle))]))
     program.AddLinearEqualityConstraint(matrix, triangle[:, p], np.concatenate([z, errors]))
     hessian = 2.0 * np.eye(len(triangle))
     program.AddQuadraticCost(hessian, np.zeros(len(triangle)), errors, is_convex=True)
+    return errors
 
 
 def _bound_residual(
@@ -115,8 +169,9 @@ def _bound_residual(
 
 def _add_bodies(
     program: MathematicalProgram, z: Any, coordinates: Coordinates, cost_scale: float
-) -> None:
-    problem = coordinates.problem
+) -> dict[int, tuple[Any, Any]]:
+    """Bodies that are physical, and near their entropic prior; the variables of `logarithms`."""
+    problem, logarithms = coordinates.problem, {}
     floors = coordinates.starts - problem.margin * coordinates.references
     for i, start in enumerate(problem.inertia_blocks):
         block = z[start : start + 10]
@@ -127,16 +182,37 @@ def _add_bodies(
         prior = np.linalg.inv(coordinates.references[i])
         slope = weight * np.einsum("ij,kji->k", prior, SYMMETRIC_BASIS)
         program.AddLinearCost(slope, 0.0, block)
-        _maximize_log_determinant(program, block, coordinates.starts[i], weight)
+        logarithms[i] = _maximize_log_determinant(program, block, coordinates.starts[i], weight)
+    return logarithms
+
+
+def _add_scalars(
+    program: MathematicalProgram, z: Any, coordinates: Coordinates, cost_scale: float
+) -> Any:
+    """Cost γ (y − log y) of the entropic scalars; the variables t ≤ log y."""
+    scalars = coordinates.scalars(coordinates.problem.entropic_scalars)
+    if not len(scalars.columns):
+        return np.empty(0)
+    t = program.NewContinuousVariables(len(scalars.columns), "log")
+    weights = scalars.weights / cost_scale
+    for t_k, column, begin, slope in zip(
+        t, scalars.columns.tolist(), scalars.begin, scalars.slope, strict=True
+    ):
+        cone = np.array([[0.0, slope], [0.0, 0.0], [1.0, 0.0]])
+        offset = np.array([begin, 1.0, 0.0])
+        program.AddExponentialConeConstraint(cone, offset, np.array([t_k, z[column]]))
+    program.AddLinearCost(weights * scalars.slope, 0.0, z[scalars.columns])
+    program.AddLinearCost(-weights, 0.0, t)
+    return t
 
 
 def _maximize_log_determinant(
     program: MathematicalProgram, z: Any, begin: Array, weight: float
-) -> None:
+) -> tuple[Any, Any]:
     """Cost −weight log|S| with S = begin + smat(z), the barrier of [Lee2019] Eq. (3.5.45).
 
     log|S| ≥ Σ t_i holds just when [[S, Z], [Zᵀ, diag(Z)]] ⪰ 0 for some lower triangular Z with
-    t_i ≤ log Z_ii.
+    t_i ≤ log Z_ii. Returns the variables of Z, row by row, and t.
     """
     Z = program.NewContinuousVariables(10, "Z")
     t = program.NewContinuousVariables(4, "t")
@@ -153,6 +229,7 @@ def _maximize_log_determinant(
         cone = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
         program.AddExponentialConeConstraint(cone, np.array([0.0, 1.0, 0.0]), np.array([t_i, Z_ii]))
     program.AddLinearCost(np.full(4, -weight), 0.0, t)
+    return Z, t
 
 
 def _add_bounds(program: MathematicalProgram, z: Any, coordinates: Coordinates) -> None:

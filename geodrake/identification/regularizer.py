@@ -8,7 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from geodrake.errors import IdentificationError
+from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.certification import certified
 from geodrake.identification.conic_fit import solve_exactly
 from geodrake.identification.fit import FitResult, solve_fit
 from geodrake.identification.newton import solve_newton
@@ -45,6 +46,22 @@ class Regularizer(ABC):
             prior: (nb, 10) physical prior.
             gamma: Weight γ > 0.
         """
+
+    def scalar_divergence(self, values: Array, priors: Array) -> Array:
+        """d(x, x⁰)² of positive scalars such as rotor inertias, one by one ([Lee2019] Remark 3.13).
+
+        Args:
+            values: (k,) values.
+            priors: (k,) positive prior values.
+
+        Raises:
+            ArgumentError: The regularizer has none.
+        """
+        raise ArgumentError(
+            f"The regularizer {self.name} has no divergence of extra parameters, and extra_prior "
+            "gives them a prior.",
+            advice="Leave extra_prior out, or take another regularizer.",
+        )
 
     def divergence_of(self, fit: FitResult, prior: Array) -> float:
         """d² at a solution of `solve`.
@@ -85,13 +102,37 @@ class Regularizer(ABC):
                     raise
         return solve_fit(replace(regularized, margin=_MARGINS[-1] * problem.margin), solver=solver)
 
+    def certified(
+        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
+    ) -> FitResult:
+        """A solution of `solve` with its `Certificate`, or the better one of its program.
+
+        Args:
+            problem: The data, bounds and constraints.
+            prior: (nb, 10) physical prior Φ⁰.
+            gamma: Weight γ of d².
+            fit: The solution.
+        """
+        return certified(self.regularize(problem, prior, gamma), fit)
+
 
 class QuadraticRegularizer(Regularizer):
-    """A regularizer (Φ − Φ⁰)ᵀ G (Φ − Φ⁰) with a constant G, block by block."""
+    """A regularizer (Φ − Φ⁰)ᵀ G (Φ − Φ⁰) with a constant G, block by block.
+
+    Positive scalars have the metric ½ / x⁰² of P(1), unless `scalar_metric` is another.
+    """
 
     @abstractmethod
     def metric(self, prior: Array) -> Array:
         """G of every body, (nb, 10, 10), for a prior (nb, 10)."""
+
+    def scalar_metric(self, priors: Array) -> Array:
+        """G (k,) of positive scalars, for priors (k,)."""
+        return 0.5 / priors**2
+
+    def scalar_divergence(self, values: Array, priors: Array) -> Array:
+        """d(x, x⁰)² of positive scalars, one by one."""
+        return self.scalar_metric(priors) * (values - priors) ** 2
 
     def divergence(self, phi: Array, prior: Array) -> float:
         """d(Φ, Φ⁰)² of all bodies together."""
@@ -103,4 +144,7 @@ class QuadraticRegularizer(Regularizer):
         information = problem.prior_information.copy()
         for start, metric in zip(problem.inertia_blocks, self.metric(prior), strict=True):
             information[start : start + 10, start : start + 10] += gamma * metric
+        for column, (value, weight) in problem.scalar_priors.items():
+            metric = self.scalar_metric(np.array([value]))[0]
+            information[column, column] += gamma * weight * metric
         return replace(problem, prior_information=information)

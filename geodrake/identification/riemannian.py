@@ -11,6 +11,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
+from geodrake.identification.certification import certified
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.fit import FitResult
 from geodrake.identification.interior_point import LocalMinimum
@@ -69,6 +70,10 @@ class Riemannian(Regularizer):
         logs = relative_logarithms(pseudo_inertia(prior), pseudo_inertia(phi))
         return 0.5 * float(np.square(logs).sum())
 
+    def scalar_divergence(self, values: Array, priors: Array) -> Array:
+        """½ log²(x/x⁰) of positive scalars ([Lee2019] Eq. (3.6.60))."""
+        return np.asarray(0.5 * np.log(values / priors) ** 2)
+
     def regularize(self, problem: FitProblem, prior: Array, gamma: float) -> FitProblem:
         """The entropic problem, a convex neighbour that agrees with this one to second order."""
         return Entropic().regularize(problem, prior, gamma)
@@ -100,6 +105,18 @@ class Riemannian(Regularizer):
         else:
             minima = search.compared(found, best)
         return search.result(best, weight, minima, time.perf_counter() - begin)
+
+    def certified(
+        self, problem: FitProblem, prior: Array, gamma: float, fit: FitResult
+    ) -> FitResult:
+        """The solution with a certificate that it is a local minimum.
+
+        The program is that of the cost's second order at the solution, with all constraints, and
+        with the weight that meets a residual bound.
+        """
+        search = RiemannianSearch.of(problem, prior, gamma)
+        local, size = search.second_order(fit.x, fit.prior_weight)
+        return certified(local, fit, size=size, scope="local")
 
     def _others(
         self, search: RiemannianSearch, first: Array, prior: Array, gamma: float

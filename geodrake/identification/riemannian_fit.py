@@ -37,7 +37,7 @@ _FARTHEST = 1.5
 
 @dataclass(frozen=True, eq=False)
 class RiemannianSearch:
-    """A search for minima of ‖R x − r‖² + w (γ d(Φ, Φ⁰)² + prior information).
+    """A search for minima of ‖R x − r‖² + w (γ d(Φ, Φ⁰)² + prior information), scalars included.
 
     Attributes:
         problem: What is to be fitted; its references are the prior Φ⁰.
@@ -73,12 +73,19 @@ class RiemannianSearch:
             prior=root.T @ root,
             starts=coordinates.starts,
             blocks=np.array(problem.inertia_blocks, int),
+            scalars=coordinates.scalars(problem.scalar_priors),
             gamma=gamma,
             data=1.0,
             weight=1.0,
             size=gamma,
         )
-        inequalities, equalities = coordinates.rows()
+        # The distance keeps scalars with a prior positive; a barrier there would push them away.
+        positive = list(problem.scalar_priors)
+        lower = problem.lower.copy()
+        lower[positive] = np.where(lower[positive] > 0, lower[positive], -np.inf)
+        inequalities, equalities = replace(
+            coordinates, problem=replace(problem, lower=lower)
+        ).rows()
         region = Region.of(equalities[0], *inequalities)
         return cls(problem, coordinates, region, equalities, cost)
 
@@ -142,6 +149,27 @@ class RiemannianSearch:
         cost = replace(self.cost, data=data, weight=weight)
         cost = replace(cost, size=max(min(cost.value(z), cost.value(0.0 * z)), weight * cost.gamma))
         return minimize(cost, self.region, z, barrier=_WARM if warm else 1e-2)
+
+    def second_order(self, x: Array, weight: float) -> tuple[FitProblem, float]:
+        """The problem whose cost is the second order of this one's at x, and the cost there.
+
+        Args:
+            x: (p,) parameters.
+            weight: w of the regularizer; inf leaves the data out.
+        """
+        data, weight = (0.0, 1.0) if np.isinf(weight) else (1.0, weight)
+        cost, z = replace(self.cost, data=data, weight=weight), self.coordinates.at(x)
+        gradient, hessian = cost.derivatives(z)
+        inverse = np.linalg.inv(self.coordinates.transform)
+        target = z - np.linalg.lstsq(hessian, gradient, rcond=None)[0]
+        problem = replace(
+            self.problem,
+            factor=np.zeros((1, len(z) + 1)),
+            prior_mean=self.coordinates.parameters(target),
+            prior_information=0.5 * inverse.T @ hessian @ inverse,
+            residual_bound=None,
+        )
+        return problem, cost.value(z) + data * self._floor
 
     def meet_bound(self, z: Array, weight: float) -> tuple[LocalMinimum, float]:
         """A minimum, and in the point-to-set form the weight w for which it meets the bound.
@@ -243,6 +271,7 @@ class RiemannianSearch:
         """
         S = self.cost.matrices(best.z)
         root = np.linalg.inv(np.linalg.cholesky(S))
+        own = self.cost.scalars.ratios(best.z)
         costs, distances = [], []
         for minimum in found.values():
             if minimum is None:
@@ -252,7 +281,8 @@ class RiemannianSearch:
             ratio = root @ self.cost.matrices(minimum.z) @ np.swapaxes(root, -1, -2)
             logs = np.log(np.linalg.eigvalsh(ratio))
             costs.append(minimum.value)
-            distances.append(float(np.sqrt(np.square(logs).sum())))
+            scalars = np.log(self.cost.scalars.ratios(minimum.z) / own)
+            distances.append(float(np.sqrt(np.square(logs).sum() + np.square(scalars).sum())))
         return LocalMinima(tuple(found), np.array(costs), np.array(distances), best.strict)
 
 

@@ -173,6 +173,29 @@ def run_solver(
         ArgumentError: There is no such solver here.
         IdentificationError: The solver found no solution; its `evidence` has the status.
     """
+    return _run(program, solver, accuracies)[0]
+
+
+def run_to_gap(
+    program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances]
+) -> tuple[MathematicalProgramResult, float]:
+    """As `run_solver`, with the duality gap that the solver may have left, in the unit of the cost.
+
+    Args:
+        program: Any program the solver can take.
+        solver: Clarabel, whose tolerances are those of gaps.
+        accuracies: What to try in turn.
+    """
+    result, tolerances = _run(program, solver, accuracies)
+    exact = result.get_solver_details().status == "Solved"
+    share = tolerances[solver]["tol_gap_rel" if exact else "reduced_tol_gap_rel"]
+    return result, float(share) * max(1.0, abs(result.get_optimal_cost()))
+
+
+def _run(
+    program: MathematicalProgram, solver: str, accuracies: Sequence[Tolerances]
+) -> tuple[MathematicalProgramResult, Tolerances]:
+    """The first success, and the accuracy that was asked for."""
     check_solver(solver)
     if solver == "csdp":
         program = _without_squares(program)
@@ -189,7 +212,7 @@ def run_solver(
         result = SOLVERS[solver]().Solve(program, None, options)
         status = result.get_solution_result()
         if result.is_success():
-            return result
+            return result, tolerances
         if status != SolutionResult.kSolverSpecificError:
             break
     cause, advice = _CAUSES.get(status, _OTHER_CAUSE)

@@ -1,6 +1,7 @@
 """`RobotModel`: a robot, its effects, their parameters, and what is known about them."""
 
 from geodrake.effects import FittedEffect
+from geodrake.model.dynamics_check import DynamicsCheck, check_dynamics
 from geodrake.model.export import export_model, save_export
 from geodrake.model.holding import holding
 from geodrake.model.logged_joints import model_of_logs
@@ -10,9 +11,11 @@ from geodrake.model.source import cpp_source, python_source
 from geodrake.robot.files import Given
 
 __all__ = [
+    "DynamicsCheck",
     "FittedEffect",
     "Given",
     "RobotModel",
+    "check_dynamics",
     "cpp_source",
     "export_model",
     "holding",

@@ -15,6 +15,7 @@ from geodrake.boundary.escaping import json_text
 from geodrake.control.rollout import Rollout
 from geodrake.diagnosis.drafting import Correlate, Draft
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
+from geodrake.identification.certificate import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
 from geodrake.identification.models.results import BodyChange
 
@@ -98,8 +99,27 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
         "steps": [_step(step) for step in explanation.steps],
         "error": {**_errors(**tables), "of_motion": dict(explanation.of_motion)},
         "bodies": bodies_dict(explanation.bodies),
+        "certificate": certificate_dict(explanation.certificate),
         "failing": [_failing(case) for case in explanation.after.failing],
         "notes": list(explanation.notes),
+    }
+
+
+def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumber:
+    """What the MathematicalProgram of a fit says of it; the gap as a share of the cost.
+
+    Args:
+        certificate: The certificate, None where no fit is reported.
+    """
+    if certificate is None:
+        return NoNumber("the model stays as it is")
+    return {
+        "holds": certificate.holds,
+        "solver": certificate.solver,
+        "gap": number_or(certificate.relative_gap, certificate.failure),
+        "violation": number_or(certificate.violation, certificate.failure),
+        "scope": certificate.scope,
+        "replaced": certificate.replaced,
     }
 
 

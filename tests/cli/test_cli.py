@@ -74,6 +74,8 @@ def test_explain_tells_saves_and_writes_the_schema(log, tmp_path):
     for joint, value in COULOMB.items():
         assert coulomb["parameters"][joint]["coulomb"] == pytest.approx(value, rel=0.15)
     assert coulomb["error_after"] < coulomb["error_before"]
+    assert found["certificate"]["holds"] and found["certificate"]["solver"] == "clarabel"
+    assert "the fit is certified by clarabel" in result.output
     assert isinstance(coulomb["indistinguishable_from"], list)
     assert 0 <= coulomb["false_alarm_probability"] <= 1
     error = found["error"]

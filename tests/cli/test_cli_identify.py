@@ -96,6 +96,7 @@ def test_everything_is_written(log, tmp_path):
     saved, exported = load_model(tmp_path / "m.yaml"), load_model(tmp_path / "out.urdf")
     np.testing.assert_allclose(exported.phi, saved.phi, rtol=1e-9, atol=1e-15)
     numbers = json.loads((tmp_path / "n.json").read_text())
+    assert numbers["certificate"]["holds"] and numbers["certificate"]["solver"] == "clarabel"
     assert numbers["error"]["end_nrms"] < 0.2 * numbers["error"]["start_nrms"]
     table = (tmp_path / "r.html").read_text().partition("<h2>Bodies</h2>")[2]
     assert all(body in table for body in saved.bodies) and "kg" in table

@@ -412,6 +412,7 @@ def test_add_puts_an_effect_where_it_is_told(model, logs):
     assert (step.effect, step.where) == ("coulomb_friction", ("elbow",))
     assert set(parameters(found.model)) >= {("coulomb_friction", ("elbow",))}
     assert ("coulomb_friction", ("shoulder",)) not in parameters(found.model)
+    assert found.certificate.holds and found.certificate.solver == "clarabel"
     assert step.rms_after["elbow"] < 0.7 * step.rms_before["elbow"]
 
 

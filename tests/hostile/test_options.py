@@ -30,6 +30,17 @@ ROWS = [
     Row("all is well", "compare robot.urdf log.csv --json new.json", code=0, writes=("new.json",)),
 ]
 
+CHECK = [
+    Row("check", "check robot.urdf --json new.json", ("agree",), code=0, writes=("new.json",)),
+    *rows("check robot.urdf", "--samples", ("0", "-1", "10001", *HUGE), "samples"),
+    *rows("check robot.urdf", "--samples", NO_INTEGERS, "'--samples'"),
+    *rows("check robot.urdf", "--seed", ("-1",), "seed"),
+    *rows("check robot.urdf", "--lock", ("elbow", "elbow=x"), "--lock"),
+    *rows("check robot.urdf", "--lock", ("x=0",), "no joint 'x'"),
+    Row("check of no file", "check nothing.urdf", ("nothing.urdf",)),
+    Row("check over its model", "check robot.urdf --json robot.urdf", ("robot.urdf",)),
+]
+
 LOG_OPTIONS = [
     *chain.from_iterable(
         rows(f"{command} {DATA}", "--bandwidth", ODD, "bandwidth of", "Hz")
@@ -158,7 +169,7 @@ def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
-@pytest.mark.parametrize("row", LOG_OPTIONS, ids=str)
+@pytest.mark.parametrize("row", [*CHECK, *LOG_OPTIONS], ids=str)
 def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 

@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.identification.comparison import RegularizerComparison, compare_regularizers
-from geodrake.identification.identify import REGULARIZERS, IdentificationResult, identify
+from geodrake.identification.identify import (
+    REGULARIZERS,
+    IdentificationResult,
+    identify,
+    regularizer_of,
+)
 from geodrake.identification.logs.criteria import SPREAD
 from geodrake.identification.logs.cross_validation import HeldOut, hold_out
 from geodrake.identification.logs.dataset import Dataset, is_payload
@@ -63,8 +68,10 @@ def log_unknowns(dataset: Dataset, model: RobotModel) -> Unknowns:
 class LogFits:
     """Logs to be fitted with one regularizer or another.
 
-    A payload counts as a body of its own, with what the model says of it as its prior. Effects
-    are not regularized, but for a prior so weak that it only decides where the data say nothing.
+    A payload counts as a body of its own, with what the model says of it as its prior. Positive
+    parameters of effects that the model has, such as friction and rotor inertias, have a prior too:
+    they are known to within their own size. Others are not regularized, but for a prior so weak
+    that it only decides where the data say nothing.
 
     Attributes:
         dataset: The reduced logs.
@@ -96,6 +103,7 @@ class LogFits:
         gamma: float | None = None,
         residual_bound: float | None = None,
         without: int | None = None,
+        certify: bool = False,
     ) -> IdentificationResult:
         """The fit to all folds, or to all but one; see `geodrake.identification.identify`.
 
@@ -104,6 +112,7 @@ class LogFits:
             gamma: Weight of the regularizer; exactly one of gamma and residual_bound.
             residual_bound: Greatest weighted squared residual.
             without: The fold to leave out.
+            certify: Whether a MathematicalProgram certifies it.
         """
         A, b = self.data(without)
         with drake_messages():  # an error says it all when a solver gives up
@@ -115,7 +124,9 @@ class LogFits:
                 gamma=gamma,
                 residual_bound=residual_bound,
                 extra_bounds=self.extra_bounds,
+                extra_prior=self.extra_prior(regularizer, gamma),
                 total_mass=self.total_mass,
+                certify=certify,
             )
 
     def data(self, without: int | None = None) -> tuple[Array, Array]:
@@ -141,6 +152,28 @@ class LogFits:
         bounds = np.column_stack([self.unknowns.lower[scalar], self.unknowns.upper[scalar]])
         return bounds if len(bounds) else None
 
+    def extra_prior(self, regularizer: str, gamma: float | None) -> Array | None:
+        """(extra, 2) what the model has of positive parameters, and weights; None of none.
+
+        The weights make the parameters known to within their own size, whatever γ. Without one, γ
+        is that of inertias known to within `SPREAD`.
+
+        Args:
+            regularizer: Name of the regularizer.
+            gamma: Weight of the regularizer, None with a residual bound.
+        """
+        scalar = self._order[self._inertial :]
+        values = np.where(self.unknowns.lower[scalar] >= 0.0, self.unknowns.mean[scalar], 0.0)
+        known = (values > 0.0) & (values <= self.unknowns.upper[scalar])
+        if not known.any():
+            return None
+        if gamma is None:
+            gamma = 1.0 / (SPREAD**2 * regularizer_scale(self.prior, regularizer))
+        weights, kind = np.ones(len(values)), regularizer_of(regularizer)
+        near = kind.scalar_divergence((1.0 + _PROBE) * values[known], values[known])
+        weights[known] = _PROBE**2 / (gamma * near)
+        return np.column_stack([np.where(known, values, np.nan), weights])
+
     def compare(self, reference: str, gamma: float) -> RegularizerComparison:
         """All regularizers, fitted to all folds at the training residual of one and its γ.
 
@@ -157,7 +190,9 @@ class LogFits:
                 gamma=gamma,
                 reference=reference,
                 extra_bounds=self.extra_bounds,
+                extra_prior=self.extra_prior(reference, gamma),
                 total_mass=self.total_mass,
+                certify=False,
             )
 
     def least_residual(self, without: int | None = None) -> float:

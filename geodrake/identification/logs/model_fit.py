@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 
 from geodrake.effects import FittedEffect
 from geodrake.effects.base import Effect
+from geodrake.identification.certification import certified
 from geodrake.identification.conic_fit import solve_surely
 from geodrake.identification.fit import FitResult
 from geodrake.identification.logs.criteria import SPREAD
@@ -129,7 +130,7 @@ class ModelFit:
     Attributes:
         model: The fitted model.
         held_out: Held-out errors of the same fit without each fold.
-        result: The solution, with its information matrix.
+        result: The solution, with its information matrix and the certificate of its program.
         unknowns: What was fitted.
         gain_shifts: (nv, p) what the parameters change by with the gain of each joint's efforts.
         unexplained_covariance: (p, p) how far the parameters may be off by what stays unexplained.
@@ -166,7 +167,8 @@ def fit_model(
         of_motion: (nv,) share of the squared residual that goes with the motion; none if None.
         delays: Effort delays that the fitted model has.
     """
-    result = solve_surely(fit_problem(dataset, unknowns, weights))
+    problem = fit_problem(dataset, unknowns, weights)
+    result = certified(problem, solve_surely(problem))
     held_out = held_out_physical(dataset, unknowns, weights)
     deviations = result.standard_deviations()
     effects = [

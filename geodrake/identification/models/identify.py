@@ -51,9 +51,11 @@ def identify_model(
 ) -> ModelIdentification:
     """Identify the inertial parameters and effects of a model.
 
-    The inertial parameters are regularized towards those of the model; effects are not, whatever
-    was known about them. A joint's residuals are weighted by its held-out error and reduced to
-    effective samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
+    The inertial parameters are regularized towards those of the model. Of its effects, positive
+    parameters such as friction and rotor inertias are known to within their own size, by the
+    divergence of P(1) that belongs to the regularizer ([Lee2019] Remark 3.13); others and new
+    effects are not regularized. A joint's residuals are weighted by its held-out error and reduced
+    to effective samples, so that γ weighs d² against the log-likelihood: 1/γ is the variance of d.
 
     Args:
         model: The model as it stands, which is the prior.
@@ -118,7 +120,7 @@ def identify_model(
             *model_notes(fitted, body_changes(fits, result)),
             *sweep_notes(gamma, sweep),
             *bound_notes(result.gamma),
-            *filter(None, [result.note]),
+            *result.fit.notes,
         ),
     )
 
@@ -179,8 +181,10 @@ def _bounded(
     ratio = settings.residual_ratio or 1.0
 
     def solve(without: int | None) -> IdentificationResult:
-        bound = ratio**2 * fits.least_residual(without)
-        return fits.solve(settings.regularizer, residual_bound=bound, without=without)
+        bound, certify = ratio**2 * fits.least_residual(without), without is None
+        return fits.solve(
+            settings.regularizer, residual_bound=bound, without=without, certify=certify
+        )
 
     try:
         return solve(None), [solve(f) for f in fits.folds]
@@ -203,7 +207,7 @@ def _weighted(
     """The fits to all and to all but each fold, with one γ."""
     try:
         folds = [fits.solve(regularizer, gamma=gamma, without=f) for f in fits.folds]
-        return fits.solve(regularizer, gamma=gamma), folds
+        return fits.solve(regularizer, gamma=gamma, certify=True), folds
     except IdentificationError as error:
         blocks = [column // PARAMETERS_PER_BODY for column in error.evidence.get("columns", ())]
         where = f" ({', '.join(block_names(fits)[k] for k in blocks)})" if blocks else ""

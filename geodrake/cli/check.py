@@ -1,0 +1,119 @@
+"""The command `geodrake check`: the model's dynamics against MultibodyPlant's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+from rich.console import Console
+
+from geodrake.cli.check_options import CheckOptions
+from geodrake.cli.guard import INTERNAL_ERROR
+from geodrake.cli.model_options import read_model
+from geodrake.cli.progress import progress
+from geodrake.cli.session import own_effects
+from geodrake.cli.surroundings import print_whole, printing
+from geodrake.cli.tables import head, make_console, say, show_saved, show_table
+from geodrake.cli.targets import STDOUT, Targets
+from geodrake.cli.version import version
+from geodrake.model.dynamics_check import TOLERANCE, DynamicsCheck, check_dynamics
+from geodrake.report.json_output import number_or, to_json
+from geodrake.report.tables import Table, cells
+
+
+def run_check(options: CheckOptions) -> None:
+    """Run the command; its exit code is 1 where the two differ by more than rounding.
+
+    Raises:
+        GeodrakeError: Something about the input, or about the target, does not do.
+    """
+    targets, files = Targets(json=options.json), options.effects or ()
+    targets.check([options.model, *files])
+    with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
+        extra = own_effects(files)
+        model = read_model(options.model, options, extra)
+        targets.check([options.model, *files, model.path])
+        update("Comparing with MultibodyPlant")
+        found = check_dynamics(model, samples=options.samples, seed=options.seed)
+        numbers = to_json({"version": version(), "command": "check", **check_dict(found)})
+        written = targets.write(model, {"json": lambda: numbers})
+    with printing():
+        if options.json == STDOUT:
+            print_whole(numbers)
+        console = make_console(stderr=options.json == STDOUT)
+        show_check(console, found, name=options.model.name)
+        show_saved(console, written)
+    if not found.holds:
+        raise typer.Exit(INTERNAL_ERROR)
+
+
+def check_dict(found: DynamicsCheck) -> dict[str, Any]:
+    """A check as plain numbers, for JSON.
+
+    Args:
+        found: The check.
+    """
+    why = "a computed value is no number"
+    return {
+        "agrees": found.holds,
+        "tolerance": TOLERANCE,
+        "samples": found.samples,
+        "seed": found.seed,
+        "bodies": found.bodies,
+        "joints": found.joints,
+        "quantities": {
+            each.quantity: {
+                "difference": number_or(each.difference, why),
+                "size": number_or(each.size, why),
+                "relative": number_or(each.relative, why),
+                "where": each.where,
+            }
+            for each in found.agreements
+        },
+        "worst": found.worst.quantity,
+    }
+
+
+def show_check(console: Console, found: DynamicsCheck, *, name: str) -> None:
+    """The largest difference of every quantity, and whether they are rounding.
+
+    Args:
+        console: Where to print.
+        found: The check.
+        name: Name of the model's file.
+    """
+    states = "1 random state" if found.samples == 1 else f"{found.samples} random states"
+    console.print(f"{name} against MultibodyPlant, {states}", soft_wrap=True)
+    head(
+        console,
+        "Largest differences, N·m or N, of the mass matrix kg·m² or kg, and the largest value",
+    )
+    rows = tuple(
+        cells(
+            each.quantity,
+            " & ".join(each.where),
+            f"{each.difference:.1e}",
+            f"{each.size:.3g}",
+            f"{each.relative:.1e}",
+        )
+        for each in found.agreements
+    )
+    titles = ("quantity", "largest at", "difference", "of", "relative")
+    show_table(console, Table(titles, rows, words=2))
+    say(console, "Verdict", check_verdict(found))
+
+
+def check_verdict(found: DynamicsCheck) -> str:
+    """What a check amounts to, in a sentence.
+
+    Args:
+        found: The check.
+    """
+    worst = found.worst
+    most = f"{worst.relative:.0e} at {' & '.join(worst.where)} ({worst.quantity})"
+    if found.holds:
+        return f"geodrake and MultibodyPlant agree; the largest relative difference is {most}."
+    return (
+        f"geodrake and MultibodyPlant disagree: a relative difference is {most}, where rounding is "
+        f"below {TOLERANCE:g}. This is a bug in geodrake; please report it with the model."
+    )

@@ -1,0 +1,199 @@
+"""The recursion of geodrake against MultibodyPlant, on one model at random states.
+
+Drake supplies a model's tree, constants and simulation; efforts and regressors come from a compiled
+recursion over that tree (`geodrake.robot.recursion`). Here both compute the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.tree import MultibodyForces
+
+from geodrake.boundary.arguments import instance, integer
+from geodrake.boundary.showing import Short
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.holding import moving_joints
+from geodrake.robot.plant import set_inertial_parameters
+from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+
+Array = NDArray[np.float64]
+States = tuple[Array, Array, Array]
+Quantities = dict[str, Array]
+
+QUANTITIES = ("inverse dynamics", "regressor", "gravity", "bias", "mass matrix")
+
+TOLERANCE = 1e-9
+"""Greatest difference that is rounding, as a share of the largest value."""
+
+MOST_SAMPLES = 10_000
+_SPEED, _ACCELERATION = 3.0, 10.0  # rad/s or m/s, and per s
+_SIZES = np.array([1.0, *[0.3] * 3, *[0.1] * 6])  # of parameters per mass: 1, m, m²
+
+
+@dataclass(frozen=True)
+class Agreement(Short):
+    """How far two computations of a quantity differ.
+
+    Attributes:
+        quantity: One of `QUANTITIES`.
+        difference: The largest difference: N·m or N, or for the mass matrix kg·m² or kg.
+        size: The largest effort of the inverse dynamics, or largest value of the mass matrix.
+        where: Joint of the largest difference; of the mass matrix, row and column.
+    """
+
+    quantity: str
+    difference: float
+    size: float
+    where: tuple[str, ...]
+
+    @property
+    def relative(self) -> float:
+        """The difference as a share of the size."""
+        return self.difference / self.size if self.size else float(np.sign(self.difference))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the difference is rounding."""
+        return self.relative <= TOLERANCE  # false of what is no number
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicsCheck(Short):
+    """What a model's dynamics are by geodrake and by MultibodyPlant.
+
+    Attributes:
+        agreements: One for every quantity.
+        joints: Names of the velocities that were compared.
+        bodies: Number of bodies.
+        samples: Number of random states.
+        seed: Of the random numbers.
+    """
+
+    agreements: tuple[Agreement, ...]
+    joints: tuple[str, ...]
+    bodies: int
+    samples: int
+    seed: int
+
+    @property
+    def worst(self) -> Agreement:
+        """The quantity of the largest relative difference."""
+        return max(self.agreements, key=lambda a: (not a.holds, a.relative))
+
+    @property
+    def holds(self) -> bool:
+        """Whether all differences are rounding."""
+        return all(agreement.holds for agreement in self.agreements)
+
+
+def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> DynamicsCheck:
+    """Compare the rigid bodies' dynamics with MultibodyPlant's, payloads included.
+
+    States are random within the limits of positions and speeds. Regressors are compared by the
+    efforts of bodies that are random, others in every sample. Joints that follow others are moved
+    with their leaders in the plant, and their efforts count there. Effects take no part.
+
+    Args:
+        model: The model.
+        samples: Number of random states.
+        seed: Of the random numbers.
+
+    Raises:
+        ArgumentError: A number is none, or out of its range.
+    """
+    instance(model, "model", RobotModel)
+    integer(samples, "samples", lower=1, upper=MOST_SAMPLES)
+    rng = np.random.default_rng(integer(seed, "seed", lower=0))
+    states, phi = _random_states(model, samples, rng), model.total_phi
+    others = _random_bodies(phi, samples, rng)
+    ours = _by_recursion(model, states, phi, others)
+    drakes = _by_drake(model, states, others)
+    largest = float(np.abs(drakes["inverse dynamics"]).max(initial=0.0))
+    sizes = {"mass matrix": float(np.abs(drakes["mass matrix"]).max(initial=0.0))}
+    agreements = tuple(
+        _agreement(name, ours[name] - drakes[name], sizes.get(name, largest), model.joints)
+        for name in ours
+    )
+    return DynamicsCheck(agreements, model.joints, len(model.bodies), samples, seed)
+
+
+def _random_states(model: RobotModel, count: int, rng: np.random.Generator) -> States:
+    """Positions (N, nq), velocities and accelerations (N, nv) within the robot's limits."""
+    lower, upper = model.position_limits
+    lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    middle = np.clip(0.0, np.minimum(lower, upper), np.maximum(lower, upper))
+    low, high = np.where(lower <= upper, [lower, upper], middle)  # limits may be farther than π
+    q = rng.uniform(low, high, (count, len(low)))
+    for joint in moving_joints(model.plant):
+        if joint.num_positions() > joint.num_velocities():  # a quaternion
+            start = model.coordinates.position_of(joint)
+            q[:, start : start + 4] = rng.normal(size=(count, 4))
+            q[:, start : start + 4] /= np.linalg.norm(q[:, start : start + 4], axis=1)[:, None]
+    v, vd = rng.uniform(-1.0, 1.0, (2, count, len(model.joints)))
+    return q, v * np.minimum(model.velocity_limits, _SPEED), vd * _ACCELERATION
+
+
+def _random_bodies(phi: Array, count: int, rng: np.random.Generator) -> Array:
+    """(N, nb, 10) inertial parameters of no particular bodies, in which each entry matters."""
+    mass = float(np.abs(phi[:, 0]).mean()) or 1.0
+    others = mass * _SIZES * rng.uniform(-1.0, 1.0, (count, *phi.shape))
+    others[..., 0] += 2.0 * mass  # Drake divides by it
+    return others
+
+
+def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) -> Quantities:
+    """What geodrake makes of states (N, ·), bodies (nb, 10), and random bodies (N, nb, 10)."""
+    (q, v, vd), tree = states, model.tree
+    still, (count, nv) = np.zeros_like(v), v.shape
+    regressors = (
+        inverse_dynamics_regressor(tree, *(x[k : k + 1] for x in states))[0] for k in range(count)
+    )
+    gravity = inverse_dynamics(tree, q, still, still, phi)
+    units = np.repeat(q, nv, 0), np.zeros((count * nv, nv)), np.tile(np.eye(nv), (count, 1))
+    columns = inverse_dynamics(tree, *units, phi).reshape(count, nv, nv) - gravity[:, None]
+    return {
+        "inverse dynamics": inverse_dynamics(tree, q, v, vd, phi),
+        "regressor": np.array([Y @ p.ravel() for Y, p in zip(regressors, others, strict=True)]),
+        "gravity": gravity,
+        "bias": inverse_dynamics(tree, q, v, still, phi) - gravity,
+        "mass matrix": np.swapaxes(columns, 1, 2),
+    }
+
+
+def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
+    """The same by MultibodyPlant, whose joints that follow move with their leaders."""
+    plant, own = model.plant, model.coordinates
+    q, v, vd = own.plant_positions(states[0]), *map(own.plant_velocities, states[1:])
+    J = own.plant_velocities(np.eye(len(model.joints))).T
+    context, other = model.create_context(), plant.CreateDefaultContext()
+    none = MultibodyForces(plant)
+    found: dict[str, list[Array]] = {name: [] for name in QUANTITIES}
+    for k, phi in enumerate(others):
+        set_inertial_parameters(plant, other, phi)
+        for at in (context, other):
+            plant.SetPositions(at, q[k])
+            plant.SetVelocities(at, v[k])
+        gravity = -plant.CalcGravityGeneralizedForces(context)
+        weight = -plant.CalcGravityGeneralizedForces(other)
+        values = (
+            J.T @ (plant.CalcInverseDynamics(context, vd[k], none) + gravity),
+            J.T @ (plant.CalcInverseDynamics(other, vd[k], none) + weight),
+            J.T @ gravity,
+            J.T @ plant.CalcBiasTerm(context),
+            J.T @ plant.CalcMassMatrix(context) @ J,
+        )
+        for name, value in zip(QUANTITIES, values, strict=True):
+            found[name].append(value)
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _agreement(name: str, error: Array, size: float, joints: Sequence[str]) -> Agreement:
+    """The largest entry of differences (N, nv) or (N, nv, nv), and where it is."""
+    worst = np.abs(error).max(axis=0, initial=0.0)
+    at = np.unravel_index(int(np.argmax(worst)), worst.shape) if worst.size else ()
+    where = tuple(dict.fromkeys(joints[int(k)] for k in at))
+    return Agreement(name, float(worst[at]) if worst.size else 0.0, size, where)

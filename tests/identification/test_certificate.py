@@ -1,0 +1,137 @@
+"""What the MathematicalProgram of a fit says of it: that it is the minimum, or that it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_newton import PRIOR, constrained, cost, example
+
+from geodrake.errors import IdentificationError
+from geodrake.identification import certification, identify, solve_fit
+from geodrake.identification.certification import certified
+from geodrake.identification.identify import REGULARIZERS
+from geodrake.identification.newton import solve_newton
+from geodrake.identification.program import build_fit
+from geodrake.inertia import pseudo_inertia_basis
+
+
+def data(seed, rows=45):
+    """(A, b) of three bodies and two scalars of which one will be at its bound."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + 2))
+    truth = np.append((PRIOR * rng.uniform(0.6, 1.5, (3, 1))).ravel(), [1.0, 2.0])
+    return A, A @ truth + 0.3 * rng.normal(size=rows)
+
+
+def moved(fit, share):
+    """The fit with masses that are off by a share, and the cost that belongs to them."""
+    x = fit.x.copy()
+    x[0:30:10] *= 1.0 + share
+    return replace(fit, x=x)
+
+
+def test_costs_that_drake_evaluates_are_those_of_the_source():
+    problem = constrained(example(1, gamma=0.3, rows=40))
+    program = build_fit(problem)
+    points = [solve_newton(problem).x, problem.prior_mean]
+    values = [program.point(x) for x in points]
+    drakes = [
+        sum(program.program.EvalBinding(c, v)[0] for c in program.program.GetAllCosts())
+        for v in values
+    ]
+    own = cost(problem, points[0]) - cost(problem, points[1])
+    assert program.cost_scale * (drakes[0] - drakes[1]) == pytest.approx(own, rel=1e-10)
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+@pytest.mark.parametrize("form", ["gamma", "residual_bound"])
+def test_what_is_reported_is_certified(regularizer, form):
+    A, b = data(2)
+    options = {"regularizer": regularizer, "extra_bounds": [[0.0, 0.5], [0.0, 9.0]]}
+    found = identify(A, b, PRIOR, gamma=0.5, **options)
+    if form == "residual_bound":
+        found = identify(A, b, PRIOR, residual_bound=1.2 * found.residual, **options)
+    told = found.certificate
+    assert told.holds and not told.replaced and told.solver == "clarabel"
+    assert told.scope == ("local" if regularizer == "riemannian" else "global")
+    assert told.gap < 1e-6 * told.cost and "certified by clarabel" in found.fit.notes[-1]
+    assert identify(A, b, PRIOR, gamma=0.5, certify=False, **options).certificate is None
+
+
+@pytest.mark.parametrize("share", [1e-2, -1e-2])
+def test_a_fit_that_is_no_minimum_gives_way_to_that_of_the_program(share):
+    problem = constrained(example(1, gamma=0.5, rows=40))
+    fit = solve_newton(problem)
+    told = certified(problem, moved(fit, share))  # the total mass is wrong
+    assert told.certificate.replaced and told.certificate.holds and told.solver == "clarabel"
+    assert "outside constraints" in told.note
+    np.testing.assert_allclose(told.x, fit.x, rtol=1e-5, atol=1e-7)
+    free = example(1, gamma=0.5, rows=40)
+    better = certified(free, moved(solve_newton(free), share))
+    assert better.certificate.replaced and "above the least cost" in better.note
+    assert cost(free, better.x) < cost(free, moved(solve_newton(free), share).x)
+
+
+def test_no_fit_is_certified_without_a_solution_of_the_program(monkeypatch):
+    problem = example(1, gamma=0.5, rows=40)
+    fit = solve_newton(problem)
+
+    def fails(*_):
+        raise IdentificationError("No digits are left.")
+
+    monkeypatch.setattr(certification, "solved_apart", fails)
+    told = certified(problem, fit)
+    assert told.x is fit.x and np.isinf(told.certificate.gap) and not told.certificate.holds
+    assert told.certificate.violation < 1e-9 and "could not certify" in told.notes[-1]
+    assert "No digits are left" in told.notes[-1]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 999), st.floats(-4.0, 4.0), st.floats(1e-5, 0.3))
+def test_the_gap_bounds_how_far_any_parameters_are_from_the_least_cost(seed, log_gamma, share):
+    problem = example(seed, gamma=10.0**log_gamma, rows=40)
+    fit = solve_newton(problem)
+    wrong = moved(fit, share)
+    program = build_fit(problem, centre=fit.x)
+    here = certification.ProgramPoint.of(program, wrong.x)
+    there = certification.ProgramPoint.of(program, fit.x)
+    assert here.cost - there.cost == pytest.approx(
+        cost(problem, wrong.x) - cost(problem, fit.x), rel=1e-6, abs=1e-9 * program.cost_scale
+    )
+    told = certified(problem, fit)
+    assert told.certificate.holds and not told.certificate.replaced
+
+
+def test_cvxpy_finds_no_lower_cost_than_the_certificate_says():
+    cp = pytest.importorskip("cvxpy")
+    problem = constrained(example(4, gamma=0.2, rows=40))
+    told = certified(problem, solve_newton(problem)).certificate
+    x = cp.Variable(problem.size)
+    value = cp.sum_squares(problem.factor[:, :-1] @ x - problem.factor[:, -1])
+    rows = problem.constraints.matrix @ x
+    limits = [x[30] >= 0, x[30] <= 1.5, x[31] <= 4.0, rows[:3] >= 0, rows[3] == 8.0]
+    for start, (phi, gamma) in problem.entropic.items():
+        P = cp.Variable((4, 4), symmetric=True)
+        basis = pseudo_inertia_basis()
+        limits.append(sum(x[start + i] * basis[i] for i in range(10)) == P)
+        prior = sum(phi[i] * basis[i] for i in range(10))
+        value += gamma * (cp.trace(np.linalg.inv(prior) @ P) - 4 - cp.log_det(P))
+        value += gamma * np.linalg.slogdet(prior)[1]
+    least = cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
+    assert cost(problem, solve_newton(problem).x) - least <= told.gap + 1e-8 * told.cost
+
+
+def test_closed_forms_are_certified_too():
+    rng = np.random.default_rng(5)
+    A = rng.normal(size=(200, 30))
+    problem = replace(
+        example(0, extra=0),
+        factor=np.column_stack([A, A @ PRIOR.ravel()]),
+        entropic={},
+        prior_information=np.eye(30),
+    )
+    fit = solve_fit(problem)
+    assert fit.solver == "closed form" and fit.certificate is None
+    assert certified(problem, fit).certificate.holds

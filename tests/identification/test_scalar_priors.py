@@ -1,0 +1,187 @@
+"""Priors of positive scalars, elements of P(1): closed forms, other solvers, units, wrong input."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import minimize_scalar
+from test_newton import PRIOR
+
+from geodrake.errors import ArgumentError
+from geodrake.identification import PointMasses, PointMassKL, compare_regularizers, identify
+from geodrake.identification.entropic import Entropic
+from geodrake.identification.identify import REGULARIZERS, build_problem
+from geodrake.identification.newton import newton_sweep
+from geodrake.identification.problem import whitened_factor
+from geodrake.inertia import pseudo_inertia, pseudo_inertia_basis
+
+GEOMETRIC = ("pullback", "entropic", "riemannian")
+FORMS = {
+    "euclidean": lambda x, x0: (x - x0) ** 2,
+    "pullback": lambda x, x0: 0.5 * (x / x0 - 1.0) ** 2,
+    "entropic": lambda x, x0: x / x0 - np.log(x / x0) - 1.0,
+    "riemannian": lambda x, x0: 0.5 * np.log(x / x0) ** 2,
+}
+
+
+def data(seed, rows=60, extra=3):
+    """(A, b) of three bodies and scalars of very different sizes, and the scalars."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(rows, PRIOR.size + extra))
+    A[:, PRIOR.size :] *= [30.0, 1.0, 0.05][:extra]
+    scalars = np.array([0.02, 1.0, 40.0])[:extra]
+    truth = np.append((PRIOR * rng.uniform(0.7, 1.4, (3, 1))).ravel(), scalars)
+    return A, A @ truth + 0.3 * rng.normal(size=rows), scalars
+
+
+def alone(x0, slope, wanted):
+    """(A, b) that leave the bodies at their prior, and ask for slope · x = wanted of one scalar."""
+    A = np.zeros((31, 31))
+    A[:30, :30] = np.eye(30)
+    A[30, 30] = slope
+    return A, np.append(PRIOR.ravel(), wanted)
+
+
+@pytest.mark.parametrize("solver", [None, "newton", "clarabel", "scs"])
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_one_scalar_is_at_the_minimum_in_closed_form(regularizer, solver):
+    x0, slope, wanted, gamma = 0.3, 2.0, 1.4, 0.7
+    A, b = alone(x0, slope, wanted)
+    found = identify(A, b, PRIOR, regularizer=regularizer, gamma=gamma, extra_prior=[x0],
+                     solver=solver)  # fmt: skip
+    by_formula = {
+        "euclidean": (slope * wanted + gamma * x0) / (slope**2 + gamma),
+        "pullback": (slope * wanted + 0.5 * gamma / x0) / (slope**2 + 0.5 * gamma / x0**2),
+        "entropic": max(np.roots([2 * slope**2, gamma / x0 - 2 * slope * wanted, -gamma]).real),
+        "riemannian": minimize_scalar(
+            lambda x: (slope * x - wanted) ** 2 + gamma * FORMS["riemannian"](x, x0),
+            bounds=(1e-3, 3.0), method="bounded", options={"xatol": 1e-12},
+        ).x,
+    }  # fmt: skip
+    tolerance = 1e-6 if solver != "scs" else 1e-4
+    assert found.extra[0] == pytest.approx(by_formula[regularizer], rel=tolerance)
+    assert found.divergence == pytest.approx(
+        FORMS[regularizer](found.extra[0], x0), rel=1e-3, abs=1e-9
+    )
+    np.testing.assert_allclose(found.phi, PRIOR, atol=3e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cvxpy_finds_the_same_bodies_and_scalars(seed):
+    cp = pytest.importorskip("cvxpy")
+    (A, b, scalars), gamma = data(seed), 2.0
+    priors, weights = scalars * [2.0, 0.5, 1.7], np.array([1.0, 4.0, 0.3])
+    x = cp.Variable(A.shape[1])
+    value, limits = cp.sum_squares(A @ x - b), []
+    for body, phi in enumerate(PRIOR):
+        P = cp.Variable((4, 4), symmetric=True)
+        basis = pseudo_inertia_basis()
+        limits.append(sum(x[10 * body + i] * basis[i] for i in range(10)) == P)
+        value += gamma * (cp.trace(np.linalg.inv(pseudo_inertia(phi)) @ P) - cp.log_det(P))
+    for k in range(3):
+        y = x[30 + k] / priors[k]
+        value += gamma * weights[k] * (y - cp.log(y))
+    cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
+    found = identify(A, b, PRIOR, regularizer="entropic", gamma=gamma,
+                     extra_prior=np.column_stack([priors, weights]))  # fmt: skip
+    np.testing.assert_allclose(found.extra, x.value[30:], rtol=2e-5)
+    assert found.certificate.holds and not found.certificate.replaced
+    assert found.solver == "newton"
+
+
+@pytest.mark.parametrize("regularizer", REGULARIZERS)
+def test_both_forms_agree_and_both_are_certified(regularizer):
+    A, b, scalars = data(4)
+    options = {"regularizer": regularizer, "extra_prior": 1.5 * scalars}
+    first = identify(A, b, PRIOR, gamma=0.8, **options)
+    again = identify(A, b, PRIOR, residual_bound=first.residual, **options)
+    assert again.gamma == pytest.approx(0.8, rel=1e-4)
+    np.testing.assert_allclose(again.extra, first.extra, rtol=1e-5)
+    assert first.certificate.holds and again.certificate.holds
+    assert not first.certificate.replaced and not again.certificate.replaced
+
+
+def test_scalars_without_data_stay_at_their_priors_and_others_are_free():
+    A, b, scalars = data(5)
+    A[:, 30] = 0.0
+    prior = [0.7, np.nan, 60.0]
+    for regularizer in REGULARIZERS:
+        found = identify(A, b, PRIOR, regularizer=regularizer, gamma=1e-6, extra_prior=prior)
+        assert found.extra[0] == pytest.approx(0.7, rel=1e-6)
+        assert found.extra[1] == pytest.approx(scalars[1], rel=0.3)
+    strong = identify(A, b, PRIOR, regularizer="entropic", gamma=1e7, extra_prior=prior)
+    np.testing.assert_allclose(strong.extra[[0, 2]], [0.7, 60.0], rtol=1e-3)
+
+
+def test_a_prior_keeps_a_scalar_positive_that_data_pull_below_zero():
+    A, b = alone(0.3, 2.0, -5.0)
+    for regularizer in ("entropic", "riemannian"):
+        found = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.1, extra_prior=[0.3])
+        assert 0.0 < found.extra[0] < 0.1 and found.certificate.holds
+    for regularizer in ("euclidean", "pullback"):
+        found = identify(A, b, PRIOR, regularizer=regularizer, gamma=0.1, extra_prior=[0.3])
+        assert found.extra[0] == pytest.approx(0.0, abs=1e-9)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.sampled_from(GEOMETRIC), st.integers(0, 99), st.floats(-6.0, 6.0), st.floats(-3.0, 3.0))
+def test_units_of_scalars_do_not_matter(regularizer, seed, log_unit, log_gamma):
+    A, b, scalars = data(seed)
+    unit, gamma = 10.0**log_unit, 10.0**log_gamma
+    prior, bounds = 1.4 * scalars, np.array([[0.0, np.inf], [0.0, 2.0], [-np.inf, 80.0]])
+    other, turned = A.copy(), bounds.copy()
+    other[:, 31] /= unit
+    turned[1] *= unit
+    in_unit = np.array([1.0, unit, 1.0])
+    options = {"regularizer": regularizer, "gamma": gamma, "certify": False}
+    first = identify(A, b, PRIOR, extra_prior=prior, extra_bounds=bounds, **options)
+    again = identify(other, b, PRIOR, extra_prior=prior * in_unit, extra_bounds=turned, **options)
+    np.testing.assert_allclose(again.extra / in_unit, first.extra, rtol=1e-5)
+    np.testing.assert_allclose(again.phi, first.phi, rtol=1e-4, atol=1e-6)
+    assert again.divergence == pytest.approx(first.divergence, rel=1e-4, abs=1e-9)
+
+
+def test_a_sweep_finds_what_single_fits_find():
+    A, b, scalars = data(6)
+    problem = build_problem(whitened_factor(A, b), PRIOR, extra_prior=1.5 * scalars)
+    problem = Entropic().regularize(problem, PRIOR, 1.0)
+    weights = 10.0 ** np.arange(-3.0, 4.0)
+    for weight, fit in zip(weights, newton_sweep(problem, weights), strict=True):
+        single = identify(A, b, PRIOR, regularizer="entropic", gamma=weight,
+                          extra_prior=1.5 * scalars, solver="clarabel")  # fmt: skip
+        np.testing.assert_allclose(fit.x[30:], single.extra, rtol=1e-5)
+
+
+def test_information_is_half_the_hessian_of_the_cost():
+    A, b, scalars = data(7)
+    gamma, prior = 3.0, 1.5 * scalars
+    fit = identify(A, b, PRIOR, regularizer="entropic", gamma=gamma, extra_prior=prior).fit
+    own = fit.information[30:, 30:] - A[:, 30:].T @ A[:, 30:]
+    np.testing.assert_allclose(own, np.diag(0.5 * gamma / fit.x[30:] ** 2), rtol=1e-6, atol=1e-7)
+
+
+def test_regularizers_are_compared_with_the_same_priors():
+    A, b, scalars = data(8)
+    compared = compare_regularizers(A, b, PRIOR, gamma=1.0, extra_prior=1.5 * scalars)
+    for name, found in compared.results.items():
+        assert found.residual == pytest.approx(compared.residual, rel=1e-5), name
+
+
+@pytest.mark.parametrize(
+    "prior", [[1.0, 1.0], [1.0, -1.0, 1.0], [0.0, 1.0, 1.0], [np.inf, 1.0, 1.0], [9.0, 1.0, 1.0],
+              [[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]], "one"],
+)  # fmt: skip
+def test_wrong_priors_are_refused(prior):
+    A, b, _ = data(1)
+    bounds = [[0.0, 5.0], [0.0, np.inf], [0.0, np.inf]]
+    with pytest.raises(ArgumentError, match="extra_prior"):
+        identify(A, b, PRIOR, regularizer="entropic", gamma=1.0, extra_prior=prior,
+                 extra_bounds=bounds)  # fmt: skip
+
+
+def test_point_masses_have_no_prior_of_scalars():
+    A, b, _ = data(1)
+    points = PointMasses.of_bodies(PRIOR)
+    with pytest.raises(ArgumentError, match="extra_prior"):
+        identify(A, b, points.parameters(), regularizer=PointMassKL(points), gamma=1.0,
+                 extra_prior=[1.0, 1.0, 1.0])  # fmt: skip

@@ -1,0 +1,98 @@
+"""`geodrake check`: what agrees with MultibodyPlant is said to, and what does not is found."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from geodrake import load_model
+from geodrake.cli.app import app
+from geodrake.errors import ArgumentError
+from geodrake.model import check_dynamics, dynamics_check
+from geodrake.model.dynamics_check import QUANTITIES
+
+MODELS = Path(__file__).parents[2] / "models"
+ARM = MODELS / "arm6.urdf"
+
+
+def off_by(share, name="inverse_dynamics"):
+    """Our own computation, wrong by a share at the third joint."""
+    real = getattr(dynamics_check, name)
+
+    def wrong(tree, q, v, vd, *phi):
+        found = real(tree, q, v, vd, *phi)
+        found[:, 2] *= 1.0 + share
+        return found
+
+    return wrong
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_model(ARM)
+
+
+@pytest.mark.parametrize("floating", [False, True])
+@pytest.mark.parametrize("name", ["arm7.urdf", "cheetah.dmd.yaml"])
+def test_robots_agree(name, floating):
+    found = check_dynamics(load_model(MODELS / name, floating=floating), samples=10)
+    assert found.holds and found.worst.relative < 1e-12
+    assert tuple(each.quantity for each in found.agreements) == QUANTITIES
+    assert all(each.size > 0 for each in found.agreements)
+
+
+def test_joints_that_follow_agree(tmp_path):
+    words = '<joint name="wrist_roll" type="revolute">'
+    follows = '<mimic joint="shoulder_pitch" multiplier="-0.7" offset="0.3"/>'
+    path, text = tmp_path / "arm.urdf", ARM.read_text(encoding="utf-8")
+    assert words in text
+    path.write_text(text.replace(words, words + follows), encoding="utf-8")
+    model = load_model(path)
+    assert len(model.followers) == 1 and "wrist_roll" not in model.joints
+    found = check_dynamics(model, samples=10)
+    assert found.holds and found.worst.relative < 1e-12 and found.joints == model.joints
+
+
+@pytest.mark.parametrize("name", ["inverse_dynamics", "inverse_dynamics_regressor"])
+def test_a_wrong_recursion_is_found_with_its_joint(arm, monkeypatch, name):
+    monkeypatch.setattr(dynamics_check, name, off_by(1e-6, name))
+    found = check_dynamics(arm, samples=10)
+    assert not found.holds and "elbow_pitch" in found.worst.where
+    wrong = {each.quantity for each in found.agreements if not each.holds}
+    regressor = {"regressor"}
+    assert wrong == (regressor if "regressor" in name else {*QUANTITIES} - regressor)
+    assert 1e-8 < found.worst.relative < 1e-5
+
+
+def test_a_number_that_is_none_is_a_difference(arm, monkeypatch):
+    monkeypatch.setattr(dynamics_check, "inverse_dynamics", off_by(np.nan))
+    found = check_dynamics(arm, samples=3)
+    assert not found.holds and not found.worst.holds
+
+
+def test_a_seed_is_a_set_of_states(arm):
+    first, again, other = (check_dynamics(arm, samples=5, seed=seed) for seed in (1, 1, 2))
+    assert first.agreements == again.agreements != other.agreements
+
+
+def test_the_command_prints_and_writes_and_its_exit_code_tells(tmp_path, monkeypatch):
+    numbers = tmp_path / "n.json"
+    words = ["check", str(ARM), "--samples", "5", "--seed", "3", "--lock", "wrist_spin=0.5"]
+    done = CliRunner().invoke(app, [*words, "--json", str(numbers)])
+    assert done.exit_code == 0 and "MultibodyPlant agree" in done.output
+    told = json.loads(numbers.read_text())
+    assert told["agrees"] and (told["samples"], told["seed"]) == (5, 3)
+    assert "wrist_spin" not in told["joints"] and set(told["quantities"]) == set(QUANTITIES)
+    monkeypatch.setattr(dynamics_check, "inverse_dynamics", off_by(1e-3))
+    done = CliRunner().invoke(app, [*words, "--json", "-"])
+    assert done.exit_code == 1 and not json.loads(done.stdout)["agrees"]
+    assert "disagree" in done.stderr and "elbow_pitch" in done.stderr
+    assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize("wrong", [{"samples": 0}, {"samples": 2.5}, {"seed": -1}])
+def test_wrong_numbers_are_refused(arm, wrong):
+    with pytest.raises(ArgumentError, match=next(iter(wrong))):
+        check_dynamics(arm, **wrong)
