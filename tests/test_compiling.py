@@ -1,7 +1,6 @@
 """Compiled loops: kept on disk, shared by processes, made anew when a file of theirs changes."""
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,54 +11,60 @@ import pytest
 from geodrake import compiling
 
 ROOT = Path(__file__).parents[1]
-EFFORT = (
-    "import numpy as np\n"
-    "from geodrake import load_model\n"
-    "from geodrake.compiling import while_compiling\n"
-    "from geodrake.robot.regressor import inverse_dynamics\n"
-    f"model = load_model({str(ROOT / 'models' / 'double_pendulum.urdf')!r})\n"
-    "told = []\n"
-    "with while_compiling(lambda: told.append('begins'), lambda: told.append('ends')):\n"
-    "    effort = inverse_dynamics(model.tree, *np.ones((3, 1, 2)), model.phi)\n"
-    "print(effort.tolist(), ','.join(told) or 'nothing')\n"
-)
+SOURCE = """
+import sys
+from geodrake.compiling import compiled, inlined, while_compiling
+FACTOR = {factor}
+@inlined
+def scaled(x):
+    return FACTOR * x
+@compiled
+def scaled_sum(x, y):
+    return scaled(x) {operation} y
+def begins():
+    print("begins", flush=True)
+    sys.stdin.readline()
+for pair in sys.argv[1:]:
+    with while_compiling(begins, lambda: print("ends")):
+        print(scaled_sum(*eval(pair)))
+"""
+MADE = ["begins", "ends"]
+NUMBERS = "1.0, 1.0"
 
 
-def started(cache, **environment):
-    """A process that computes an effort, with a folder for what it compiles."""
-    own = {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(cache)}
+def started(folder, *pairs, factor=2.0, operation="+"):
+    """A process that prints sums of the source with these changes, and what it is told of each.
+
+    It waits for a line, or the end of the input, before it compiles.
+    """
+    path = folder / "scaled.py"
+    path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
+    os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
     return subprocess.Popen(
-        [sys.executable, "-c", EFFORT],
-        env={**os.environ, **own, **environment},
+        [sys.executable, "-B", "-m", "scaled", *(pairs or [NUMBERS])],
+        env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
 
 
-@pytest.fixture(scope="module")
-def two_at_once(tmp_path_factory):
-    """What two processes say that compile at once, and their folder."""
-    folder = tmp_path_factory.mktemp("compiled")
-    both = [started(folder), started(folder)]
-    return folder, [process.communicate(timeout=120) for process in both]
+def said(process):
+    """What a process prints, which says nothing is wrong."""
+    out, error = process.communicate(timeout=120)
+    assert error == ""
+    return out.splitlines()
 
 
-def test_two_processes_that_compile_at_once_do_no_harm(two_at_once):
-    folder, outputs = two_at_once
-    assert [error for _, error in outputs] == ["", ""]
-    assert [out.split()[-1] for out, _ in outputs] == ["begins,ends"] * 2
-    again, _ = started(folder).communicate(timeout=120)
-    assert again.split() == [*outputs[0][0].split()[:-1], "nothing"]
-
-
-def test_what_was_cut_off_is_compiled_anew(two_at_once, tmp_path):
-    folder, outputs = two_at_once
-    spoiled = shutil.copytree(folder, tmp_path / "spoiled")
-    for path in spoiled.rglob("*.nbc"):
+def test_two_processes_that_compile_at_once_do_no_harm(tmp_path):
+    both = [started(tmp_path), started(tmp_path)]
+    assert [process.stdout.readline() for process in both] == ["begins\n"] * 2
+    assert [said(process) for process in both] == [["ends", "3.0"]] * 2
+    assert said(started(tmp_path)) == ["3.0"]
+    for path in tmp_path.rglob("*.nbc"):
         path.write_bytes(path.read_bytes()[:40])
-    out, error = started(spoiled).communicate(timeout=120)
-    assert (out, error) == (outputs[0][0], "")
+    assert said(started(tmp_path)) == [*MADE, "3.0"]  # as the rest was cut off
 
 
 def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):
@@ -78,50 +83,17 @@ def test_without_a_place_for_a_cache_it_is_compiled_all_the_same(monkeypatch):
     assert compiling.compiled(lambda x: x + 1.0)(1.0) == 2.0
 
 
-SOURCE = """
-import sys
-from geodrake.compiling import compiled, inlined
-FACTOR = {factor}
-@inlined
-def scaled(x):
-    return FACTOR * x
-@compiled
-def scaled_sum(x, y):
-    return scaled(x) {operation} y
-from geodrake.compiling import while_compiling
-told = []
-with while_compiling(lambda: told.append(1), lambda: None):
-    print(scaled_sum(*map(eval, sys.argv[1:])), len(told))
-"""
-
-
-def said(folder, *, factor=2.0, operation="+", arguments=("1.0", "1.0")):
-    """A result of the source with these changes, and how many functions were compiled for it."""
-    path = folder / "scaled.py"
-    path.write_text(SOURCE.format(factor=factor, operation=operation), "utf-8")
-    os.utime(path, (1e9, 1e9))  # as files of one size that are written within a second
-    done = subprocess.run(
-        [sys.executable, "-B", "-m", "scaled", *arguments],
-        env={**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stdout.split()
-
-
 def test_what_is_kept_is_used_as_long_as_all_that_it_came_from_stays(tmp_path):
-    assert said(tmp_path) == ["3.0", "1"]
-    assert said(tmp_path) == ["3.0", "0"]
-    assert said(tmp_path, operation="-") == ["1.0", "1"]
-    assert said(tmp_path, factor=4.0) == ["5.0", "1"]  # a constant
+    assert said(started(tmp_path)) == [*MADE, "3.0"]
+    assert said(started(tmp_path, operation="-")) == [*MADE, "1.0"]
+    assert said(started(tmp_path, factor=4.0)) == [*MADE, "5.0"]  # a constant
 
 
 def test_every_signature_has_a_file_of_its_own(tmp_path):
-    whole = ("1", "1")
-    assert (said(tmp_path)[1], said(tmp_path, arguments=whole)[1]) == ("1", "1")
+    both = NUMBERS, "1, 1"
+    assert said(started(tmp_path, *both)) == [*MADE, "3.0"] * 2
     assert len([*tmp_path.rglob("*scaled_sum*.nbc")]) == 2
-    assert (said(tmp_path)[1], said(tmp_path, arguments=whole)[1]) == ("0", "0")
+    assert said(started(tmp_path, *both)) == ["3.0", "3.0"]
 
 
 def test_divisions_by_zero_are_infinite():

@@ -219,7 +219,8 @@ def add_block(
 def turning_rate(mobilizer: Record, motion: Record, q: Array, n: int, j: int) -> Vector:
     """The angular rate of B, in B, at which its rotation changes with its joint's position j."""
     moved, slopes = np.empty((1, q.shape[1]), np.complex128), np.empty(9, np.complex128)
-    moved[0] = q[n]
+    for k in range(q.shape[1]):
+        moved[0, k] = q[n, k]
     moved[0, mobilizer.positions[0] + j] += 1j * _IMAGINARY_STEP
     number = features_of(mobilizer, moved, 0, slopes)
     rates, R, C = np.zeros((3, 3)), motion.R_PB, mobilizer.rotation

@@ -63,7 +63,7 @@ def put_dual(b: Array, X: Array) -> None:
         X[i, 3] = X[3, i] = 0.5 * b[1 + i]
 
 
-@inlined
+@compiled
 def put_product(A: Array, B: Array, out: Array) -> None:
     """Writes A B of matrices (4, 4)."""
     for i in range(4):
@@ -87,13 +87,32 @@ def put_congruence(A: Array, B: Array, room: Array, out: Array) -> None:
 
 
 @inlined
+def frobenius_norm(Z: Array) -> float:
+    """The root of the sum of squares of a matrix (4, 4)."""
+    total = 0.0
+    for i in range(4):
+        for j in range(4):
+            total += Z[i, j] * Z[i, j]
+    return float(np.sqrt(total))
+
+
+@inlined
+def put_identity(out: Array) -> None:
+    """Writes 𝟙 (4, 4)."""
+    for i in range(4):
+        for j in range(4):
+            out[i, j] = 0.0
+        out[i, i] = 1.0
+
+
+@inlined
 def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
     """Writes exp(Z) of a matrix (4, 4) of Frobenius' norm `size`: a series of Z/2ᵏ, squared."""
     share, squarings = 1.0, 0
     while size * share > _SHORT:
         share, squarings = 0.5 * share, squarings + 1
     # Horner's scheme, ((… 𝟙 + Z/3) Z/2 + 𝟙) Z + 𝟙.
-    E[:] = np.eye(4)
+    put_identity(E)
     for term in range(5, 0, -1):
         put_product(E, Z, room)
         for i in range(4):
@@ -102,7 +121,9 @@ def put_exponential(Z: Array, size: float, room: Array, E: Array) -> None:
             E[i, i] += 1.0
     for _ in range(squarings):
         put_product(E, E, room)
-        E[:] = room
+        for i in range(4):
+            for j in range(4):
+                E[i, j] = room[i, j]
 
 
 @inlined
@@ -169,7 +190,7 @@ def calc_natural_steps(x: Array, b: Array, factors: Factors, time: float, out: A
             for j in range(4):
                 X[i, j] *= -0.5 * time * shares[body] * d[i] * d[j]
         put_product(X, P, Z)  # whose exponential is Eᵀ
-        size = np.sqrt(np.sum(Z * Z))
+        size = frobenius_norm(Z)
         if not size < _LONGEST:
             return False
         put_exponential(Z, size, F, E)

@@ -62,6 +62,42 @@ TERMINALS = [
         ("streams in UTF-16", {"PYTHONIOENCODING": "ascii:strict"}),
     )
 ]
+TOGETHER = [
+    Row(what, COMPARE, make=make, code=0, writes=WRITES, environment=environment)
+    for what, environment, make in (
+        (
+            "no home, no such backend, no folder for passing files, the locale C, poor terminal",
+            {
+                **{"HOME": None, "MPLBACKEND": "nonsense", "TMPDIR": "/none"},
+                **{"LC_ALL": "C", "LANG": None, "PYTHONUTF8": None},
+                **{"TERM": "dumb", "COLUMNS": "10"},
+            },
+            lambda folder: None,
+        ),
+        (
+            "no writable home, a backend with windows, no such locale, TeX, no terminal, ASCII",
+            {
+                **{"HOME": "/proc/none", "MPLBACKEND": "tkagg", "DISPLAY": None},
+                **{"LC_ALL": "xx_YY.UTF-8", "MATPLOTLIBRC": "rc"},
+                **{"TERM": None, "COLUMNS": "0", "PYTHONIOENCODING": "ascii"},
+            },
+            settings(b"text.usetex: True\n"),
+        ),
+        (
+            "a home that is no folder, settings that are none, no columns, colours, strict ASCII",
+            {
+                **{"HOME": "home", "XDG_CACHE_HOME": "home", "MATPLOTLIBRC": "rc"},
+                **{"COLUMNS": "many", "LINES": "-1", "FORCE_COLOR": "", "NO_COLOR": "1"},
+                "PYTHONIOENCODING": "ascii:strict",
+            },
+            lambda folder: (
+                without_home(folder),
+                settings(b"foo: bar\nfont.size: x\n")(folder),
+            ),
+        ),
+    )
+]
+"""All of the others a few at a time: each starts Python and Drake."""
 REFUSED = [
     Row(
         "files in ASCII",
@@ -72,8 +108,14 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("row", ROWS + TERMINALS + REFUSED, ids=str)
+@pytest.mark.parametrize("row", TOGETHER + REFUSED, ids=str)
 def test_row(row, tmp_path, monkeypatch):
+    row.check(tmp_path, monkeypatch)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("row", ROWS + TERMINALS, ids=str)
+def test_row_alone(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
@@ -117,7 +159,9 @@ def test_figures_are_the_same_whatever_matplotlib_is_told(tmp_path):
         assert matplotlib.rcParams["font.size"] == 30
 
 
-@pytest.mark.parametrize("columns", [10, 40, 200])
+@pytest.mark.parametrize(
+    "columns", [10, *(pytest.param(n, marks=pytest.mark.thorough) for n in (40, 200))]
+)
 def test_a_terminal_of_any_width_shows_no_name_raw(columns, tmp_path):
     """A terminal gets the sequences of the progress bar and of bold letters, no others."""
     fill(tmp_path)

@@ -170,21 +170,20 @@ def calc_look(
     measured, new, count = look_at(state, patience, memory)
     memory[2 * n] = count
     if new:
-        memory[: 2 * n] = state
+        put_all(memory, state)
     asked = is_usable(desired) and is_usable(acceleration)
-    if asked:
-        seen[2], seen[3], seen[4] = desired[:n], desired[n:], acceleration
-    else:
-        seen[2], seen[3], seen[4] = memory[2 * n + 1 :], 0.0, 0.0
-        if measured and not is_usable(seen[2]):
-            seen[2] = state[:n]
+    last = memory[2 * n + 1 :]
+    put_all(seen[2], desired[:n] if asked else last)
+    for i in range(n):
+        seen[3, i] = desired[n + i] if asked else 0.0
+        seen[4, i] = acceleration[i] if asked else 0.0
+    if measured and not is_usable(seen[2]):
+        put_all(seen[2], state[:n])
     known = asked or is_usable(seen[2])
     if known:
-        memory[2 * n + 1 :] = seen[2]
-    if measured:
-        seen[0], seen[1] = state[:n], state[n:]
-    else:
-        seen[0], seen[1] = seen[2], seen[3]
+        put_all(last, seen[2])
+    put_all(seen[0], state[:n] if measured else seen[2])
+    put_all(seen[1], state[n:] if measured else seen[3])
     both = measured and asked
     return both and new, both and not new, known
 
@@ -210,6 +209,13 @@ def look_at(state: Array, patience: float, memory: Array) -> tuple[bool, bool, f
         return True, True, 0.0
     count = count + 1.0 if moving else 0.0
     return count < patience, count == 0.0, count
+
+
+@inlined
+def put_all(out: Array, x: Array) -> None:
+    """Writes x (n,) into the first n of an array; an array's own assignment compiles slowly."""
+    for i in range(len(x)):
+        out[i] = x[i]
 
 
 @inlined
