@@ -165,7 +165,8 @@ def add_adaptive_loop(
     if robot is None and not isinstance(plant, RobotPorts):
         robot = RobotInstance(plant)
     if robot is not None:
-        ports = _robot_ports(builder, robot, controller)
+        check_base(robot, controller)
+        ports = robot.ports(builder, joints)
     else:
         ports = _given_ports(plant, joints, effects)
     builder.AddSystem(controller)
@@ -201,17 +202,25 @@ def add_adaptive_loop(
     )
 
 
-def _robot_ports(
-    builder: DiagramBuilder, robot: RobotInstance, controller: AdaptiveController
-) -> RobotPorts:
-    """The ports of a robot in a plant, once its base is that of the controller's model."""
+def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
+    """Checks that a robot is the controller's, and that its base leans as that of its model.
+
+    A controller whose model has an effect of the whole robot may know by it that the base leans,
+    and is believed.
+
+    Args:
+        robot: The robot in a plant.
+        controller: A controller.
+
+    Raises:
+        ArgumentError: It is another robot, or its base leans otherwise, or moves.
+    """
     control = controller.control
     robot.order(control.joints)
-    if not any(isinstance(effect, RobotEffect) for effect in getattr(control, "effects", ())):
-        tree = getattr(control, "tree", None)  # what stands in for a ControlModel may have none
-        if tree is not None:
-            robot.check_base(tree, control.joints)
-    return robot.ports(builder, control.joints)
+    effects = getattr(control, "effects", ())  # what stands in for a ControlModel may lack both
+    tree = getattr(control, "tree", None)
+    if tree is not None and not any(isinstance(effect, RobotEffect) for effect in effects):
+        robot.check_base(tree, control.joints)
 
 
 def _given_ports(
