@@ -104,7 +104,15 @@ class AdaptationView(LeafSystem):
             meshcat: Where to draw.
             path: Folder of the scene to draw in.
             period: Time between two pictures, s.
+
+        Raises:
+            ArgumentError: The plant holds more than the robot.
         """
+        if loop.robot is None or loop.robot.name is not None:
+            raise ArgumentError(
+                "A view of adaptation is one of a plant that holds one robot alone.",
+                advice="Show the scene by MeshcatVisualizer.AddToBuilder.",
+            )
         size = loop.parameters.size()
         view = builder.AddSystem(
             AdaptationView(loop.plant, meshcat, size, path=path, period=period)

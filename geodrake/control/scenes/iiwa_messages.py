@@ -16,7 +16,6 @@ from pydrake.common.value import AbstractValue
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import IiwaCommandReceiver, IiwaControlMode, IiwaStatusSender
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.controllers import InverseDynamics
 from pydrake.systems.framework import (
     BasicVector,
     Context,
@@ -31,6 +30,7 @@ from geodrake.boundary.arguments import instance, integer, number, positive, rea
 from geodrake.control.scenes.scenario import IiwaMessages
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.inertia.bodies import check_plant
 from geodrake.robot.robot_instance import RobotPorts
 
 _MICROSECONDS = 1e6  # in a second
@@ -128,6 +128,42 @@ class IiwaCommandWriter(LeafSystem):
 
     def _calc_command(self, context: Context, output: AbstractValue) -> None:
         output.set_value(command_of(context.get_time(), self._effort.Eval(context)))
+
+
+class GravityCompensation(LeafSystem):
+    """Efforts that hold a robot against gravity, −τ_g(q).
+
+    .. pydrake_system::
+
+        name: GravityCompensation
+        input_ports:
+        - state
+        output_ports:
+        - effort
+
+    Unlike Drake's `InverseDynamics`, it takes a state that is not finite, and answers NaN.
+
+    Args:
+        plant: A finalized plant of the robot alone.
+    """
+
+    def __init__(self, plant: MultibodyPlant) -> None:
+        LeafSystem.__init__(self)
+        check_plant(plant)
+        self._plant, self._scratch = plant, plant.CreateDefaultContext()
+        states = plant.num_positions() + plant.num_velocities()
+        self._state = self.DeclareVectorInputPort("state", BasicVector(states))
+        self.DeclareVectorOutputPort(
+            "effort", BasicVector(plant.num_velocities()), self._calc_effort
+        )
+
+    def _calc_effort(self, context: Context, output: BasicVector) -> None:
+        q = self._state.Eval(context)[: self._plant.num_positions()]
+        if not np.isfinite(q).all():
+            output.SetFromVector(np.full(output.size(), np.nan))
+            return
+        self._plant.SetPositions(self._scratch, q)
+        output.SetFromVector(-self._plant.CalcGravityGeneralizedForces(self._scratch))
 
 
 def iiwa_ports(
@@ -266,9 +302,8 @@ def _send_status(
 
 def _gravity(builder: DiagramBuilder, plant: MultibodyPlant, state: OutputPort) -> OutputPort:
     """Efforts (n) that hold a robot against gravity."""
-    mode = InverseDynamics.InverseDynamicsMode.kGravityCompensation
-    hold = builder.AddSystem(InverseDynamics(plant, mode))
-    builder.Connect(state, hold.GetInputPort("estimated_state"))
+    hold = builder.AddSystem(GravityCompensation(plant))
+    builder.Connect(state, hold.get_input_port())
     return hold.get_output_port()
 
 

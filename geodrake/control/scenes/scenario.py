@@ -218,9 +218,15 @@ def load_scenario(path: str | Path, name: str | None = None) -> Scenario:
     """
     path = regular_file(file_path(path), "scenario file", ModelError)
     text = yaml_text(path)
-    name = _chosen(path, yaml.compose(text, yaml.SafeLoader), name)
     try:
+        name = _chosen(path, yaml.compose(text, yaml.SafeLoader), name)
         scenario = yaml_load_typed(schema=Scenario, data=text, child_name=name)
+    except yaml.YAMLError as error:
+        raise ModelError(
+            f"{path} is not valid YAML: {one_line(error)}.", advice="Correct the file there."
+        ) from error
+    except GeodrakeError:
+        raise
     except (RuntimeError, ValueError, TypeError, AttributeError, AssertionError) as error:
         raise ModelError(
             f"The scenario {name} of {path} cannot be read: {one_line(error)}.",

@@ -1,0 +1,250 @@
+"""Adaptive loops, effects and fitted models of one robot among tables, objects and other robots."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from adaptive_loops import CONTROL, MANIFOLD, MODEL, TRUTH, motion
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.systems.framework import DiagramBuilder
+from scenes import PENDULUM, alone, plant_of, scene
+
+from geodrake import effects
+from geodrake.control import (
+    AdaptiveComputedTorqueController,
+    ControlModel,
+    EffectForce,
+    PassivityBasedAdaptiveController,
+    add_adaptive_loop,
+    natural_adaptation,
+)
+from geodrake.effects import FittedEffect
+from geodrake.errors import ArgumentError
+from geodrake.model import load_model
+from geodrake.report.adaptation_view import AdaptationView
+from geodrake.robot import RobotInstance, RobotPorts, take_out_stated
+
+ACTING = [
+    (effects.ViscousFriction("shoulder"), [0.4]),
+    (effects.CoulombFriction("elbow"), [0.2]),
+    (effects.RotorInertia("elbow"), [0.1]),
+    (effects.LoadDependentFriction("shoulder"), [0.1]),
+    (effects.GravityTilt(), [0.1, -0.05]),
+    (effects.Payload("lower_link"), [0.5, 0.01, 0.02, -0.1, 0.05, 0.05, 0.02, 0.0, 0.0, 0.0]),
+    (effects.AerodynamicDrag("lower_link"), [0.3, 0.1, 0.0, -0.2]),
+]
+
+
+def passivity():
+    law = natural_adaptation(MANIFOLD, 0.5)
+    return PassivityBasedAdaptiveController(CONTROL, law, parameters=1.3 * TRUTH)
+
+
+def computed_torque():
+    law = natural_adaptation(MANIFOLD, 0.5)
+    return AdaptiveComputedTorqueController(CONTROL, law, parameters=1.3 * TRUTH)
+
+
+class TestTracking:
+    """A crate that falls onto the table and another robot leave the arm's loop as it is alone."""
+
+    @pytest.mark.parametrize("make", [passivity, computed_torque])
+    @pytest.mark.parametrize("actuated", [(), ("elbow", "shoulder")])
+    def test_it_is_that_of_the_robot_alone(self, make, actuated):
+        found = []
+        for build in (alone, scene):
+            builder = DiagramBuilder()
+            options = {"actuated": actuated} if build is scene else {}
+            plant = build(builder, **options)
+            robot = RobotInstance(plant, "arm") if build is scene else plant
+            loop = add_adaptive_loop(
+                builder, robot, make(), motion(), effects=ACTING[:3], log_period=0.01
+            )
+            found.append(loop.simulated(builder.Build(), 0.15)[1])
+        there, here = found
+        assert np.abs(there["state"] - there["desired_state"]).max() > 1e-3
+        for name, values in there.items():
+            # (Drake's solver of contacts has a tolerance.)
+            np.testing.assert_allclose(here[name], values, rtol=1e-6, atol=1e-6)
+
+    def test_two_robots_of_one_plant_have_a_loop_each(self):
+        builder = DiagramBuilder()
+        plant = scene(builder)
+        loops = [
+            add_adaptive_loop(
+                builder, RobotInstance(plant, name), passivity(), motion(size), log_period=0.01
+            )
+            for name, size in (("arm", 0.5), ("other", 0.8))
+        ]
+        diagram = builder.Build()
+        root = loops[0].context(diagram)
+        loops[1].set_start(root)
+        time, logs = loops[1].simulated(diagram, 0.1)
+        assert len(time) == 11
+        np.testing.assert_allclose(logs["state"][0], logs["desired_state"][0])
+        for loop, size in zip(loops, (0.5, 0.8), strict=True):
+            port = loop.state
+            state = port.Eval(port.get_system().GetMyContextFromRoot(root))
+            np.testing.assert_allclose(state[:2], motion(size).value(0.0).ravel(), atol=1e-12)
+
+    def test_a_leaning_base_is_refused_unless_the_model_may_know_of_it(self):
+        leaning = RigidTransform(RotationMatrix.MakeXRotation(0.1), [0.0, 0.0, 1.0])
+        tilt = FittedEffect(effects.GravityTilt(), np.array([0.1, 0.0]))
+        knowing = ControlModel.of(replace(MODEL, effects=(*MODEL.effects, tilt)))
+        builder = DiagramBuilder()
+        robot = RobotInstance(scene(builder, X_TB=leaning), "arm")
+        with pytest.raises(ArgumentError, match="leans otherwise"):
+            add_adaptive_loop(builder, robot, passivity(), motion())
+        add_adaptive_loop(builder, robot, PassivityBasedAdaptiveController(knowing, None), motion())
+
+    def test_a_plant_of_more_says_how_to_name_the_robot(self):
+        builder = DiagramBuilder()
+        plant = scene(builder)
+        with pytest.raises(ArgumentError, match=r"RobotInstance\(plant, name\)"):
+            add_adaptive_loop(builder, plant, passivity(), motion())
+
+    def test_views_of_adaptation_are_for_plants_of_one_robot(self):
+        builder = DiagramBuilder()
+        robot = RobotInstance(scene(builder), "arm")
+        loop = add_adaptive_loop(builder, robot, passivity(), motion())
+        with pytest.raises(ArgumentError, match="one robot alone"):
+            AdaptationView.AddToBuilder(builder, loop, None)
+
+    def test_ports_alone_have_no_effects_and_their_own_joints(self):
+        builder = DiagramBuilder()
+        ports = RobotInstance(scene(builder), "arm").ports(builder, ("shoulder", "elbow"))
+        with pytest.raises(ArgumentError, match="Effects act on a plant"):
+            add_adaptive_loop(builder, ports, passivity(), motion(), effects=ACTING[:1])
+        swapped = RobotPorts(ports.joints[::-1], ports.state, None, ports.effort)
+        with pytest.raises(ArgumentError, match="The ports are of elbow, shoulder"):
+            add_adaptive_loop(builder, swapped, passivity(), motion())
+
+
+class TestEffectForce:
+    """Effects of one robot in a plant, against the same on a plant of that robot alone."""
+
+    def force(self, plant, robot, q, v, u):
+        """Generalized force at random states of all else, (nv,)."""
+        system = EffectForce(robot, ACTING, sign_width=[0.1, 0.2])
+        context = system.CreateDefaultContext()
+        system.GetInputPort("state").FixValue(context, np.concatenate([q, v]))
+        system.GetInputPort("applied_effort").FixValue(context, u)
+        return system.GetOutputPort("generalized_force").Eval(context)
+
+    def test_it_acts_on_its_robot_as_if_alone_and_on_nothing_else(self):
+        rng = np.random.default_rng(5)
+        single, plant = alone(DiagramBuilder()), plant_of()
+        robot = RobotInstance(plant, "arm")
+        q, v, u = rng.normal(size=(3, 2))
+        context = plant.CreateDefaultContext()
+        velocities = rng.normal(size=plant.num_velocities())
+        plant.SetVelocities(context, velocities)
+        robot.set_state(context, ("shoulder", "elbow"), [*q, *v])
+        efforts = rng.normal(size=plant.num_velocities())
+        efforts[robot.velocities] = u
+        expected = self.force(single, single, q, v, u)
+        there = plant.GetPositions(context), plant.GetVelocities(context), efforts
+        found = self.force(plant, robot, *there)
+        np.testing.assert_allclose(found[robot.velocities], expected, rtol=1e-8)
+        assert not np.delete(found, robot.velocities).any()
+
+    def test_names_are_those_of_the_robot(self):
+        plant = plant_of()
+        with pytest.raises(ArgumentError, match="elbow"):  # which two robots have
+            EffectForce(plant, [(effects.ViscousFriction("elbow"), [0.1])])
+        EffectForce(RobotInstance(plant, "other"), [(effects.ViscousFriction("elbow"), [0.1])])
+        EffectForce(plant, [(effects.ViscousFriction("arm_elbow"), [0.1])])
+
+
+class TestFittedModel:
+    """`RobotModel.add_to_scene` against `add_to_builder`."""
+
+    def model(self):
+        model = load_model(PENDULUM)
+        fitted = tuple(
+            FittedEffect(effect, np.array(mu)) for effect, mu in ACTING[:3] + ACTING[5:6]
+        )
+        return replace(model, phi=1.1 * model.phi, effects=fitted)
+
+    def test_it_moves_as_in_a_diagram_of_its_own(self):
+        rng = np.random.default_rng(1)
+        q, v, u = rng.normal(size=(3, 2))
+        accelerations = []
+        for within in (False, True):
+            builder = DiagramBuilder()
+            if within:
+                plant = scene(builder, time_step=0.0)
+                robot = self.model().add_to_scene(builder, RobotInstance(plant, "arm"))
+            else:
+                robot = self.model().add_to_builder(builder)
+            builder.ExportInput(robot.effort, "effort")
+            diagram = builder.Build()
+            root = diagram.CreateDefaultContext()
+            robot.set_inertias(root)
+            robot.set_state(root, q, v)
+            diagram.get_input_port(0).FixValue(root, u)
+            port = robot.plant.get_generalized_acceleration_output_port()
+            found = port.Eval(robot.plant.GetMyContextFromRoot(root))
+            accelerations.append(found[robot.robot.velocities])
+        np.testing.assert_allclose(accelerations[1], accelerations[0], rtol=1e-8)
+
+    def test_what_other_models_weld_to_it_stays(self):
+        """A crate on its last link, whose mass is not that of the model."""
+        plant = plant_of(finalize=False)
+        crate, arm = (plant.GetModelInstanceByName(name) for name in ("crate", "arm"))
+        tip = plant.GetBodyByName("lower_link", arm)
+        plant.WeldFrames(tip.body_frame(), plant.GetFrameByName("crate", crate))
+        plant.Finalize()
+        context = plant.CreateDefaultContext()
+        phi = self.model().total_phi
+        RobotInstance(plant, "arm").set_inertial_parameters(context, phi)
+        masses = plant.CalcTotalMass(context, [arm]), plant.CalcTotalMass(context, [crate])
+        np.testing.assert_allclose(masses, [phi[:, 0].sum() + self.base(plant, arm), 1.2])
+
+    def base(self, plant, arm):
+        """Mass of the links of the robot that are welded to the world, kg."""
+        standing = plant.GetBodiesWeldedTo(plant.world_body())
+        own = [body for body in standing if body.model_instance() == arm]
+        return sum(body.default_mass() for body in own)
+
+    def test_damping_would_count_twice(self):
+        plant = plant_of(finalize=False)
+        arm = plant.GetModelInstanceByName("arm")
+        plant.GetJointByName("elbow", arm).set_default_damping_vector([0.3])
+        plant.Finalize()
+        with pytest.raises(ArgumentError, match=r"Damping of 'arm' would .*take_out_stated"):
+            self.model().add_to_scene(DiagramBuilder(), RobotInstance(plant, "arm"))
+
+    def test_damping_and_rotors_are_taken_out(self):
+        plant = plant_of(finalize=False, actuated=("elbow",))
+        arm = plant.GetModelInstanceByName("arm")
+        for name in ("arm", "other"):
+            instance = plant.GetModelInstanceByName(name)
+            plant.GetJointByName("elbow", instance).set_default_damping_vector([0.3])
+        plant.GetJointActuatorByName("motor_elbow").set_default_rotor_inertia(0.1)
+        take_out_stated(plant, "arm")
+        plant.Finalize()
+        assert RobotInstance(plant, "arm").stated_terms == ()
+        assert RobotInstance(plant, "other").stated_terms == ("Damping",)
+        assert plant.GetJointByName("elbow", arm).default_damping_vector() == [0.0]
+
+    def test_effects_in_world_axes_want_the_base_as_it_was(self):
+        turned = RigidTransform(RotationMatrix.MakeZRotation(0.5), [0.0, 0.0, 1.0])
+        model = self.model()
+        tilt = FittedEffect(effects.GravityTilt(), np.array([0.1, 0.0]))
+        robot = RobotInstance(plant_of(X_TB=turned), "arm")
+        with pytest.raises(ArgumentError, match="axes of the world"):
+            replace(model, effects=(tilt,)).add_to_scene(DiagramBuilder(), robot)
+
+
+def test_parsers_that_rename_are_no_obstacle():
+    builder = DiagramBuilder()
+    plant = plant_of(finalize=False)
+    (third,) = Parser(plant, "third").AddModels(str(PENDULUM))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link", third))
+    plant.Finalize()
+    builder.AddSystem(plant)
+    robot = RobotInstance(plant, plant.GetModelInstanceName(third))
+    assert robot.joints == ("shoulder", "elbow")
+    add_adaptive_loop(builder, robot, passivity(), motion())
