@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from meshcat_pages import drawn, tracks
 from scripts import FOLDER, ROOT, call, start
 
 from geodrake.logs.files import read_log
@@ -21,6 +22,7 @@ ELSEWHERE = {  # run by tests of their own, with --quick, too
     "body_distances",
     "human_identification",
     "identification_speed",
+    "run_scenario",
 }
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in ELSEWHERE)
 
@@ -105,6 +107,38 @@ def test_absent_measurements_are_said_clearly(name, tmp_path, capsys):
     for path in MEASUREMENTS[name]:
         assert path.partition("*")[0] in said
     assert "GEODRAKE_MEASUREMENTS" in said
+
+
+class TestRunScenario:
+    def test_two_arms_and_a_crate(self, tmp_path):
+        """Both arms track, the crate rests until one comes to it, and the recording has all."""
+        table = tmp_path / "table.json"
+        call("run_scenario", "--quick", "--seed", 3, "--json", table, "--figures", tmp_path)
+        found = json.loads(table.read_text(encoding="utf-8"))
+        rms = {row["robot"]: row["rms"] for row in found["tracking"] if row["joint"] == "all"}
+        assert set(rms) == {"arm", "second"}
+        assert 0.0 < rms["arm"] < 0.01
+        assert 0.0 < rms["second"] < 0.05
+        assert np.abs(found["moved"]["crate::crate"]).max() < 1e-3
+        assert (tmp_path / "push_errors.png").stat().st_size > 10_000
+        page = (tmp_path / "push.html").read_text(encoding="utf-8")
+        moved = {path.split("/visualizer/")[-1].split("/")[0] for path, _ in tracks(page)}
+        assert {"arm", "second", "crate"} <= moved
+        assert any("/table/" in path for path in drawn(page))
+
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (("--scenario", "none.yaml"), "none.yaml does not exist"),
+            (("--scenario-name", "dance"), "It has push, carry, messages, controller"),
+        ],
+    )
+    def test_what_cannot_be_run_is_one_line(self, arguments, message, capsys):
+        with pytest.raises(SystemExit) as ended:
+            call("run_scenario", *arguments)
+        assert ended.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith("Error: ") and message in line
 
 
 class TestHiddenEffectLog:

@@ -213,6 +213,7 @@ NO_DOOR = {
             "export.file_kind",
             "export.distributed",
             "floating_base.on_a_free_world",
+            "loops.check_base",
             "regressor.checked_samples",
             "regressor.checked_tree",
         ),
