@@ -161,14 +161,13 @@ def add_adaptive_loop(
     """
     _check(builder, controller, motion, log_period)
     joints = controller.control.joints
-    robot = plant if isinstance(plant, RobotInstance) else None
-    if robot is None and not isinstance(plant, RobotPorts):
-        robot = RobotInstance(plant)
-    if robot is not None:
+    robot: RobotInstance | None = None
+    if isinstance(plant, RobotPorts):
+        ports = _given_ports(plant, joints, effects)
+    else:
+        robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         check_base(robot, controller)
         ports = robot.ports(builder, joints)
-    else:
-        ports = _given_ports(plant, joints, effects)
     builder.AddSystem(controller)
     desired, acceleration = _track(builder, ports, controller, motion)
     actuation, measured = controller.GetOutputPort("actuation"), ports.state

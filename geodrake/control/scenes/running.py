@@ -127,16 +127,14 @@ def _ran(robot: RobotInScene, context: Context) -> RobotRun | None:
     loop = {} if robot.loop is None else robot.loop.logged(context)[1]
     sinks = {name: sink.FindLog(context) for name, sink in robot.logs.items()}
     own = {name: np.array(log.data().T) for name, log in sinks.items()}
-    if robot.loop is not None:
-        time = robot.loop.logged(context)[0]
-    elif sinks:
-        time = np.array(next(iter(sinks.values())).sample_times())
-    else:
+    if not (loop or own):
         return None
+    times = [np.array(log.sample_times()) for log in sinks.values()]
+    time = times[0] if robot.loop is None else robot.loop.logged(context)[0]
     return RobotRun(
         robot.joints,
         time,
-        own.get("state", loop.get("state")),
+        own["state"] if "state" in own else loop["state"],
         own.get("effort", loop.get("actuation")),
         loop.get("desired_state"),
         loop.get("parameters"),

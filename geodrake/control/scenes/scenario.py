@@ -331,6 +331,6 @@ def within(where: str) -> Iterator[None]:
         ) from error
 
 
-def one_line(error: Exception) -> str:
+def one_line(error: BaseException) -> str:
     """What Drake says, in a line."""
     return " ".join(str(error).split()).rstrip(".")[:_LONGEST]
