@@ -18,6 +18,7 @@ from geodrake.control.systems import (
     AdaptiveController,
     FixedGains,
     PassivityBasedAdaptiveController,
+    PredictionError,
     Safeguards,
     VaryingGains,
 )
@@ -41,6 +42,9 @@ def controller_of(
     control = ControlModel.of(model)
     start = first_estimate(spec, control, rng)
     law = _law(spec, model, start)
+    told, prediction = spec.prediction, None
+    if told is not None:
+        prediction = PredictionError(told.weight, told.bandwidth, alone=told.alone)
     safeguards = Safeguards(model.effort_limits) if spec.effort_limits else Safeguards()
     if isinstance(spec, PassivityControl):
         damping = spec.damping[0] if len(spec.damping) == 1 else spec.damping
@@ -49,6 +53,7 @@ def controller_of(
             control,
             law,
             gains=gains,
+            prediction=prediction,
             time_step=spec.time_step,
             parameters=start,
             safeguards=safeguards,
@@ -57,7 +62,7 @@ def controller_of(
         control,
         law,
         rate=spec.rate,
-        bandwidth=spec.bandwidth,
+        prediction=prediction,
         time_step=spec.time_step,
         parameters=start,
         safeguards=safeguards,

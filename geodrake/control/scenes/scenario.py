@@ -53,6 +53,21 @@ class LogMotion:
 
 
 @dataclass
+class Prediction:
+    """Adaptation by the error of prediction of the controller's own efforts, a `PredictionError`.
+
+    Attributes:
+        weight: W, rad/s/(N·m) or m/s/N.
+        bandwidth: That of the filtered regressor, 1/s.
+        alone: Whether the tracking error does not move the estimate.
+    """
+
+    weight: float = 0.1
+    bandwidth: float = 20.0
+    alone: bool = False
+
+
+@dataclass
 class _AdaptiveControl:
     """What adaptive controllers have in common.
 
@@ -66,6 +81,7 @@ class _AdaptiveControl:
         mass_uncertainty: δ of [Lee2019] (B.2.11), by which bodies of the first estimate are changed
             at random; zero for none.
         effort_limits: Whether the model's limits of efforts hold.
+        prediction: Adaptation by the error of prediction too; null for none.
     """
 
     model: str = ""
@@ -76,6 +92,7 @@ class _AdaptiveControl:
     factor: float = 1.0
     mass_uncertainty: float = 0.0
     effort_limits: bool = True
+    prediction: Prediction | None = None
 
 
 @dataclass
@@ -91,13 +108,12 @@ class PassivityControl(_AdaptiveControl):
 
 @dataclass
 class ComputedTorqueControl(_AdaptiveControl):
-    """An `AdaptiveComputedTorqueController`.
+    """An `AdaptiveComputedTorqueController`, which adapts by the error of prediction alone.
 
-    Attributes:
-        bandwidth: That of the filtered regressor, 1/s; null to adapt by measured accelerations.
+    Otherwise it needs measured accelerations, which a robot of the directives alone has.
     """
 
-    bandwidth: float | None = 20.0
+    prediction: Prediction | None = field(default_factory=lambda: Prediction(alone=True))
 
 
 @dataclass
