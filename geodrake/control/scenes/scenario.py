@@ -53,7 +53,7 @@ class LogMotion:
 
 
 @dataclass
-class Prediction:
+class PredictionSpec:
     """Adaptation by the error of prediction of the controller's own efforts, a `PredictionError`.
 
     Attributes:
@@ -92,7 +92,7 @@ class _AdaptiveControl:
     factor: float = 1.0
     mass_uncertainty: float = 0.0
     effort_limits: bool = True
-    prediction: Prediction | None = None
+    prediction: PredictionSpec | None = None
 
 
 @dataclass
@@ -113,7 +113,7 @@ class ComputedTorqueControl(_AdaptiveControl):
     Otherwise it needs measured accelerations, which a robot of the directives alone has.
     """
 
-    prediction: Prediction | None = field(default_factory=lambda: Prediction(alone=True))
+    prediction: PredictionSpec | None = field(default_factory=lambda: PredictionSpec(alone=True))
 
 
 @dataclass
