@@ -35,7 +35,7 @@ from geodrake.model.simulation.force_law import (
 from geodrake.model.simulation.plant_motion import PlantMotion
 from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
 from geodrake.model.simulation.scalars import Scalars, slopes_of, value_of
-from geodrake.model.simulation.soft_joints import SPRING_DAMPING
+from geodrake.model.simulation.soft_joints import SPRING_DAMPING, Coupling
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force
 
 _PARAMETERS, _PHI = 0, 1
@@ -186,6 +186,14 @@ class _EffectForce(ScalarSystem):
         whole = np.array(context.get_continuous_state_vector().CopyToVector())
         whole[self.law.state_count :] = np.concatenate(both)
         context.SetContinuousState(whole)
+
+    def couplings(self, context: Context) -> list[Coupling]:
+        """What holds the motor and the link of each soft joint together, by a Context's parameters.
+
+        Args:
+            context: The system's own Context.
+        """
+        return self.law.soft.couplings(self._parameters(context))
 
     def lags(
         self, context: Context, q: ArrayLike, v: ArrayLike, vd: ArrayLike | None = None
