@@ -106,7 +106,8 @@ def _applied(scalar: type, own: Mapping[str, Callable[..., Any]]) -> Any:
         if not any(isinstance(x, scalar) for x in operands):
             return getattr(np, name)(*operands)
         if name in _DRAKES:
-            return getattr(pydrake.math, _DRAKES[name])(*map(scalar, operands))
+            each = [x if isinstance(x, scalar) else scalar(x) for x in operands]
+            return getattr(pydrake.math, _DRAKES[name])(*each)
         return _OF_OTHERS[name](apply, *operands)
 
     return apply
