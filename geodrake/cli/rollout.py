@@ -25,8 +25,6 @@ from geodrake.robot.files.xacro_file import is_xacro
 
 Pair = tuple[Rollout, Rollout | None]
 
-_NO_FORCES = "as they are no forces on the links"
-
 
 def run_rollout(options: RolloutOptions) -> None:
     """Run the command.
@@ -109,9 +107,4 @@ def _show(console: Console, found: Pair, units: Units) -> None:
     if after.broken:
         words = f"{words}; in {after.broken} of {count} windows the simulation breaks off"
     say(console, "Verdict", f"the simulated model {words}.")
-    show_list(console, f"Not simulated, {_NO_FORCES}", after.left_out_words)
-    if before is not None:
-        show_list(
-            console, f"Not simulated of the model before, {_NO_FORCES}", before.left_out_words
-        )
     show_list(console, "Notes", after.notes)

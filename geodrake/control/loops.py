@@ -42,7 +42,8 @@ class AdaptiveLoop:
         robot: The robot in its plant; None if the loop was given the ports of a robot elsewhere.
         controller: The controller.
         effect_force: What acts on the plant beside rigid bodies, if anything.
-        state: Positions and velocities of the robot, in the order of the controller's joints.
+        state: Positions and velocities of the robot, in the order of the controller's joints; of
+            the motors where effects make joints soft.
         measured_state: What the controller sees of them.
         desired_state: Desired positions and velocities.
         desired_acceleration: Desired accelerations.
@@ -98,6 +99,8 @@ class AdaptiveLoop:
         desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
         if self.robot is not None:
             self.robot.set_state(plant.GetMyMutableContextFromRoot(root), joints, desired)
+        if self.effect_force is not None:
+            self.effect_force.deflect(root)
 
     def simulated(self, diagram: Diagram, duration: float) -> tuple[Array, dict[str, Array]]:
         """Simulates from the start of the motion.
@@ -170,18 +173,20 @@ def add_adaptive_loop(
         ports = robot.ports(builder, joints)
     builder.AddSystem(controller)
     desired, acceleration = _track(builder, ports, controller, motion)
-    actuation, measured = controller.GetOutputPort("actuation"), ports.state
+    actuation, state, force = controller.GetOutputPort("actuation"), ports.state, None
+    if effects and robot is not None:
+        force = EffectForce.AddToBuilder(builder, robot, effects, sign_width=sign_width)
+        _scatter(builder, actuation, robot.to_plant(joints), force.GetInputPort("applied_effort"))
+        if force.soft_joints:
+            state = force.state_port(builder, joints)
+    measured = state
     if sensor is not None:
         builder.AddSystem(instance(sensor, "sensor", System))
         builder.Connect(measured, sensor.get_input_port())
         measured = sensor.get_output_port()
     builder.Connect(measured, controller.GetInputPort("estimated_state"))
-    force = None
-    if effects and robot is not None:
-        force = EffectForce.AddToBuilder(builder, robot, effects, sign_width=sign_width)
-        _scatter(builder, actuation, robot.to_plant(joints), force.GetInputPort("applied_effort"))
     named = {
-        "state": ports.state,
+        "state": state,
         "desired_state": desired,
         "actuation": actuation,
         "parameters": controller.GetOutputPort("parameters"),
@@ -191,7 +196,7 @@ def add_adaptive_loop(
         robot,
         controller,
         force,
-        ports.state,
+        state,
         measured,
         desired,
         acceleration,

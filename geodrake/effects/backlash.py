@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion, Shape, require_positive
-from geodrake.effects.deflection import Deflection, DeflectionEffect
+from geodrake.effects.deflection import Deflection, DeflectionEffect, Give
 
 _SUBSTEPS = 4
 
@@ -24,8 +24,7 @@ class Backlash(DeflectionEffect):
     other side, where it stays. The motor thus feels no load for a while, and then a blow. Where
     samples are no series in time, there is only the posture s = h sgn τ_j.
 
-    In a simulation the state of the robot is that of its links, so that this is no force: put a
-    body for the motor and a contact with a gap into the plant.
+    A simulation has motor and link as two bodies, between stiff and damped sides.
 
     Attributes:
         half_width: h, rad or m.
@@ -57,6 +56,10 @@ class Backlash(DeflectionEffect):
         bend = np.diff(lag, 2, prepend=lag[:1], append=lag[-1:])
         period = float(np.median(np.diff(time)))
         return Deflection(lag, np.gradient(lag, time), bend / period**2)
+
+    def give(self, parameters: Array) -> Give:
+        """Play of half the width h to either side, times the share g."""
+        return Give(play=max(parameters[0], 0.0) * self.half_width)
 
     def lag(self, acceleration: Array, time: Array) -> Array:
         """The lag s (N,) of a link.

@@ -136,6 +136,11 @@ class Effect(CheckedFields, abc.ABC):
         """Where it acts, in words."""
         return " & ".join(self.where) or "base"
 
+    @property
+    def at_motor(self) -> bool:
+        """Whether it acts at motors, as friction does, and not at bodies (`DeflectionEffect`)."""
+        return self.places in ("joint", "joint_pair")
+
     @abc.abstractmethod
     def rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """Regressor columns, one entry per joint whose effort the effect changes.

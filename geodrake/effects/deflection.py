@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from geodrake.effects.base import Array, JointEffect, JointMotion, RobotMotion, Role
+from geodrake.errors import ArgumentError
 from geodrake.logs.filtering import LEAST_SPECTRUM, choose_bandwidth, design_filter
 from geodrake.robot.effort_slopes import EffortSlopes
 
@@ -60,6 +61,27 @@ class Deflection:
         return np.asarray(-change)
 
 
+@dataclass(frozen=True)
+class Give:
+    """How far a link moves against its motor under a torque: a dead band, and a spring.
+
+    Attributes:
+        compliance: Of the spring beyond the dead band, rad/(N·m) or m/N; 0 for a rigid one.
+        play: Half width of the dead band, rad or m.
+    """
+
+    compliance: float = 0.0
+    play: float = 0.0
+
+    def __add__(self, other: Give) -> Give:
+        """That of both in series."""
+        return Give(self.compliance + other.compliance, self.play + other.play)
+
+    def __bool__(self) -> bool:
+        """Whether it gives way at all."""
+        return bool(self.compliance > 0.0 or self.play > 0.0)
+
+
 def _smooth(lag: Array, time: Array) -> Array:
     """A lag (N,) without what only noise of the motion makes of it, which ṡ and s̈ would amplify.
 
@@ -75,7 +97,12 @@ def _smooth(lag: Array, time: Array) -> Array:
 
 @dataclass(frozen=True)
 class DeflectionEffect(JointEffect):
-    """A joint whose link lags behind its motor. Subclasses define `deflection`."""
+    """A joint whose link lags behind its motor. Subclasses define `deflection` and `give`.
+
+    A fit sees the lag to first order (`deflection`). In a simulation motor and link are two bodies
+    with what `give` says between them (`geodrake.model.simulation`); friction and rotor inertia are
+    the motor's, and so are the positions and efforts that are measured.
+    """
 
     role = Role.DEFLECTION
     depends_on = frozenset({"q", "v", "vd", "load", "time", "bodies"})
@@ -83,6 +110,21 @@ class DeflectionEffect(JointEffect):
     @abc.abstractmethod
     def deflection(self, motion: RobotMotion) -> Deflection:
         """How far the link lags behind at a motion of the motors, for a parameter of one."""
+
+    def give(self, parameters: Array) -> Give:
+        """How motor and link are held together in a simulation.
+
+        Args:
+            parameters: (k,) linear parameters.
+
+        Raises:
+            ArgumentError: The class does not say.
+        """
+        raise ArgumentError(
+            f"{self.name} does not say how motor and link are held together: it gives way by "
+            f"parameters {parameters.tolist()} in a fit only.",
+            advice="Define give(parameters), which returns a geodrake.effects.deflection.Give.",
+        )
 
     def columns(self, joint: JointMotion) -> Sequence[Array]:
         """Nothing that the joint's own motion says."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geodrake.effects.base import Parameter, Proposer, RobotMotion
-from geodrake.effects.deflection import Deflection, DeflectionEffect
+from geodrake.effects.base import Array, Parameter, Proposer, RobotMotion
+from geodrake.effects.deflection import Deflection, DeflectionEffect, Give
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,7 @@ class JointElasticity(DeflectionEffect):
     are. Rates of τ_j are those along the log; where samples are no series in time, the joint bends
     as at rest.
 
-    In a simulation the state of the robot is that of its links, so that this is no force: put a
-    body for the motor and a spring into the plant.
+    A simulation has motor and link as two bodies with a spring, at any frequency.
     """
 
     name = "joint_elasticity"
@@ -37,3 +36,7 @@ class JointElasticity(DeflectionEffect):
     def deflection(self, motion: RobotMotion) -> Deflection:
         """The load of the joint, as a spring of unit stiffness gives way to it."""
         return Deflection.along(motion.load[:, motion.index(self.joint)], motion.time)
+
+    def give(self, parameters: Array) -> Give:
+        """A spring of the compliance."""
+        return Give(compliance=max(parameters[0], 0.0))

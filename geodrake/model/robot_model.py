@@ -378,8 +378,9 @@ class RobotModel(Short):
         belong at the port `effort`, where effects see them, and not at the plant's own ports.
         Delays shift `logged_effort`; a negative one, of efforts that are logged ahead, delays
         those that act. Hidden states of effects start at zero
-        (`EffectForce.set_hidden_states`). Effects are computed in Python: the diagram is for
-        simulation with doubles.
+        (`EffectForce.set_hidden_states`). Soft joints have motors and links: `state` is that of the
+        motors. Parameters are those of the Context (`RobotInDiagram.set_parameters`), and the
+        diagram can be cloned, converted to AutoDiffXd and linearized; see `EffectForce`.
 
         Args:
             builder: The diagram's builder.

@@ -189,7 +189,7 @@ def correlates_list(correlates: Iterable[Correlate]) -> list[dict[str, Any]]:
 
 
 def rollout_dict(rollout: Rollout) -> dict[str, Any]:
-    """A rollout: departures of every joint from the measured motion, and effects left out.
+    """A rollout: departures of every joint from the measured motion.
 
     Args:
         rollout: The result of `geodrake.control.rollout.roll_out`.
@@ -198,7 +198,6 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
         "horizon": rollout.horizon,
         "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
         "broken": rollout.broken,
-        "left_out": [{"effect": e.name, "where": e.where} for e in rollout.left_out],
         "relative": number_or(rollout.relative, _APART),
         "joints": {
             joint.joint: {

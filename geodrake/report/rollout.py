@@ -19,14 +19,12 @@ from geodrake.report.page import (
     Section,
     Tile,
     render,
-    without_empty,
 )
 from geodrake.report.tables import departures_table
 from geodrake.report.words import departure
 
 Array = NDArray[np.float64]
 
-_NO_FORCES = "as they are no forces on the links"
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
     "simulated robot is alone with the logged efforts. Lines are cut off where they leave the axes."
@@ -74,16 +72,7 @@ def render_rollout(
         f"The simulated model departs by {departure(after.relative)} of the motion.",
         ("Root mean square over joints of RMS departure over RMS motion.",),
         tiles,
-        without_empty(
-            (
-                Section("Joint by joint", (text,), (table,), charts=charts),
-                Section(f"Not simulated, {_NO_FORCES}", items=after.left_out_words),
-                Section(
-                    f"Not simulated of the model before, {_NO_FORCES}",
-                    items=before.left_out_words if before else (),
-                ),
-            )
-        ),
+        (Section("Joint by joint", (text,), (table,), charts=charts),),
         "Made by geodrake: a plant with the model's inertias and effects under the logged efforts.",
         links or {},
     )

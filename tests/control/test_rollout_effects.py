@@ -1,30 +1,23 @@
 """Effects with a time or a memory in rollouts, on logs that scipy made of a pendulum's equation."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from typer.testing import CliRunner
 
-from geodrake import load_model, save_model
-from geodrake.cli.app import app
+from geodrake import load_model
 from geodrake.control.rollout import roll_out
 from geodrake.control.systems import EffectForce
 from geodrake.effects import (
-    Backlash,
     Contact,
-    EffortDelay,
     FittedEffect,
     FrictionDrift,
     Hysteresis,
-    JointElasticity,
     ViscousFriction,
 )
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError
-from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 
 MASS, LENGTH, INERTIA, GRAVITY = 1.5, 0.4, 0.28, 9.81  # kg, m, kg·m² about the hinge, m/s²
@@ -203,44 +196,3 @@ class TestHysteresis:
         for states in ({bristles: [0.1, 0.2]}, {bristles: 0.1}, {other: [0.1]}, {LOSS[0]: []}):
             with pytest.raises(ArgumentError, match=r"hidden state here|the state of hysteresis"):
                 system.set_hidden_states(context, states)
-
-
-def test_what_is_not_simulated_is_named(pendulum, tmp_path):
-    log = swung("soft", lambda t, q, v, z: 0.1 * v)
-    soft = with_effects(
-        pendulum,
-        LOSS,
-        (EffortDelay(0.0), []),
-        (JointElasticity("hinge"), [1e-4]),
-        (Backlash("hinge", 1e-4), [1.0]),
-    )
-    assert [e.name for e in roll_out(soft, [log], most=1).left_out] == [
-        "joint_elasticity",
-        "backlash",
-    ]
-    assert roll_out(with_effects(pendulum, LOSS), [log], most=1).left_out == ()
-
-    names = ("soft.yaml", "log.csv", "soft.json", "soft.html")
-    model_file, log_file, numbers, page = (str(tmp_path / name) for name in names)
-    save_model(soft, tmp_path / "soft.yaml")
-    write_log(log, tmp_path / "log.csv")
-    targets = ["--json", numbers, "--report", page, "--windows", "1", "--bandwidth", "8"]
-    run = CliRunner().invoke(app, ["rollout", model_file, log_file, *targets])
-    assert run.exit_code == 0, run.output
-    assert json.loads((tmp_path / "soft.json").read_text())["left_out"] == [
-        {"effect": "joint_elasticity", "where": ["hinge"]},
-        {"effect": "backlash", "where": ["hinge"]},
-    ]
-    for text in (run.output, (tmp_path / "soft.html").read_text()):
-        assert "Not simulated" in text
-        assert "joint_elasticity of hinge" in text
-        assert "backlash of hinge" in text
-        assert "the model before" not in text
-
-    plain = ["rollout", str(pendulum.path), log_file, "--before", model_file, *targets]
-    run = CliRunner().invoke(app, plain)
-    assert run.exit_code == 0, run.output
-    found = json.loads((tmp_path / "soft.json").read_text())
-    assert (found["left_out"], len(found["before"]["left_out"])) == ([], 2)
-    for text in (run.output, (tmp_path / "soft.html").read_text()):
-        assert text.count("Not simulated") == text.count("of the model before") == 1

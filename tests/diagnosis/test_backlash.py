@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from elbow_logs import MODEL, loose_log, motor, played
 
-from geodrake.control.systems import EffectForce
 from geodrake.diagnosis import explain
 from geodrake.effects import Backlash
-from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.motion import Motion
 
@@ -40,11 +38,6 @@ def test_lag_falls_freely():
     np.testing.assert_allclose(lag[time < 0.0], -1e-3)
     np.testing.assert_allclose(lag[apart], 30.0 * time[apart] ** 3 / 6 - 1e-3, atol=2e-5)
     assert time[apart][-1] == pytest.approx((12.0 * 1e-3 / 30.0) ** (1 / 3), abs=2e-3)
-
-
-def test_is_no_force():
-    with pytest.raises(ArgumentError, match="no force"):
-        EffectForce(MODEL.plant, [(Backlash("elbow", 1e-3), [1.0])])
 
 
 @pytest.mark.parametrize("seed", [1])

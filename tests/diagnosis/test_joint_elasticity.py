@@ -16,11 +16,9 @@ from pinocchio_logs import MODELS, Recording, perturbed, random_motion, robot
 from scipy.interpolate import make_interp_spline
 
 from geodrake import load_model
-from geodrake.control.systems import EffectForce
 from geodrake.diagnosis import add, explain
 from geodrake.effects import FittedEffect, JointElasticity
 from geodrake.effects.deflection import Deflection
-from geodrake.errors import ArgumentError
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import save_model
@@ -86,11 +84,6 @@ def test_at_rest_the_posture_changes():
         moved[:, 2] -= step * lag
         ends.append(ARM.effort(Motion(moved, none, none)))
     np.testing.assert_allclose(change, (ends[0] - ends[1]) / 2e-5, atol=1e-5)
-
-
-def test_is_no_force():
-    with pytest.raises(ArgumentError, match="no force"):
-        EffectForce(ARM.plant, [(JointElasticity("elbow_pitch"), [1e-4])])
 
 
 class TestDiagnosis:

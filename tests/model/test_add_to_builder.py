@@ -247,13 +247,6 @@ class TestNaturalAttempts:
         with pytest.raises(ArgumentError, match="add_to_builder"):
             EffectForce(model.plant, model.effects)
 
-    def test_what_is_no_force_is_left_out_and_named(self):
-        model = load_model(DEMO)
-        soft = effects.JointElasticity(model.joints[0])
-        robot = replace(model, effects=(fitted(soft, 1e-4),)).add_to_builder(DiagramBuilder())
-        assert robot.left_out == (soft,)
-        assert robot.effect_force is None
-
     def test_hysteresis_keeps_its_state(self):
         model = load_model(DEMO)
         bristles = fitted(effects.Hysteresis(model.joints[0], 0.02), 3.0)

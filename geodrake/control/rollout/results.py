@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.showing import Short, Shown
-from geodrake.effects import Effect
 
 Array = NDArray[np.float64]
 
@@ -66,24 +65,16 @@ class Rollout(Shown):
         windows: What was simulated.
         horizon: Length of the windows, s.
         broken: Windows in which the simulation could not go on to the end, or left all reason.
-        left_out: Effects of the model that the simulation is without, as they are no forces on a
-            robot whose state is that of its links: soft joints and play.
-        notes: What was done to the logs and noticed about the model.
+        notes: What was done to the logs, noticed about the model, and assumed in the simulation.
     """
 
     joints: tuple[JointDeparture, ...]
     windows: tuple[Window, ...]
     horizon: float
     broken: int
-    left_out: tuple[Effect, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
     def relative(self) -> float:
         """Root mean square over joints of departure over motion."""
         return float(np.sqrt(np.mean([joint.relative**2 for joint in self.joints])))
-
-    @property
-    def left_out_words(self) -> tuple[str, ...]:
-        """What was left out, such as `joint_elasticity of elbow`."""
-        return tuple(f"{effect.name} of {effect.place}" for effect in self.left_out)

@@ -11,7 +11,7 @@ import numpy as np
 from geodrake.boundary.arguments import function, integer, real_array
 from geodrake.control.rollout.passages import moving_passages
 from geodrake.control.rollout.results import JointDeparture, Rollout, Window
-from geodrake.control.rollout.simulation import Simulation, allowed_steps, left_out
+from geodrake.control.rollout.simulation import Simulation, allowed_steps
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import open_case
 from geodrake.identification.logs.reduce import peak_speeds
@@ -46,8 +46,8 @@ def roll_out(
     effects, and the measured efforts, advanced by the model's delays. It runs in the time of the
     log, so that friction that drifts has drifted, and contacts act in their log when they did.
     Hidden states, such as the bend of bristles, start as the measured motion before the window
-    leaves them. Effects that are no forces on the links (`JointElasticity`, `Backlash`) are left
-    out; the result names them.
+    leaves them. Soft joints and play are motors and links with a spring or a dead band between
+    them; what was measured is the motors', and links start where their measured load has them.
 
     Args:
         model: The model.
@@ -83,14 +83,15 @@ def roll_out(
     simulation = cache(
         lambda log: Simulation(carrying(model, carried[log]), width, log, fastest, steps)
     )
-    windows = []
+    windows, notes = list[Window](), dict[str, None]()
     for count, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment
         if progress is not None:
             progress(f"{log} {segment.time[0]:.1f} s", count / len(chosen))
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
-    return _rollout(model, windows, horizon, case.notes)
+        notes |= dict.fromkeys(simulation(log).notes)
+    return _rollout(model, windows, horizon, (*case.notes, *notes))
 
 
 def _rollout(
@@ -111,4 +112,4 @@ def _rollout(
             )
         )
     broken = sum(bool(np.isnan(w.simulated).any()) for w in windows)
-    return Rollout(tuple(joints), tuple(windows), horizon, broken, left_out(model), notes)
+    return Rollout(tuple(joints), tuple(windows), horizon, broken, notes)

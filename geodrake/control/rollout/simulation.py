@@ -14,10 +14,11 @@ from pydrake.trajectories import PiecewisePolynomial
 from geodrake.control.rollout.following import FollowingEffort
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems import EffectForce
-from geodrake.effects import Effect, FittedEffect, Role
+from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import ModelError
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.simulation.robot_in_diagram import FORCES
 from geodrake.robot.plant import load_plant, set_inertial_parameters
 
 Array = NDArray[np.float64]
@@ -25,14 +26,10 @@ Array = NDArray[np.float64]
 _LARGEST_STEP = 5e-3  # of the integrator, s
 _ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
+_AT_START = 9  # samples of the rate at which soft joints bend when a passage begins
+_BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
 _FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
 _STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
-
-
-def left_out(model: RobotModel) -> tuple[Effect, ...]:
-    """Effects of a model that a simulation of its links cannot have."""
-    effects = (fitted.effect for fitted in model.effects)
-    return tuple(effect for effect in effects if effect.role is Role.DEFLECTION)
 
 
 def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
@@ -73,7 +70,7 @@ class Simulation:
         builder = DiagramBuilder()
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
         self._plant = builder.AddSystem(loaded.plant)
-        effects = [(fitted.effect, fitted.parameters) for fitted in _forces(model)]
+        effects = [fitted for fitted in model.effects if fitted.effect.role in FORCES]
         self._force = builder.AddSystem(
             EffectForce(
                 self._plant,
@@ -103,6 +100,11 @@ class Simulation:
         places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
         self._order = model.coordinates.own_positions[np.argsort(places)]
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed."""
+        return self._force.notes
+
     def positions(self, passage: Passage) -> Array:
         """(K, nv) positions from a passage's first state on, under its efforts.
 
@@ -121,9 +123,12 @@ class Simulation:
         set_inertial_parameters(self._plant, context, self._model.total_phi)
         ways = self._model.coordinates
         q = ways.plant_positions(self._model.positions(segment.position[:1]))[0]
+        v = ways.plant_velocities(segment.velocity[:1])[0]
+        if self._force.soft_joints:
+            self._deflect(passage, root, (q, v))
         self._plant.SetPositions(context, q)
-        scheme = "radau3" if self._decay(context) > _STIFF else "runge_kutta3"
-        self._plant.SetVelocities(context, ways.plant_velocities(segment.velocity[:1])[0])
+        scheme = "radau3" if self._decay(root) > _STIFF else "runge_kutta3"
+        self._plant.SetVelocities(context, v)
         ResetIntegratorFromFlags(simulator, scheme, _LARGEST_STEP)
         simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
         simulator.Initialize()
@@ -136,8 +141,69 @@ class Simulation:
                 break
             if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
                 break
-            simulated[k] = self._plant.GetPositions(context)[self._order]
+            simulated[k] = self._measured(root)[self._order]
         return simulated
+
+    def _measured(self, root: Context) -> Array:
+        """Positions (nq,) of the motors."""
+        if not self._force.soft_joints:
+            return self._plant.GetPositions(self._plant.GetMyContextFromRoot(root))
+        state = self._force.GetOutputPort("motor_state").Eval(
+            self._force.GetMyContextFromRoot(root)
+        )
+        return state[: self._plant.num_positions()]
+
+    def _deflect(self, passage: Passage, root: Context, start: tuple[Array, Array]) -> None:
+        """Puts links where their load has them, and has their motors move as was measured.
+
+        Args:
+            passage: The passage.
+            root: Context of the diagram; that of the effects is changed.
+            start: (nq,) positions and (nv,) velocities of the motors, which become those of links.
+        """
+        first, ways, soft = (
+            passage.segment[:_AT_START],
+            self._model.coordinates,
+            self._force.law.soft,
+        )
+        context = self._force.GetMyMutableContextFromRoot(root)
+        motion = (
+            ways.plant_positions(self._model.positions(first.position)),
+            ways.plant_velocities(first.velocity),
+            ways.plant_velocities(first.acceleration),
+        )
+        lags = np.array([self._force.lags(context, *each) for each in zip(*motion, strict=True)])
+        plays = np.array([each.play for each in self._force.couplings(context)])
+        bends = lags - np.clip(lags, -plays, plays)
+        degree = min(2, len(lags) - 1)
+        slope = np.polyfit(first.time - first.time[0], bends, degree)
+        lag, rate = lags[0], slope[-2] if degree else np.zeros(len(plays))
+        if plays.any():
+            loose, rates = self._thrown(passage)
+            lag, rate = np.where(plays, bends[0] + loose, lag), np.where(plays, rates, rate)
+        q, v = start
+        self._force.set_motors(context, lag, v[soft.velocities])
+        q[soft.positions] -= lag
+        v[soft.velocities] -= rate
+
+    def _thrown(self, passage: Passage) -> tuple[Array, Array]:
+        """Lags (m,) in dead bands, and their rates, as the motion before a passage leaves them."""
+        first = max(0, passage.start - round(_BEFORE / passage.stretch.period))
+        known = passage.stretch[first : passage.start + 2]
+        positions, time = self._model.positions(known.position), known.time - passage.began
+        seen = self._model.motion(
+            Motion(positions, known.velocity, known.acceleration, time),
+            sign_width=self._sign_width,
+        )
+        names = self._force.soft_joints
+        lag, rate = np.zeros((2, len(names)))
+        for fitted in self._model.effects:
+            effect = fitted.effect
+            if isinstance(effect, DeflectionEffect) and effect.give(fitted.parameters).play:
+                found, share = effect.deflection(seen), float(fitted.parameters[0])
+                lag[names.index(effect.joint)] += share * found.lag[-2]
+                rate[names.index(effect.joint)] += share * found.rate[-2]
+        return lag, rate
 
     def _whole(self, values: Array, at_followers: float = 0.0) -> Array:
         """Values (..., nv of the plant), of those (..., nv) of the model."""
@@ -157,7 +223,7 @@ class Simulation:
 
     def _remember(self, passage: Passage, root: Context) -> None:
         """Leaves the hidden states of effects as the measured motion before a passage does."""
-        effects = [fitted.effect for fitted in _forces(self._model) if fitted.effect.state_count]
+        effects = [effect for effect in self._force.effects if effect.state_count]
         if not effects:
             return
         first = passage.segment[:2]  # the direction in which a log begins takes two samples
@@ -175,14 +241,20 @@ class Simulation:
         states = {effect: effect.states_along(seen)[0] for effect in effects}
         self._force.set_hidden_states(self._force.GetMyMutableContextFromRoot(root), states)
 
-    def _decay(self, context: Context) -> float:
+    def _decay(self, root: Context) -> float:
         """The fastest rate, 1/s, at which velocities near rest decay by friction."""
-        ways, nv = self._model.coordinates, len(self._model.joints)
+        ways, nv, m = self._model.coordinates, len(self._model.joints), len(self._force.soft_joints)
+        context = self._plant.GetMyMutableContextFromRoot(root)
+        motors = self._force.GetMyMutableContextFromRoot(root)
         port = self._plant.get_generalized_acceleration_output_port()
+        own = motors.get_continuous_state_vector().CopyToVector()
         slopes = []
-        for change in ways.plant_velocities(1e-6 * np.vstack([np.zeros(nv), np.eye(nv)])):
-            self._plant.SetVelocities(context, change)
-            slopes.append(port.Eval(context)[ways.own_velocities])
+        for change in 1e-6 * np.vstack([np.zeros(nv + m), np.eye(nv + m)]):
+            self._plant.SetVelocities(context, ways.plant_velocities(change[None, :nv])[0])
+            motors.SetContinuousState(np.concatenate([own[: len(own) - m], change[nv:]]))
+            rates = self._force.EvalTimeDerivatives(motors).CopyToVector()[len(own) - m :]
+            slopes.append(np.concatenate([port.Eval(context)[ways.own_velocities], rates]))
+        motors.SetContinuousState(own)
         slope = (np.array(slopes[1:]) - slopes[0]).T / 1e-6
         return float(np.abs(np.linalg.eigvals(slope)).max())
 
@@ -192,14 +264,8 @@ def _check_followers(model: RobotModel, *, implicit: bool) -> None:
     for joint, (leader, _) in model.led.items() if implicit else ():
         raise ModelError(
             f"Joint {joint!r} follows {leader!r}, and the model has effects of accelerations or "
-            "loads: they cannot be simulated together.",
+            "loads, or soft joints: they cannot be simulated together.",
             advice=f"Hold {leader!r} where it stands: --lock {leader}=VALUE, or "
             "geodrake.model.holding.",
             joint=joint,
         )
-
-
-def _forces(model: RobotModel) -> list[FittedEffect]:
-    """Effects of a model that `EffectForce` carries; payloads are among the plant's inertias."""
-    roles = (Role.FORCE, Role.SCALE, Role.EPISODE)
-    return [fitted for fitted in model.effects if fitted.effect.role in roles]

@@ -2,29 +2,341 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import nullcontext
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     ContinuousState,
     DiagramBuilder,
     LeafSystem,
+    OutputPort,
+    ValueProducer,
 )
+from pydrake.systems.primitives import MatrixGain
 
 from geodrake.boundary.arguments import instance, real_array
 from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
-from geodrake.errors import ArgumentError
-from geodrake.inertia import Array
-from geodrake.model.simulation.force_law import EffectWithValues, ForceLaw
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.model.simulation.force_law import (
+    EffectWithValues,
+    ForceLaw,
+    PlantState,
+    Response,
+    admissible,
+)
+from geodrake.model.simulation.plant_motion import PlantMotion
+from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
+from geodrake.model.simulation.scalars import Scalars, slopes_of, value_of
+from geodrake.model.simulation.soft_joints import SPRING_DAMPING, Coupling
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force
 
+_PARAMETERS, _PHI = 0, 1
 
-class EffectForce(LeafSystem):
+
+class _EffectForce(ScalarSystem):
+    """`EffectForce` of any scalar type."""
+
+    def _declare(self, law: ForceLaw, converter: Any) -> None:
+        self._begin(converter)
+        self.law = law
+        plant = law.plant.plant
+        nq, nv = plant.num_positions(), plant.num_velocities()
+        self._nq = nq
+        self._state_port = self.DeclareVectorInputPort("state", self._vector(nq + nv))
+        self._effort_port = self.DeclareVectorInputPort("applied_effort", self._vector(nv))
+        self.DeclareNumericParameter(self._vector(law.mu))
+        self.DeclareNumericParameter(self._vector(law.phi.ravel()))
+        if self._of is Expression:
+            self._check_symbolic()
+        states = law.state_count + 2 * len(law.soft)
+        known = {self._state_port.ticket(), self.all_parameters_ticket()}
+        if law.timed:
+            known.add(self.time_ticket())
+        if states:
+            self.DeclareContinuousState(states)
+            known.add(self.xc_ticket())
+        moved = {*known, self._effort_port.ticket()} if law.coupled else known
+        producer = ValueProducer(
+            allocate=lambda: AbstractValue.Make(object()), calc=self._calc_response
+        )
+        # Both force and rates of the motors need it.
+        self._response = self.DeclareCacheEntry("response", producer, moved)
+        self.DeclareVectorOutputPort(
+            "generalized_force", self._vector(nv), self._calc_force, {self._response.ticket()}
+        )
+        if law.soft:
+            self.DeclareVectorOutputPort(
+                "motor_state", self._vector(nq + nv), self._calc_motor_state, known
+            )
+
+    def _check_symbolic(self) -> None:
+        """Refuses to become symbolic where that is no formula."""
+        law = self.law
+        if law.implicit:
+            raise ModelError(
+                "Effects that depend on accelerations or loads, and soft joints, have no formulas: "
+                "their accelerations solve equations.",
+                advice="Use ToAutoDiffXd, or leave them out.",
+            )
+        law.record()
+
+    @property
+    def implicit(self) -> bool:
+        """Whether some effects depend on the plant's acceleration, or its load."""
+        return self.law.implicit
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects, in the order of their parameters."""
+        return self.law.effects
+
+    @property
+    def soft_joints(self) -> tuple[str, ...]:
+        """Joints whose motors have a state of their own."""
+        return self.law.soft.names
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed."""
+        return self.law.notes
+
+    def effect_parameters(self, context: Context, effect: Effect) -> Scalars:
+        """Linear parameters (k,) of an effect in a Context.
+
+        Args:
+            context: The system's own Context.
+            effect: One of `effects`.
+
+        Raises:
+            ArgumentError: It is none of them.
+        """
+        return self._parameters(context)[self._part(effect)]
+
+    def set_effect_parameters(self, context: Context, values: Mapping[Effect, ArrayLike]) -> None:
+        """Changes linear parameters of effects in a Context.
+
+        Args:
+            context: The system's own Context.
+            values: Effect -> (k,) parameters μ, SI; effects that are left out keep theirs.
+
+        Raises:
+            ArgumentError: An effect is none of `effects`, or cannot have these parameters.
+        """
+        mu = self._parameters(context).copy()
+        for effect, given in values.items():
+            mu[self._part(effect)] = admissible(effect, given)
+        self.law.soft.couplings(mu)  # do all of them still give way?
+        self._set(context.get_mutable_numeric_parameter(_PARAMETERS), mu)
+
+    def set_inertial_parameters(self, context: Context, phi: ArrayLike) -> None:
+        """Changes what the inertial parameters of the plant are taken to be, in a Context.
+
+        Args:
+            context: The system's own Context.
+            phi: (nb, 10) parameters, as `set_inertial_parameters` writes them into the plant's.
+
+        Raises:
+            ArgumentError: The shape does not fit.
+        """
+        phi = real_array(phi, "phi", self.law.phi.shape)
+        self._set(context.get_mutable_numeric_parameter(_PHI), phi.ravel())
+
+    def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
+        """Sets hidden states, such as a motion leaves them by `Effect.states_along`.
+
+        Args:
+            context: The system's own Context.
+            states: Effect -> (s,) its state; effects that are left out keep theirs.
+
+        Raises:
+            ArgumentError: An effect has no hidden states here, or not as many.
+        """
+        whole = np.array(context.get_continuous_state_vector().CopyToVector())
+        for effect, values in states.items():
+            place = self.law.states.get(effect)
+            count = 0 if place is None else effect.state_count
+            name = f"the state of {effect.name} of {effect.place}"
+            state = real_array(values, name, (count,))
+            if place is None:
+                raise ArgumentError(f"{effect.name} of {effect.place} has no hidden state here.")
+            whole[place] = state
+        context.SetContinuousState(whole)
+
+    def set_motors(self, context: Context, lag: ArrayLike, speed: ArrayLike) -> None:
+        """Sets where the motors of soft joints are.
+
+        Args:
+            context: The system's own Context.
+            lag: (m,) their positions less those of their links, rad or m; see `soft_joints`.
+            speed: (m,) their velocities, rad/s or m/s.
+
+        Raises:
+            ArgumentError: They are not as many as the soft joints.
+        """
+        size = (len(self.law.soft),)
+        both = [real_array(lag, "lag", size), real_array(speed, "speed", size)]
+        whole = np.array(context.get_continuous_state_vector().CopyToVector())
+        whole[self.law.state_count :] = np.concatenate(both)
+        context.SetContinuousState(whole)
+
+    def couplings(self, context: Context) -> list[Coupling]:
+        """What holds the motor and the link of each soft joint together, by a Context's parameters.
+
+        Args:
+            context: The system's own Context.
+        """
+        return self.law.soft.couplings(self._parameters(context))
+
+    def lags(
+        self, context: Context, q: ArrayLike, v: ArrayLike, vd: ArrayLike | None = None
+    ) -> Array:
+        """Positions (m,) of the motors of soft joints less those of links that follow a motion.
+
+        Args:
+            context: The system's own Context, for its parameters.
+            q: (nq,) positions of the motors.
+            v: (nv,) their velocities.
+            vd: (nv,) their accelerations; none if None.
+        """
+        v = np.asarray(v, float)
+        vd = np.zeros(len(v)) if vd is None else np.asarray(vd, float)
+        return self.law.lags(np.asarray(q, float), v, vd, self._values(context))
+
+    def deflect(self, root: Context) -> None:
+        """Takes the plant's state for that of the motors, and puts links where a load has them.
+
+        That is the load of a steady motion; their velocities are those of the motors. Without soft
+        joints nothing changes.
+
+        Args:
+            root: Context of the whole diagram.
+        """
+        soft, plant = self.law.soft, self.law.plant.plant
+        if not soft:
+            return
+        own, context = (
+            self.GetMyMutableContextFromRoot(root),
+            plant.GetMyMutableContextFromRoot(root),
+        )
+        q, v = plant.GetPositions(context), plant.GetVelocities(context)
+        lag = self.lags(own, q, v)
+        self.set_motors(own, lag, v[soft.velocities])
+        q[soft.positions] -= lag
+        plant.SetPositions(context, q)
+
+    def state_port(self, builder: DiagramBuilder, joints: Sequence[str]) -> OutputPort:
+        """Output (2 n): positions and then velocities that are measured of a robot.
+
+        Args:
+            builder: The builder that system and plant are in.
+            joints: Names of all the robot's joints, in the order of the output.
+
+        Raises:
+            ArgumentError: They are not the robot's joints, or one has several degrees of freedom.
+        """
+        robot = self.law.plant.robot
+        if not self.law.soft:
+            return robot.state_port(builder, joints)
+        places = np.concatenate(
+            [robot.positions(joints), self._nq + robot.velocities[robot.order(joints)]]
+        )
+        port = self.GetOutputPort("motor_state")
+        if np.array_equal(places, np.arange(port.size())):
+            return port
+        gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
+        builder.Connect(port, gain.get_input_port())
+        return gain.get_output_port()
+
+    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
+        """Rates of hidden states, and of the motors of soft joints.
+
+        Args:
+            context: Context of this system.
+            derivatives: Receives the rates, per second.
+        """
+        if not derivatives.size():
+            return
+        state, law = self._plant_state(context), self.law
+        rates = [np.zeros(0)]
+        if law.state_count:
+            rates.append(law.state_rates(state, self._values(context)))
+        if law.soft:
+            response: Response = self._response.Eval(context)
+            rates += [state.speed - state.v[law.soft.velocities], response.motor_acceleration]
+        self._set(derivatives.get_mutable_vector(), np.concatenate(rates))
+
+    def _part(self, effect: Effect) -> slice:
+        if effect not in self.law.effects:
+            raise ArgumentError(
+                f"There is no {effect.name} of {effect.place} here, or it has another shape.",
+                advice=f"There are: {', '.join(f'{e.name} of {e.place}' for e in self.effects)}.",
+            )
+        return self.law.parts[self.law.effects.index(effect)]
+
+    def _parameters(self, context: Context) -> Scalars:
+        return np.asarray(context.get_numeric_parameter(_PARAMETERS).CopyToVector())
+
+    def _values(self, context: Context) -> tuple[Scalars, Array]:
+        """Parameters (k,) of all effects, and (nb, 10) of the bodies."""
+        phi = np.asarray(context.get_numeric_parameter(_PHI).CopyToVector())
+        if self._of is Expression:
+            phi = np.array([entry.Evaluate() for entry in phi])
+        elif self._of is not float:
+            if slopes_of(phi).any():
+                raise ModelError(
+                    "The force law has no derivatives with the inertial parameters.",
+                    advice="Take differences, by EffectForce.set_inertial_parameters.",
+                )
+            phi = value_of(phi)
+        return self._parameters(context), phi.reshape(-1, PARAMETERS_PER_BODY)
+
+    def _plant_state(self, context: Context) -> PlantState:
+        both, law = self._state_port.Eval(context), self.law
+        own = np.asarray(context.get_continuous_state_vector().CopyToVector())
+        motors, m = law.state_count, len(law.soft)
+        return PlantState(
+            both[: self._nq],
+            both[self._nq :],
+            context.get_time(),
+            own[:motors],
+            own[motors : motors + m],
+            own[motors + m :],
+        )
+
+    def _applied(self, context: Context, mu: Scalars, count: int) -> tuple[Any, Any]:
+        """Efforts that were commanded (nv,), and those that act at the motors."""
+        u = np.zeros(count)
+        if self.law.coupled and self._effort_port.HasValue(context):
+            u = self._effort_port.Eval(context)
+        return u, self.law.applied(u, mu)
+
+    def _calc_response(self, context: Context, value: AbstractValue) -> None:
+        state, parameters = self._plant_state(context), self._values(context)
+        u, acting = self._applied(context, parameters[0], len(state.v))
+        # (Drake's symbols raise flags of floating point that say nothing.)
+        with np.errstate(invalid="ignore") if self._of is Expression else nullcontext():
+            response = self.law.response(state, acting, parameters)
+            force = acting - u - response.effort
+        value.set_value(Response(force, response.motor_acceleration))
+
+    def _calc_force(self, context: Context, output: Any) -> None:
+        self._set(output, self._response.Eval(context).effort)
+
+    def _calc_motor_state(self, context: Context, output: Any) -> None:
+        q, v = self.law.motor_motion(self._plant_state(context))
+        self._set(output, np.concatenate([q, v]))
+
+
+class EffectForce(_EffectForce, LeafSystem):
     """The force law of effects, for a MultibodyPlant to be simulated with them.
 
     .. pydrake_system::
@@ -35,6 +347,7 @@ class EffectForce(LeafSystem):
         - applied_effort
         output_ports:
         - generalized_force
+        - motor_state
 
     An effect adds to the effort that a motion needs, so it takes its effort away from the plant:
 
@@ -56,13 +369,34 @@ class EffectForce(LeafSystem):
     Effects with hidden states (`Hysteresis`) have them among the continuous state, zero at first;
     `set_hidden_states` starts them otherwise.
 
+    Joints that are elastic or have play (`DeflectionEffect`) are two bodies. The plant's joint is
+    the link; the motor's position, less that of the link, and its velocity are continuous states,
+    zero at first (`set_motors`). Between them is the spring of the effect, or its dead band (see
+    `geodrake.model.simulation.soft_joints`). Efforts, friction and rotor inertia act at the motor;
+    gravity, payloads and contacts at the link. `motor_state` (nq + nv) is the plant's state with
+    the motors in the place of the links, which is what encoders measure; there is no such port
+    without soft joints. A motor has at least 1 % of its link's inertia; `notes` says where that is
+    more than the model's. Explicit integrators need steps below some 1.7 / ω, with ω the frequency
+    at which motor and link swing against each other: √(k (1/B + 1/M)); stiff ones are for
+    "radau3" or "implicit_euler" (`ResetIntegratorFromFlags`). Plants with time steps take the
+    torque of the spring as it was when the step began, and need steps far below 1 / ω.
+
     Effects that depend on the time since a log began (`FrictionDrift`, `Contact`) take the time of
     the Context for it. Contacts that were found in a log act only where that log is simulated.
+
+    Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
+    parameters that the plant is taken to have (`set_inertial_parameters`). No system sees the
+    Context of another one in Drake: who changes the inertias of the plant in its Context must
+    change them here, too, as `RobotInDiagram.set_parameters` does. They matter to effects of v̇,
+    load and bodies. All else of the plant, such as damping of its joints, is as by default.
 
     In a plant that holds more than the robot (`RobotInstance`), state, efforts and forces are still
     those of the whole plant, with zeros where the robot has no part in them.
 
-    The plant's parameters are those of its default context, but for `phi`.
+    The system can be cloned and converted. AutoDiffXd has exact derivatives with state, efforts,
+    time and μ, from effects' formulas and the plant's own derivatives; a diagram may be linearized.
+    An effect of your own that is no formula of NumPy's functions is refused there. Expression needs
+    effects that depend on neither v̇ nor load, and no soft joints.
 
     Dry friction makes a simulation stiff. Its sgn v is tanh(v / sign_width), so F acts near rest
     like a damper F / sign_width, and a joint that it holds creeps at less than sign_width. Explicit
@@ -70,9 +404,28 @@ class EffectForce(LeafSystem):
     inertia included: 1 ms for 0.1 kg·m² and 2 N·m, but tens of µs for a wrist of bare links without
     rotors. There, make the plant continuous and its integrator "implicit_euler"
     (`pydrake.systems.analysis.ResetIntegratorFromFlags`), or widen sign_width.
+
+    Args:
+        plant: A finalized plant, with the joints and bodies that the effects name; or one robot in
+            it, whose joints and bodies they name: then nothing else feels them.
+        effects: Effects with their linear parameters μ, in SI units: such as those of a model,
+            or pairs of an effect and μ.
+        sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
+            has those of a fitted model); one for all velocities or (nv,),
+            of a robot in a plant (n,).
+        phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
+            than the default ones; such as `model.total_phi`, which has the payloads: these are
+            then no effects.
+        log: Name of the log that is simulated; None for none.
+        spring_damping: Damping of elastic joints, as a share of the critical one.
+
+    Raises:
+        ArgumentError: An effect does not fit the plant, parameters are not on the manifold
+            of their effect, as negative friction is not, or a payload is among the effects
+            although `phi` is given.
     """
 
-    def __init__(
+    def _construct(
         self,
         plant: MultibodyPlant | RobotInstance,
         effects: Iterable[EffectWithValues],
@@ -80,49 +433,15 @@ class EffectForce(LeafSystem):
         sign_width: ArrayLike = 1e-2,
         phi: ArrayLike | None = None,
         log: str | None = None,
+        spring_damping: float = SPRING_DAMPING,
+        converter: Any = None,
     ) -> None:
-        """Constructs the system.
+        number = 0 if log is None else log_number(instance(log, "log", str))
+        motion = PlantMotion(plant, sign_width, number)
+        self._declare(ForceLaw(motion, effects, phi, spring_damping=spring_damping), converter)
 
-        Args:
-            plant: A finalized plant, with the joints and bodies that the effects name; or one robot
-                in it, whose joints and bodies they name: then nothing else feels them.
-            effects: Effects with their linear parameters μ, in SI units: such as those of a model,
-                or pairs of an effect and μ.
-            sign_width: Speed below which dry friction fades, rad/s or m/s (`RobotModel.sign_widths`
-                has those of a fitted model); one for all velocities
-                or (nv,), of a robot in a plant (n,).
-            phi: (nb, 10) inertial parameters of the simulated plant, where its Context has others
-                than the default ones; such as `model.total_phi`, which has the payloads: these are
-                then no effects.
-            log: Name of the log that is simulated; None for none.
-
-        Raises:
-            ArgumentError: An effect does not fit the plant, parameters are not on the manifold
-                of their effect, as negative friction is not, or a payload is among the effects
-                although `phi` is given.
-        """
-        LeafSystem.__init__(self)
-        self._law = ForceLaw(
-            plant, sign_width, 0 if log is None else log_number(instance(log, "log", str))
-        )
-        self._effects = self._law.sort(effects, phi)
-        if isinstance(plant, RobotInstance):
-            plant = plant.plant
-        nq, nv = plant.num_positions(), plant.num_velocities()
-        self._nq = nq
-        self._state_port = self.DeclareVectorInputPort("state", BasicVector(nq + nv))
-        self._effort_port = self.DeclareVectorInputPort("applied_effort", BasicVector(nv))
-        prerequisites = {self._state_port.ticket()}
-        if self._effects.coupled:
-            prerequisites.add(self._effort_port.ticket())
-        if self._effects.timed:
-            prerequisites.add(self.time_ticket())
-        if hidden := sum(effect.state_count for effect in self._effects.states):
-            self.DeclareContinuousState(hidden)
-            prerequisites.add(self.xc_ticket())
-        self.DeclareVectorOutputPort(
-            "generalized_force", BasicVector(nv), self._calc_force, prerequisites
-        )
+    def _construct_copy(self, other: _EffectForce, converter: Any = None) -> None:
+        self._declare(other.law, converter)
 
     @staticmethod
     def AddToBuilder(
@@ -139,7 +458,7 @@ class EffectForce(LeafSystem):
         `RobotModel.add_to_builder` does this with a plant that has the model's inertias.
 
         `applied_effort` is left to be connected. Generalized forces that act on the plant already
-        stay.
+        stay. Where joints are soft, what is measured is the port `motor_state`.
 
         Args:
             builder: The diagram's builder.
@@ -162,57 +481,5 @@ class EffectForce(LeafSystem):
         add_generalized_force(builder, whole, system.GetOutputPort("generalized_force"))
         return system
 
-    @property
-    def implicit(self) -> bool:
-        """Whether some effects depend on the plant's acceleration, or its load."""
-        return self._effects.implicit
 
-    def set_hidden_states(self, context: Context, states: Mapping[Effect, ArrayLike]) -> None:
-        """Sets hidden states, such as a motion leaves them by `Effect.states_along`.
-
-        Args:
-            context: The system's own Context.
-            states: Effect -> (s,) its state; effects that are left out keep theirs.
-
-        Raises:
-            ArgumentError: An effect has no hidden states here, or not as many.
-        """
-        hidden = _hidden(context)
-        for effect, values in states.items():
-            place = self._effects.states.get(effect)
-            count = 0 if place is None else effect.state_count
-            name = f"the state of {effect.name} of {effect.place}"
-            state = real_array(values, name, (count,))
-            if place is None:
-                raise ArgumentError(f"{effect.name} of {effect.place} has no hidden state here.")
-            hidden[place] = state
-        context.SetContinuousState(hidden)
-
-    def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
-        """Rates of the hidden states.
-
-        Args:
-            context: Context of this system; the hidden states are its continuous state.
-            derivatives: Receives their rates, per second.
-        """
-        if derivatives.size():
-            state, hidden = self._state_port.Eval(context), _hidden(context)
-            q, v, time = state[: self._nq], state[self._nq :], context.get_time()
-            rates = self._law.state_rates(self._effects, q, v, hidden, time=time)
-            derivatives.SetFromVector(rates)
-
-    def _calc_force(self, context: Context, output: BasicVector) -> None:
-        state, effects = self._state_port.Eval(context), self._effects
-        q, v, time = state[: self._nq], state[self._nq :], context.get_time()
-        hidden = _hidden(context) if effects.states else None
-        u = np.zeros(len(v))
-        if effects.coupled and self._effort_port.HasValue(context):
-            u = self._effort_port.Eval(context)
-        applied = u / effects.gain
-        effort = self._law.effort(effects, q, v, applied, time=time, states=hidden)
-        output.SetFromVector(applied - u - effort)
-
-
-def _hidden(context: Context) -> Array:
-    """Hidden states of the effects."""
-    return np.asarray(context.get_continuous_state_vector().CopyToVector())
+EffectForce_ = add_scalar_types(EffectForce, _EffectForce, symbolic=True)

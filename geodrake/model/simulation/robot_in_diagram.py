@@ -27,7 +27,7 @@ from geodrake.robot.visuals import add_visuals
 
 _PERIOD = 1e-3  # of sampling efforts that are delayed, s, where delays are no shorter
 
-FORCES = (Role.FORCE, Role.SCALE, Role.EPISODE)
+FORCES = (Role.FORCE, Role.SCALE, Role.EPISODE, Role.DEFLECTION)
 """Effects that `EffectForce` carries; payloads are among the plant's inertias."""
 
 
@@ -67,12 +67,11 @@ class RobotInDiagram:
         total_phi: (nb, 10) the model's inertial parameters, payloads included.
         effort: Input (nv) for the efforts at the joints, N·m or N, zero if it is not connected;
             in units of the logs that the model was fitted to, wrong gains included.
-        state: Output (nq + nv): positions and velocities.
+        state: Output (nq + nv): positions and velocities as encoders measure them, which are those
+            of the motors where joints are soft; `plant` has those of the links.
         logged_effort: Output (nv): the efforts as a log has them beside the state, late by the
             model's delays.
-        left_out: Effects of the model that a simulation of its links cannot have: soft joints and
-            play.
-        notes: What cannot be shown.
+        notes: What cannot be shown, and what was assumed.
     """
 
     robot: RobotInstance
@@ -83,7 +82,6 @@ class RobotInDiagram:
     effort: InputPort
     state: OutputPort
     logged_effort: OutputPort
-    left_out: tuple[Effect, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -101,11 +99,12 @@ class RobotInDiagram:
         Args:
             root: Context of the whole diagram.
         """
-        context = self.plant.GetMyMutableContextFromRoot(root)
-        self.robot.set_inertial_parameters(context, self.total_phi)
+        self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
-        """Sets where the robot starts.
+        """Sets where the robot starts, as it is measured.
+
+        Links of soft joints are where a steady load has them.
 
         Args:
             root: Context of the whole diagram.
@@ -113,17 +112,47 @@ class RobotInDiagram:
             v: (nv,) velocities; None for rest.
         """
         plant = self.plant
+        context = plant.GetMyMutableContextFromRoot(root)
         if self.robot.name is not None:
             q = real_array(q, "q", (len(self.joints),))
             v = np.zeros(len(q)) if v is None else real_array(v, "v", (len(q),))
-            context = plant.GetMyMutableContextFromRoot(root)
             self.robot.set_state(context, self.joints, np.concatenate([q, v]))
-            return
-        q = real_array(q, "q", (plant.num_positions(),))
-        v = np.zeros(plant.num_velocities()) if v is None else v
-        context = plant.GetMyMutableContextFromRoot(root)
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, real_array(v, "v", (plant.num_velocities(),)))
+        else:
+            plant.SetPositions(context, real_array(q, "q", (plant.num_positions(),)))
+            v = np.zeros(plant.num_velocities()) if v is None else v
+            plant.SetVelocities(context, real_array(v, "v", (plant.num_velocities(),)))
+        if self.effect_force is not None:
+            self.effect_force.deflect(root)
+
+    def set_parameters(
+        self,
+        root: Context,
+        *,
+        phi: ArrayLike | None = None,
+        effects: Mapping[Effect, ArrayLike] | None = None,
+    ) -> None:
+        """Changes parameters in a Context, for plant and effects alike.
+
+        Args:
+            root: Context of the whole diagram.
+            phi: (nb, 10) inertial parameters, payloads included; None for those that it has.
+            effects: Effect of `effect_force` -> (k,) its parameters, SI; others keep theirs.
+
+        Raises:
+            ArgumentError: A shape does not fit, an effect is none of them, or cannot have these
+                parameters.
+        """
+        force = self.effect_force
+        if effects and force is None:
+            raise ArgumentError("The robot in the diagram has no effects.")
+        if force is not None and effects:
+            force.set_effect_parameters(force.GetMyMutableContextFromRoot(root), effects)
+        if phi is not None:
+            context = self.plant.GetMyMutableContextFromRoot(root)
+            self.robot.set_inertial_parameters(context, phi)
+            if force is not None:
+                whole = self.robot.plant_parameters(phi)
+                force.set_inertial_parameters(force.GetMyMutableContextFromRoot(root), whole)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +197,7 @@ def add_robot(
         _show(builder, plant, scene_graph)
 
     added = _acting(builder, RobotInstance(plant), robot, options)
-    return replace(added, scene_graph=scene_graph, notes=notes)
+    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
 
 
 def add_robot_to_scene(
@@ -212,14 +241,17 @@ def _acting(
         acting = gain.get_output_port()
     add_generalized_force(builder, plant, acting)
     forces = [fitted for fitted in robot.effects if fitted.effect.role in FORCES]
-    force = None
+    force, notes = None, tuple[str, ...]()
     if forces:
         phi = None if place.name is None else place.plant_parameters(robot.total_phi)
         force = EffectForce(place, forces, sign_width=options.sign_width, phi=phi, log=options.log)
         builder.AddNamedSystem(f"{name}_effects", force)
         builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
         builder.Connect(acting, force.GetInputPort("applied_effort"))
-        add_generalized_force(builder, plant, force.get_output_port())
+        add_generalized_force(builder, plant, force.GetOutputPort("generalized_force"))
+        notes = force.notes
+        if force.soft_joints:
+            state = force.state_port(builder, joints)
     return RobotInDiagram(
         place,
         None,
@@ -229,7 +261,7 @@ def _acting(
         effort.get_input_port(),
         state,
         logged,
-        tuple(f.effect for f in robot.effects if f.effect.role is Role.DEFLECTION),
+        notes,
     )
 
 

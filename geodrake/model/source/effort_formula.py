@@ -12,9 +12,9 @@ from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
 from geodrake.effects.column_checks import line_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
+from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
+from geodrake.model.formulas.symbols import Formulas, Operand, Symbols
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.source.rigid_bodies import BodyFormulas, inverse_dynamics_formula
-from geodrake.model.source.symbols import Formulas, Operand, Symbols
 
 _NOT_INCLUDED = {
     Role.DELAY: "logged efforts lag behind what is needed by it",

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from geodrake.model.source.symbols import Operand, Symbol
+from geodrake.model.formulas.symbols import Operand, Symbol
 
 _MOST_OPERATIONS = 12  # in a line
 _COMMUTING = ("add", "multiply", "maximum", "minimum", "equal", "not_equal")

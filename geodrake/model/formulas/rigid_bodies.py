@@ -14,7 +14,7 @@ import numpy as np
 
 from geodrake.effects.body_motion import BodyMotion, RobotBodies
 from geodrake.inertia import Array
-from geodrake.model.source.symbols import Formulas, Symbols
+from geodrake.model.formulas.symbols import Formulas, Symbols
 from geodrake.robot.joints import Features
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 

@@ -1,0 +1,125 @@
+"""Arrays of any of Drake's scalar types: values, slopes, linear equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
+
+from geodrake.inertia import Array
+
+Scalars = NDArray[Any]
+"""An array of floats, or of one of Drake's other scalar types."""
+
+_TOLERANCE = 1e-10
+_STEP = 6e-6  # cube root of the rounding of floats
+
+
+def scalars(values: Any, scalar: type) -> Scalars:
+    """An array of a scalar type.
+
+    Args:
+        values: Its entries, of that type or floats.
+        scalar: The type.
+    """
+    if scalar is float:
+        return np.asarray(values, float)
+    array = np.asarray(values, object)
+    flat = [x if isinstance(x, scalar) else scalar(x) for x in array.ravel()]
+    found = np.empty(len(flat), object)
+    found[:] = flat
+    return found.reshape(array.shape)
+
+
+def value_of(x: Scalars) -> Array:
+    """The values (…) of an array of floats or of AutoDiffXd."""
+    if np.asarray(x).dtype != object:
+        return np.asarray(x, float)
+    flat = [entry.value() if isinstance(entry, AutoDiffXd) else entry for entry in np.ravel(x)]
+    return np.array(flat, float).reshape(np.shape(x))
+
+
+def slopes_of(x: Scalars) -> Array:
+    """Derivatives (n, d) of (n,) numbers; d = 0 where there are none."""
+    flat = scalars(x, AutoDiffXd)
+    most = max((entry.derivatives().size for entry in flat), default=0)
+    found = np.zeros((len(flat), most))
+    for row, entry in zip(found, flat, strict=True):
+        row[: entry.derivatives().size] = entry.derivatives()
+    return found
+
+
+def with_slopes(value: Array, slopes: Array) -> Scalars:
+    """Numbers of AutoDiffXd.
+
+    Args:
+        value: (n,) their values.
+        slopes: (n, d) their derivatives.
+    """
+    return InitializeAutoDiff(np.asarray(value, float), slopes).ravel()
+
+
+def solve(A: Scalars, b: Scalars) -> Scalars:
+    """The solution (n,) of A x = b, with its derivatives dx = A⁻¹ (db − dA x).
+
+    Args:
+        A: (n, n) matrix, of floats or AutoDiffXd.
+        b: (n,) right side.
+    """
+    if np.asarray(A).dtype != object and np.asarray(b).dtype != object:
+        return np.linalg.solve(A, b)
+    A_value, b_value = value_of(A), value_of(b)
+    x = np.linalg.solve(A_value, b_value)
+    # What b − A x changes by where x stays.
+    change = slopes_of(scalars(b, AutoDiffXd) - scalars(A, AutoDiffXd) @ x)
+    return with_slopes(x, np.linalg.solve(A_value, change))
+
+
+def settled(before: Scalars, after: Scalars) -> bool:
+    """Whether numbers, and their derivatives if they have any, change no more.
+
+    Args:
+        before: (n,) numbers, of floats or AutoDiffXd.
+        after: (n,) numbers after a step.
+    """
+    parts = [(value_of(before), value_of(after))]
+    if after.dtype == object:
+        old, new = slopes_of(before), slopes_of(after)
+        if old.shape != new.shape:
+            return False
+        parts.append((old, new))
+    return all(
+        bool(
+            np.abs(new - old).max(initial=0.0) <= _TOLERANCE * (1.0 + np.abs(new).max(initial=0.0))
+        )
+        for old, new in parts
+    )
+
+
+def _size(x: Array) -> float:
+    return 1.0 + float(np.abs(x).max(initial=0.0))
+
+
+def by_differences(function: Callable[[Array], Array], x: Scalars) -> Scalars:
+    """A function of floats at numbers of AutoDiffXd, its slopes by central differences.
+
+    Args:
+        function: From (n,) to (m,); compiled, say.
+        x: (n,) numbers.
+
+    Returns:
+        (m,) numbers, with derivatives exact to about 1e-9 of what they are differences of.
+    """
+    value, slopes = value_of(x), slopes_of(x)
+    found = np.asarray(function(value), float)
+    changes = np.zeros((len(found), slopes.shape[1]))
+    for k, direction in enumerate(slopes.T):
+        size = np.abs(direction).max(initial=0.0)
+        if size > 0.0:
+            h = _STEP * (1.0 + np.abs(value).max()) / size
+            ends = function(value + h * direction), function(value - h * direction)
+            changes[:, k] = (np.asarray(ends[0]) - ends[1]) / (2.0 * h)
+    return with_slopes(found, changes)

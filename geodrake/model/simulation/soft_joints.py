@@ -1,0 +1,198 @@
+"""Springs and dead bands between the motors and the links of a plant.
+
+The rotor of a geared joint spins about its axis only, as in Spong's model of a flexible joint:
+
+    M(q) q̈ + C q̇ − τ_g = τ,    B θ̈ + f(θ, θ̇) = u − τ,    τ = torque(θ − q, θ̇ − q̇)
+
+M. W. Spong, "Modeling and Control of Elastic Joint Robots", ASME J. Dyn. Sys., Meas., Control
+109(4), 1987. A dead band has sides that are stiff springs with strong dampers, which only push.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context
+
+from geodrake.effects import Effect
+from geodrake.effects.deflection import DeflectionEffect, Give
+from geodrake.errors import ArgumentError
+from geodrake.inertia import Array
+
+LEAST_MOTOR = 0.01
+"""Share of the link's inertia that a motor has at least, as without one it could not be moved."""
+
+SPRING_DAMPING = 0.05
+"""Usual damping of springs, as a share of the critical one."""
+
+_SIDE_DAMPING = 0.7  # of the sides of a dead band, at which links stay rather than bounce
+_SIDE_GIVE = 0.1  # of half a dead band: by how much its sides yield to the usual load
+_USUAL_ACCELERATION = 10.0  # rad/s² or m/s², of the link, whose effort beside the weight that is
+_RAMP = 0.1  # of that yield, over which the sides' damping comes on
+_POSTURES = 32  # in which the weight of a link is looked for
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """What holds one motor and its link together.
+
+    Attributes:
+        stiffness: Beyond the dead band, N·m/rad or N/m.
+        play: Half width of the dead band, rad or m; 0 for none.
+        damping: N·m·s/rad or N·s/m.
+        ramp: Way beyond the dead band over which the damping comes on, rad or m.
+    """
+
+    stiffness: Any
+    play: Any
+    damping: Any
+    ramp: Any
+
+    def torque(self, lag: Any, rate: Any) -> Any:
+        """On the link, N·m or N.
+
+        Args:
+            lag: Position of the motor less that of the link, rad or m.
+            rate: Its rate.
+        """
+        if self.play == 0.0:
+            return self.stiffness * lag + self.damping * rate
+        side = 1.0 if lag > 0.0 else -1.0
+        over = side * lag - self.play
+        if over <= 0.0:
+            return 0.0 * over
+        share = over / self.ramp if over < self.ramp else 1.0
+        push = self.stiffness * over + share * self.damping * (side * rate)
+        return side * push if push > 0.0 else 0.0 * push
+
+    def lag(self, torque: float) -> float:
+        """The lag (rad or m) under a steady torque (N·m or N)."""
+        return float(torque / self.stiffness + self.play * np.sign(torque))
+
+
+@dataclass(frozen=True, eq=False)
+class SoftJoints:
+    """The m joints of a plant whose links are not where their motors are.
+
+    Attributes:
+        names: Their names.
+        velocities: (m,) their velocities.
+        positions: (m,) their positions.
+        effects: Of each, what gives way, and where its parameters are among those of all effects.
+        link_inertia: (m,) 1 / (M⁻¹)_jj in the default posture, kg·m² or kg.
+        motor_inertia: (m,) that of the motors, kg·m² or kg.
+        usual_load: (m,) efforts that sides of dead bands are made for, N·m or N.
+        damping: Of springs, as a share of the critical one.
+    """
+
+    names: tuple[str, ...]
+    velocities: NDArray[np.intp]
+    positions: NDArray[np.intp]
+    effects: tuple[tuple[tuple[DeflectionEffect, slice], ...], ...]
+    link_inertia: Array
+    motor_inertia: Array
+    usual_load: Array
+    damping: float
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.names)
+
+    def couplings(self, mu: Any) -> list[Coupling]:
+        """What holds motors and links together.
+
+        Springs have the damping 2 ζ √(k I), with I the inertia of motor and link against each
+        other. Sides of a dead band without a spring yield by a tenth of half the band to the usual
+        load: the largest weight, and what moves the link at 10 rad/s² (m/s²).
+
+        Args:
+            mu: (k,) linear parameters of all effects.
+        """
+        against = 1.0 / (1.0 / self.link_inertia + 1.0 / self.motor_inertia)
+        found = []
+        for i, (effects, inertia) in enumerate(zip(self.effects, against.tolist(), strict=True)):
+            give = Give()
+            for effect, place in effects:
+                give = give + effect.give(mu[place])
+            if not give:
+                raise ArgumentError(
+                    f"Joint {self.names[i]!r} was made soft, and gives way no more: its link would "
+                    "be one with the motor.",
+                    advice="Give it a small compliance, or build the diagram without the effect.",
+                )
+            yields = _SIDE_GIVE * give.play
+            if give.compliance > 0.0:
+                stiffness, share = 1.0 / give.compliance, self.damping
+            else:
+                stiffness, share = self.usual_load[i] / yields, _SIDE_DAMPING
+            damping = 2.0 * share * (stiffness * inertia) ** 0.5
+            found.append(Coupling(stiffness, give.play, damping, _RAMP * yields))
+        return found
+
+    def torques(self, mu: Any, lag: Any, rate: Any) -> Any:
+        """(m,) torques on the links, N·m or N.
+
+        Args:
+            mu: (k,) linear parameters of all effects.
+            lag: (m,) positions of the motors less those of the links, rad or m.
+            rate: (m,) their rates.
+        """
+        each = zip(self.couplings(mu), lag, rate, strict=True)
+        return np.array([coupling.torque(s, ds) for coupling, s, ds in each])
+
+
+def giving(
+    pairs: Iterable[tuple[Effect, Array]],
+) -> dict[str, list[tuple[DeflectionEffect, slice]]]:
+    """Joint -> what gives way there, and where its parameters are; joints that do not are left out.
+
+    Args:
+        pairs: All effects with their parameters.
+    """
+    found: dict[str, list[tuple[DeflectionEffect, slice]]] = {}
+    gives: dict[str, Give] = {}
+    start = 0
+    for effect, values in pairs:
+        place = slice(start, start + len(values))
+        start = place.stop
+        if isinstance(effect, DeflectionEffect):
+            found.setdefault(effect.joint, []).append((effect, place))
+            gives[effect.joint] = gives.get(effect.joint, Give()) + effect.give(values)
+    return {joint: each for joint, each in found.items() if gives[joint]}
+
+
+def link_inertias(plant: MultibodyPlant, context: Context) -> Array:
+    """1 / (M⁻¹)_jj (nv,): what turns one joint alone feels of its link, kg·m² or kg.
+
+    Args:
+        plant: The plant.
+        context: Its Context.
+    """
+    M = plant.CalcMassMatrix(context)
+    return np.asarray(1.0 / np.diag(np.linalg.inv(M)))
+
+
+def usual_loads(plant: MultibodyPlant, context: Context, inertia: Array) -> Array:
+    """(nv,) the largest weights that are found, and what moves links at the usual acceleration.
+
+    Args:
+        plant: The plant.
+        context: Its Context; the positions are changed.
+        inertia: (nv,) `link_inertias`.
+    """
+    q, rng = plant.GetPositions(context), np.random.default_rng(0)
+    lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    weights = []
+    for _ in range(_POSTURES):
+        posture = q.copy()
+        posture[bounded] = rng.uniform(lower[bounded], upper[bounded])
+        plant.SetPositions(context, posture)
+        weights.append(np.abs(plant.CalcGravityGeneralizedForces(context)))
+    plant.SetPositions(context, q)
+    return np.asarray(np.max(weights, axis=0) + _USUAL_ACCELERATION * inertia)

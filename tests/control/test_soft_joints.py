@@ -1,0 +1,290 @@
+"""Soft joints and play in simulations: against closed forms, explicit motor bodies and scipy."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    RevoluteJoint,
+    RevoluteSpring,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import FirstOrderTaylorApproximation, LogVectorOutput, Sine
+from scipy.integrate import solve_ivp
+
+from geodrake import effects, load_model
+from geodrake.control.rollout import roll_out
+from geodrake.control.systems import EffectForce
+from geodrake.effects.deflection import Deflection, DeflectionEffect
+from geodrake.errors import ArgumentError
+from geodrake.logs.motion import JointLog
+from geodrake.model.simulation.soft_joints import Coupling
+from geodrake.robot.robot_instance import add_generalized_force
+
+LINK = SpatialInertia(2.0, [0.02, -0.01, 0.25], UnitInertia.SolidBox(0.2, 0.1, 1.2))
+ROTOR = 0.3  # kg·m²
+
+
+def arm(spring=None):
+    """Two links; with stiffness and damping, a motor's body at the first joint and its spring."""
+    plant, parent = MultibodyPlant(0.0), None
+    for i, axis in enumerate(np.eye(3)[1:]):
+        body = plant.AddRigidBody(f"link{i}", LINK)
+        X = RigidTransform(RollPitchYaw(0.3 * i, 0.2, 0.0), [0.0, 0.02, 0.3])
+        base = plant.world_frame() if parent is None else parent.body_frame()
+        mount = plant.AddFrame(FixedOffsetFrame(f"mount{i}", base, X))
+        if spring is not None and i == 0:
+            inertia = SpatialInertia(1.0, [0, 0, 0], UnitInertia(ROTOR, ROTOR, ROTOR))
+            motor = plant.AddRigidBody("motor", inertia)
+            plant.AddJoint(RevoluteJoint("turn", mount, motor.body_frame(), axis))
+            mount = motor.body_frame()
+        damping = 0.0 if spring is None or i else spring[1]
+        joint = plant.AddJoint(RevoluteJoint(f"joint{i}", mount, body.body_frame(), axis, damping))
+        if spring is not None and i == 0:
+            plant.AddForceElement(RevoluteSpring(joint, 0.0, spring[0]))
+        parent = body
+    plant.Finalize()
+    return plant
+
+
+def soft(stiffness=2000.0, *more):
+    return [
+        (effects.JointElasticity("joint0"), [1.0 / stiffness]),
+        (effects.RotorInertia("joint0"), [ROTOR]),
+        *more,
+    ]
+
+
+def driven(plant, terms=None):
+    """Logged states under a sine at both joints: of motors, where there are terms."""
+    builder = DiagramBuilder()
+    builder.AddSystem(plant)
+    size = plant.num_velocities()
+    efforts = builder.AddSystem(
+        Sine([4.0] + [0.0] * (size - 2) + [3.0], [9.0] * size, [0.3] * size)
+    )
+    port = plant.get_state_output_port()
+    if terms is None:
+        builder.Connect(
+            efforts.get_output_port(0), plant.get_applied_generalized_force_input_port()
+        )
+    else:
+        force = EffectForce.AddToBuilder(builder, plant, terms)
+        builder.Connect(efforts.get_output_port(0), force.GetInputPort("applied_effort"))
+        add_generalized_force(builder, plant, efforts.get_output_port(0))
+        port = force.GetOutputPort("motor_state")
+    log = LogVectorOutput(port, builder, 0.02)
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    ResetIntegratorFromFlags(simulator, "runge_kutta5", 1e-2)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-8)
+    simulator.AdvanceTo(0.3)
+    return log.FindLog(simulator.get_context()).data().T
+
+
+def test_is_a_motors_body_and_a_spring():
+    """What encoders of both motors see, and Drake's own two bodies."""
+    terms = soft(2000.0)
+    damping = EffectForce(arm(), terms).law.soft.couplings(np.array([5e-4, ROTOR]))[0].damping
+    ours, theirs = driven(arm(), terms), driven(arm((2000.0, damping)))
+    np.testing.assert_allclose(ours[:, :2], theirs[:, [0, 2]], atol=1e-6)
+    assert np.abs(theirs[:, 1]).max() > 3e-3  # it bends
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.4])
+def test_two_masses_swing_at_their_frequency(share):
+    """s² + 2 ζ ω s + ω² = 0 with ω² = k (1/B + 1/M), of a link that gravity does not turn."""
+    plant = MultibodyPlant(0.0)
+    body = plant.AddRigidBody("link", LINK)
+    plant.AddJoint(RevoluteJoint("joint0", plant.world_frame(), body.body_frame(), [0, 0, 1]))
+    plant.Finalize()
+    M = float(plant.CalcMassMatrix(plant.CreateDefaultContext())[0, 0])
+    builder = DiagramBuilder()
+    builder.AddSystem(plant)
+    force = builder.AddSystem(EffectForce(plant, soft(500.0), spring_damping=share))
+    builder.Connect(plant.get_state_output_port(), force.GetInputPort("state"))
+    builder.Connect(
+        force.GetOutputPort("generalized_force"), plant.get_applied_generalized_force_input_port()
+    )
+    diagram = builder.Build()
+    A = FirstOrderTaylorApproximation(diagram, diagram.CreateDefaultContext()).A()
+    fast = max(np.linalg.eigvals(A), key=lambda s: s.imag)
+    omega = np.sqrt(500.0 * (1.0 / ROTOR + 1.0 / M))
+    assert abs(fast) == pytest.approx(omega, rel=1e-9)
+    assert -fast.real == pytest.approx(share * omega, rel=1e-6, abs=1e-6)
+
+
+def test_sides_of_play_push_and_do_not_pull():
+    side = Coupling(stiffness=1e4, play=1e-3, damping=50.0, ramp=1e-5)
+    assert [side.torque(lag, 1.0) for lag in (-1e-3, 0.0, 9e-4)] == [0.0, 0.0, 0.0]
+    assert side.torque(1.1e-3, 0.0) == pytest.approx(1.0)
+    assert side.torque(-1.1e-3, 0.0) == pytest.approx(-1.0)
+    assert side.torque(1.1e-3, 0.01) == pytest.approx(1.5)
+    assert side.torque(1.1e-3, -1.0) == 0.0  # the link leaves faster than the side can follow
+    assert 0.0 < side.torque(1e-3 + 1e-9, 1.0) < 0.01  # no jump
+    assert side.lag(1.0) == pytest.approx(1.1e-3)
+
+
+URDF = """
+<robot name="pendulum">
+  <link name="base"/>
+  <link name="rod"><inertial><origin xyz="0 0 -0.4"/><mass value="1.5"/>
+    <inertia ixx="0.04" iyy="0.04" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="hinge" type="revolute">
+    <parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+    <limit lower="-9" upper="9" effort="99" velocity="99"/>
+  </joint>
+</robot>
+"""
+INERTIA, WEIGHT, MOTOR, FRICTION = 0.04 + 1.5 * 0.16, 1.5 * 0.4 * 9.81, 0.15, 0.4
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
+    path.write_text(URDF)
+    return load_model(path)
+
+
+def with_effects(model, *pairs):
+    fitted = (effects.FittedEffect(effect, np.array(values)) for effect, values in pairs)
+    return dataclasses.replace(model, effects=tuple(fitted))
+
+
+MOTORS = ((effects.RotorInertia("hinge"), [MOTOR]), (effects.ViscousFriction("hinge"), [FRICTION]))
+
+
+@cache
+def swung(stiffness, gap):
+    """A log of motor position and effort, of two masses with a spring beyond a gap, by scipy."""
+
+    def effort(t):
+        return 2.0 * np.sin(2.1 * t) + 2.0 * np.sin(5.3 * t + 1.0)
+
+    def rates(t, x):
+        motor, speed, link, v = x
+        lag = motor - link
+        over = lag - np.clip(lag, -gap, gap)
+        torque = stiffness * over + (1.5 * (speed - v) if over or not gap else 0.0)
+        return [
+            speed,
+            (effort(t) - FRICTION * speed - torque) / MOTOR,
+            v,
+            (torque - WEIGHT * np.sin(link)) / INERTIA,
+        ]
+
+    time = np.arange(0.0, 18.0, 4e-3)
+    x = solve_ivp(rates, time[[0, -1]], [0.5, 0.0, 0.5 - gap, 0.0], "LSODA", time, rtol=1e-8).y
+    x, u = x[:, 750:, None], effort(time)[750:, None]  # once it has swung in
+    return JointLog("swung", ("hinge",), time[750:], x[0], u, x[1])
+
+
+def window_departures(model, log, most=3):
+    windows = roll_out(model, [log], most=most, bandwidth=30.0, horizon=0.4).windows
+    return [np.sqrt(np.mean(window.departure**2)) for window in windows]
+
+
+def test_rollouts_have_springs(pendulum):
+    """A soft joint follows a log that is not geodrake's far more closely than a stiff one."""
+    log = swung(120.0, 0.0)
+    spring = (effects.JointElasticity("hinge"), [1.0 / 120.0])
+    found = window_departures(with_effects(pendulum, *MOTORS, spring), log)
+    assert max(found) < 1e-3
+    assert np.mean(window_departures(with_effects(pendulum, *MOTORS), log)) > 8 * np.mean(found)
+
+
+def test_rollouts_have_play(pendulum):
+    """Sides are not those of the log, and a link on its way between them is a guess: the median."""
+    log = swung(2e3, 0.05)
+    play = (effects.Backlash("hinge", 0.1), [0.5])
+    found = window_departures(with_effects(pendulum, *MOTORS, play), log, most=6)
+    rigid = window_departures(with_effects(pendulum, *MOTORS), log, most=6)
+    assert np.median(found) < 0.4 * np.median(rigid)
+
+
+def test_a_link_is_thrown_from_side_to_side(pendulum):
+    """The same sides and motors, written out for scipy."""
+    gap, size, rate = 0.02, 3.0, 14.0
+    terms = [*MOTORS, (effects.Backlash("hinge", gap), [1.0])]
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(load_model(pendulum.path).plant)
+    force = EffectForce.AddToBuilder(builder, plant, terms)
+    effort = builder.AddSystem(Sine([size], [rate], [0.0])).get_output_port(0)
+    builder.Connect(effort, force.GetInputPort("applied_effort"))
+    add_generalized_force(builder, plant, effort)
+    log = LogVectorOutput(force.GetOutputPort("motor_state"), builder, 0.02)
+    simulator = Simulator(builder.Build())
+    ResetIntegratorFromFlags(simulator, "runge_kutta5", 1e-2)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    simulator.AdvanceTo(0.8)
+    found = log.FindLog(simulator.get_context())
+    (side,) = force.law.soft.couplings(force.law.mu)
+
+    def rates(t, x):
+        motor, speed, link, v = x
+        over, away = abs(motor - link) - gap, np.sign(motor - link)
+        push = side.stiffness * over + side.damping * away * (speed - v) * min(over / side.ramp, 1)
+        torque = away * max(push, 0.0) if over > 0 else 0.0
+        accelerated = (size * np.sin(rate * t) - FRICTION * speed - torque) / MOTOR
+        return [speed, accelerated, v, (torque - WEIGHT * np.sin(link)) / INERTIA]
+
+    time = found.sample_times()
+    x = solve_ivp(rates, time[[0, -1]], np.zeros(4), "LSODA", time, rtol=1e-8, atol=1e-10).y
+    np.testing.assert_allclose(found.data()[0], x[0], atol=1e-4)
+    lag = x[0] - x[2]
+    assert lag.max() > gap
+    assert lag.min() < -gap
+
+
+def test_starts_where_its_load_has_it(pendulum):
+    """With the effort that holds it, nothing moves; encoders say what they were told to."""
+    model = with_effects(pendulum, *MOTORS, (effects.JointElasticity("hinge"), [0.02]))
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    builder.ExportInput(robot.effort, "effort")
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    robot.set_state(root, [0.7])
+    link = robot.plant.GetPositions(robot.plant.GetMyContextFromRoot(root))[0]
+    load = WEIGHT * np.sin(link)
+    assert link == pytest.approx(0.7 - 0.02 * load, abs=1e-10)
+    diagram.get_input_port(0).FixValue(root, [load])
+    force = robot.effect_force
+    np.testing.assert_allclose(robot.state.Eval(force.GetMyContextFromRoot(root)), [0.7, 0.0])
+    np.testing.assert_allclose(diagram.EvalTimeDerivatives(root).CopyToVector(), 0.0, atol=1e-8)
+
+
+def test_a_motor_without_inertia_gets_some_and_says_so(pendulum):
+    model = with_effects(pendulum, (effects.JointElasticity("hinge"), [1e-3]))
+    robot = model.add_to_builder(DiagramBuilder())
+    assert robot.effect_force.law.soft.motor_inertia == pytest.approx([0.01 * INERTIA])
+    (note,) = robot.notes
+    assert "motor of hinge" in note
+    assert "0.0028 kg·m²" in note
+    assert roll_out(model, [swung(120.0, 0.0)], most=1).notes[-1] == note
+
+
+def test_a_joint_that_does_not_give_way_stays_one(pendulum):
+    force = EffectForce(pendulum.plant, [(effects.JointElasticity("hinge"), [0.0]), *MOTORS])
+    assert force.soft_joints == ()
+    assert not force.HasOutputPort("motor_state")
+
+
+def test_an_effect_that_does_not_say_how_is_refused(pendulum):
+    @dataclasses.dataclass(frozen=True)
+    class Sagging(DeflectionEffect):
+        name = "sagging"
+        parameters = (effects.Parameter("sag", "rad"),)
+
+        def deflection(self, motion):
+            return Deflection.along(np.ones(len(motion.v)), motion.time)
+
+    with pytest.raises(ArgumentError, match="sagging does not say how motor and link"):
+        EffectForce(pendulum.plant, [(Sagging("hinge"), [1e-3])])
