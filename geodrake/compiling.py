@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from geodrake.errors import GeodrakeError
 
 try:
+    from numba import __version__ as numba_version
     from numba import config, njit
     from numba.core import caching, event
 except ImportError as error:
@@ -32,7 +33,10 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
 F = TypeVar("F", bound=Callable[..., Any])
 
 _SOURCES: dict[Callable[..., Any], str] = {}
-"""Of each compiled function a digest of all that it is made from: files, constants, functions."""
+"""Of each compiled function a digest of compiler, files, constants and functions it is made from.
+
+What was kept does not depend on where the files are: a copy of them may bring it along.
+"""
 
 
 def compiled(function: F) -> F:
@@ -103,7 +107,8 @@ def _compiled(function: F, **options: Any) -> F:
     names = [function.__globals__.get(name) for name in sorted(_names(function.__code__))]
     called = [_SOURCES[x.py_func] for x in names if isinstance(x, type(dispatcher))]
     constants = [x for x in names if isinstance(x, int | float | str | tuple | np.dtype)]
-    source = sha256(f"{_source(function.__code__.co_filename)}{constants}{called}".encode())
+    parts = numba_version, _source(function.__code__.co_filename), constants, called
+    source = sha256("".join(map(str, parts)).encode())
     _SOURCES[function] = source.hexdigest()
     with suppress(RuntimeError):  # there is no place for a cache
         dispatcher._cache = _Kept(function, _SOURCES[function])

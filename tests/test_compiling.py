@@ -89,6 +89,20 @@ def test_what_is_kept_is_used_as_long_as_all_that_it_came_from_stays(tmp_path):
     assert said(started(tmp_path, factor=4.0)) == [*MADE, "5.0"]  # a constant
 
 
+def test_what_another_compiler_made_is_not_used(monkeypatch):
+    def function(x):
+        return x
+
+    def digest():
+        compiling.compiled(function)
+        return compiling._SOURCES[function]
+
+    first = digest()
+    assert digest() == first
+    monkeypatch.setattr(compiling, "numba_version", "another")
+    assert digest() != first
+
+
 def test_every_signature_has_a_file_of_its_own(tmp_path):
     both = NUMBERS, "1, 1"
     assert said(started(tmp_path, *both)) == [*MADE, "3.0"] * 2

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import defaultdict
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -92,8 +93,15 @@ def wrong_imports(module, tree):
             yield f"line {line} imports {target}, which is a higher layer"
 
 
+@cache
 def parsed(path):
     return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def forget_trees():
+    yield
+    parsed.cache_clear()  # they take much memory
 
 
 def functions(tree):

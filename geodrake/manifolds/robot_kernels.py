@@ -65,7 +65,13 @@ def put_dual(b: Array, X: Array) -> None:
 
 @compiled
 def put_product(A: Array, B: Array, out: Array) -> None:
-    """Writes A B of matrices (4, 4)."""
+    """Writes A B of matrices (4, 4); not inlined, which would take long to compile.
+
+    Args:
+        A: (4, 4) matrix.
+        B: (4, 4) matrix.
+        out: (4, 4) the product.
+    """
     for i in range(4):
         for j in range(4):
             total = 0.0

@@ -17,13 +17,14 @@ from scipy.interpolate import make_interp_spline
 
 from geodrake import load_model
 from geodrake.diagnosis import add, explain
-from geodrake.effects import FittedEffect, JointElasticity
+from geodrake.effects import CoulombFriction, FittedEffect, JointElasticity, ViscousFriction
 from geodrake.effects.deflection import Deflection
 from geodrake.identification.logs.coherent_bandwidth import prepare_for_model
 from geodrake.logs.motion import JointLog, Motion
 from geodrake.model.saved_model import save_model
 
 ARM = load_model(MODELS / "arm6.urdf")
+DRY = np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])  # N·m
 
 
 def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0, pace=0.6):
@@ -39,10 +40,12 @@ def elastic_motion(joint, stiffness, seed, *, off=0.0, duration=24.0, rate=250.0
     return time, *motion, effort
 
 
-def elastic_log(joint, stiffness, seed, *, share=0.01, friction=0.0, pace=0.6):
+def elastic_log(joint, stiffness, seed, *, share=0.01, friction=0.0, pace=0.6, duration=24.0):
     """A log of such a robot, with white noise and friction of all motors."""
-    time, q, v, _, effort = elastic_motion(joint, stiffness, seed, off=0.2, pace=pace)
-    size = friction * np.array([4.0, 5.0, 3.0, 0.15, 0.15, 0.08])
+    time, q, v, _, effort = elastic_motion(
+        joint, stiffness, seed, off=0.2, pace=pace, duration=duration
+    )
+    size = friction * DRY
     effort = effort + size * (np.tanh(v / 0.01) + 0.7 * v)
     rng, noise = np.random.default_rng(seed), share * effort.std(0)
     log = JointLog(
@@ -114,6 +117,20 @@ class TestDiagnosis:
         assert (step.effect, step.where) == ("joint_elasticity", (ARM.joints[joint],))
         compliance = step.parameters[ARM.joints[joint]]["compliance"]
         assert compliance == pytest.approx(1.0 / 2000.0, rel=0.1)
+
+    def test_beside_friction_that_is_known(self):
+        """What the spring bends by is told by its motor's motion, not by the friction."""
+        log = elastic_log(1, 3000.0, 1, friction=1.0, duration=12.0).log
+        known = [
+            FittedEffect(effect(joint), np.array([size]))
+            for joint, dry in zip(ARM.joints, DRY, strict=True)
+            for effect, size in ((CoulombFriction, dry), (ViscousFriction, 0.7 * dry))
+        ]
+        found = add("joint_elasticity", dataclasses.replace(ARM, effects=tuple(known)), [log])
+        (step,) = found.steps
+        assert "shoulder_pitch" in step.where
+        compliance = step.parameters["shoulder_pitch"]["compliance"]
+        assert compliance == pytest.approx(1.0 / 3000.0, rel=0.1)
 
     @pytest.mark.thorough
     def test_under_friction(self):

@@ -223,7 +223,14 @@ TIMES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("row", SPIKES, ids=str)
+SEARCHED = ("a million, explained", "an effort of 10^160, explained")  # as that of 2^32 is
+
+
+@pytest.mark.parametrize(
+    "row",
+    [pytest.param(r, marks=pytest.mark.thorough) if r.name in SEARCHED else r for r in SPIKES],
+    ids=str,
+)
 def test_spikes(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 

@@ -344,7 +344,18 @@ OUTPUTS = {
 }
 
 
-@pytest.mark.parametrize("what", OUTPUTS)
+COVERED = (  # by numbers that nobody reads, and by everything closed
+    "nobody to read tables",
+    "closed output",
+    "closed input",
+    "closed errors",
+)
+
+
+@pytest.mark.parametrize(
+    "what",
+    [pytest.param(n, marks=pytest.mark.thorough) if n in COVERED else n for n in OUTPUTS],
+)
 def test_standard_streams(what, kept):
     command, code, says = OUTPUTS[what]
     done = in_shell(f"{GEODRAKE} {command}")
