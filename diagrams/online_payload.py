@@ -7,8 +7,8 @@ from the model file and guesses of friction. Then its bodies and friction are ke
 weights, and a payload is estimated, from the blind guess of [Lee2019] §5.5.2 (1 kg, a sphere of
 0.1 m), on logs without one and on the log with one. There `geodrake explain` finds 3.08 ± 0.03 kg,
 offline. A filtered effort is believed to three times the RMS error of the arm's own log, or, while
-it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out. The payload is estimated by
-exact projections and by nudges, an online arm by nudges.
+it is learned, to a tenth of its standard deviation. Samples at which a joint stands are left out.
+The payload is estimated by exact projections and by nudges, an online arm by nudges.
 
     python diagrams/online_payload.py --json online.json --figures figures
 """
