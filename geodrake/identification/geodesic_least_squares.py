@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import integer, one_of, positive
-from geodrake.errors import ArgumentError, ConvergenceError
+from geodrake.errors import ArgumentError, ConvergenceError, IdentificationError
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
-from geodrake.identification.hyperplanes import Projections, covectors, project
-from geodrake.identification.identify import physical_prior
+from geodrake.identification.hyperplanes import Projections, covectors, flat, pairwise, project
+from geodrake.identification.identify import identify, physical_prior
 from geodrake.identification.problem import whitened
 from geodrake.inertia import Array, from_pseudo_inertia, pseudo_inertia
-from geodrake.inertia.positive_definite import exponential, karcher_mean, logarithm, whitening
+from geodrake.inertia.positive_definite import karcher_mean, whitening
 
 METHODS = ("newton", "cyclic")
 
-_ROUNDING = 1e-12
-_MOST_HALVINGS = 8
+_ROUNDING = 1e-12  # of the cost, relative
+_DECREASE = 1e-4  # least share of the decrease that the slope promises
+_SHARE = 0.9  # of the way to where a body is none, at most in one step
+_MOST_HALVINGS = 30
+_MOST_TRIES = 8  # halvings before rows may be left out
+_LEAST_CURVATURE = 1e-3  # of that of the prior
+_SMALL = 1e-4
+_SETTLED = 1e-6  # distance below which rounding of the cost ends the search
+_MOST_ROUNDS = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +41,8 @@ class GeodesicLeastSquaresResult:
         residual: ‖A Φ − b‖²_{Σ⁻¹} over all rows.
         rejected: Rows without a projection near enough, which were left out.
         iterations: Iterations taken.
+        distance: Length of a further Newton step, about the geodesic distance from the minimum.
+        curvature: Least eigenvalue of the Hessian over γ, which is above zero at a minimum.
     """
 
     phi: Array
@@ -40,6 +50,8 @@ class GeodesicLeastSquaresResult:
     residual: float
     rejected: tuple[int, ...]
     iterations: int
+    distance: float
+    curvature: float
 
 
 def geodesic_least_squares(
@@ -58,20 +70,28 @@ def geodesic_least_squares(
     H_i are the hyperplanes a_iᵀ Φ = b_i, d is the geodesic distance, and γ_i = a_iᵀ M₀⁻¹ a_i / σ_i²
     with the pullback metric M₀ at the prior (Remark 3.8), so that near the prior this is the
     regularized least squares (3.4.39) with the same γ. A row whose hyperplane no bodies within a
-    factor e reach is left out: measurements that make no sense for physical bodies do no harm.
+    factor e reach is left out, until some are within reach: measurements that make no sense for
+    physical bodies do no harm.
 
-    The "cyclic" method is that of the source (§3.4.2): project onto every hyperplane, and take the
-    Karcher mean of the projections. It lowers the cost in every iteration, but slowly when γ is
-    small. "newton" goes to the same place by Gauss–Newton steps along geodesics.
+    The problem is not convex. It starts at the minimum of its convex relation, the entropic fit
+    (§3.5) with the same γ to the rows that are in use, where most hyperplanes are within reach.
+
+    "newton" takes steps by the exact Hessian, straight on so that rows that are fulfilled stay so,
+    and short enough to end inside of the cone and to lower the cost. A row is left out on the way
+    only if no step lowers the cost otherwise. The "cyclic" method is that of the source (§3.4.2):
+    project onto every hyperplane, and take the Karcher mean of the projections. It lowers the cost
+    in every iteration, but by a share of about γ / Σ γ_i of what is left where data say nothing:
+    where γ is small it says that it has not converged.
 
     Args:
         A: (m, 10·nb) regressor.
         b: (m,) measurements.
-        prior: (nb, 10) physical inertial parameters Φ⁰, where it starts.
+        prior: (nb, 10) physical inertial parameters Φ⁰.
         gamma: Weight γ > 0.
         sigma: (m,) or scalar standard deviations of b, in its units; None for 1.
         method: "newton" or "cyclic".
-        tolerance: Geodesic distance from the minimum at which to stop.
+        tolerance: Geodesic distance from the minimum at which to stop, by the next Newton step; or
+            where the cost cannot be told from that of the minimum, by rounding.
         max_iterations: Iterations after which to give up.
 
     Returns:
@@ -79,7 +99,7 @@ def geodesic_least_squares(
 
     Raises:
         ArgumentError: A shape or value is wrong, or no row has a projection.
-        ConvergenceError: The tolerance was not reached.
+        ConvergenceError: No minimum was found to the tolerance.
     """
     one_of(method, "method", METHODS)
     gamma = positive(gamma, "gamma")
@@ -93,130 +113,253 @@ def geodesic_least_squares(
             f"{prior.size}; there are no other parameters here.",
             advice="Subtract what friction and the like contribute to b first.",
         )
-    iteration = _Iteration.start(rows, prior, gamma)
-    for count in range(max_iterations):
-        step = iteration.gauss_newton()
-        if np.linalg.norm(step) <= tolerance:
-            phi = from_pseudo_inertia(iteration.P)
-            errors = rows @ np.append(phi.ravel(), -1.0)
-            rejected = tuple(np.flatnonzero(~iteration.used).tolist())
-            return GeodesicLeastSquaresResult(
-                phi=phi,
-                cost=iteration.cost,
-                residual=float(errors @ errors),
-                rejected=rejected,
-                iterations=count,
-            )
-        iteration = iteration.mean() if method == "cyclic" else iteration.along(step)
+    problem = _Problem.of(rows, prior, gamma)
+    point, readmitted = problem.start(prior, rows), np.zeros(len(rows), bool)
+    for count in range(max_iterations + 1):
+        if point.distance <= tolerance or point.settled:
+            returning = point.reachable & ~(point.used | readmitted)
+            if not returning.any():
+                return _result(point, rows, count)
+            # (Once each, so that there is an end.)
+            readmitted |= returning
+            point = problem.at(point.root, point.used | returning)
+        if count < max_iterations:
+            point = point.mean() if method == "cyclic" else point.newton_step()
     raise ConvergenceError(
-        f"Geodesic least squares is still {np.linalg.norm(step):.2g} from its minimum after "
+        f"Geodesic least squares is still {point.distance:.2g} from its minimum after "
         f"{max_iterations} iterations.",
         advice='Raise gamma or max_iterations, or take method="newton".',
-        distance=float(np.linalg.norm(step)),
+        distance=point.distance,
+    )
+
+
+def _result(point: _Point, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
+    """What was found.
+
+    Raises:
+        ConvergenceError: It is no minimum.
+    """
+    curvature = float(point.spectrum[0][0] / point.problem.gamma)
+    if not curvature > 0:
+        raise ConvergenceError(
+            f"Geodesic least squares ended where its cost has a curvature of {curvature:.2g} γ: a "
+            "saddle.",
+            advice="Raise gamma, or begin at another prior.",
+            distance=point.distance,
+        )
+    phi = from_pseudo_inertia(point.root @ np.swapaxes(point.root, -1, -2))
+    errors = rows @ np.append(phi.ravel(), -1.0)
+    return GeodesicLeastSquaresResult(
+        phi=phi,
+        cost=point.cost,
+        residual=float(errors @ errors),
+        rejected=tuple(np.flatnonzero(~point.used).tolist()),
+        iterations=iterations,
+        distance=point.distance,
+        curvature=curvature,
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Iteration:
-    """One set of bodies and its projections.
+class _Problem:
+    """What is minimized.
 
     Attributes:
-        P: (nb, 4, 4) pseudo inertias of the bodies.
-        prior: (nb, 4, 4) those of the prior.
+        prior: (nb, 4, 4) L⁰ with P⁰ = L⁰ L⁰ᵀ of the prior.
         X: (m, nb, 4, 4) rows of the regressor.
         b: (m,) values.
         weights: (m,) γ_i.
         gamma: γ.
-        used: (m,) rows that are not rejected.
-        projections: Onto the rows in use.
     """
 
-    P: Array
     prior: Array
     X: Array
     b: Array
     weights: Array
     gamma: float
+
+    @classmethod
+    def of(cls, rows: Array, prior: Array, gamma: float) -> _Problem:
+        root, X = whitening(pseudo_inertia(prior))[0], covectors(rows[:, :-1])
+        weights = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
+        return cls(root, X, rows[:, -1], weights, gamma)
+
+    def start(self, prior: Array, rows: Array) -> _Point:
+        """The entropic fit to the rows that have projections there, and these rows.
+
+        Raises:
+            ArgumentError: No row has a projection at the prior.
+        """
+        root, used = self.prior, project(self.prior, self.X, self.b).exists
+        if not used.any():
+            raise ArgumentError(
+                f"None of the {len(self.b)} rows has a projection near the prior.",
+                advice="Check units and signs of A and b against the prior.",
+            )
+        for _ in range(_MOST_ROUNDS):
+            A, b = rows[used, :-1], rows[used, -1]
+            try:
+                fit = identify(A, b, prior, regularizer="entropic", gamma=self.gamma)
+            except IdentificationError:  # of data that are too much for double precision
+                break
+            found = whitening(pseudo_inertia(fit.phi))[0]
+            before, reached = used, project(found, self.X, self.b).exists
+            if not reached.any():
+                break
+            root, used = found, reached
+            if np.array_equal(used, before):
+                break
+        return self.at(root, used)
+
+    def at(self, root: Array, used: NDArray[np.bool_]) -> _Point:
+        """Bodies with some of the rows, all of which must have projections."""
+        return _Point(self, root, used, project(root, self.X[used], self.b[used]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Bodies, and their projections onto the rows in use.
+
+    P = L Lᵀ is kept as its root, which stays one however far a step leads.
+
+    Attributes:
+        problem: What is minimized.
+        root: (nb, 4, 4) L.
+        used: (m,) rows in use.
+        projections: Onto these.
+    """
+
+    problem: _Problem
+    root: Array
     used: NDArray[np.bool_]
     projections: Projections
 
-    @classmethod
-    def start(cls, rows: Array, prior: Array, gamma: float) -> _Iteration:
-        P, X = pseudo_inertia(prior), covectors(rows[:, :-1])
-        projections = project(whitening(P)[0], X, rows[:, -1])
-        weights = 2.0 * np.square(projections.normals).sum((1, 2, 3))
-        used = projections.exists
-        if not used.any():
-            raise ArgumentError(
-                f"None of the {len(rows)} rows has a projection near the prior.",
-                advice="Check units and signs of A and b against the prior.",
-            )
-        return cls(P, P, X, rows[:, -1], weights, gamma, used, _chosen(projections, used))
+    @cached_property
+    def weights(self) -> Array:
+        """γ_i of the rows in use."""
+        return self.problem.weights[self.used]
 
-    def moved(self, P: Array) -> _Iteration:
-        """The same rows at other bodies; those that lost their projection are rejected."""
-        found = project(whitening(P)[0], self.X[self.used], self.b[self.used])
-        used = self.used.copy()
-        used[used] = found.exists
-        values = (P, self.prior, self.X, self.b, self.weights, self.gamma)
-        return _Iteration(*values, used, _chosen(found, found.exists))
+    @cached_property
+    def to_prior(self) -> tuple[Array, Array]:
+        """Logarithms (nb, 4) and axes (nb, 4, 4) of L⁻¹ P⁰ L⁻ᵀ."""
+        axes, ratios, _ = np.linalg.svd(np.linalg.solve(self.root, self.problem.prior))
+        return 2.0 * np.log(ratios), axes
 
     @property
-    def towards_prior(self) -> Array:
-        """(nb, 4, 4) velocity Q of the geodesic to the prior, P⁰ = L exp(Q) Lᵀ."""
-        _, inverse = whitening(self.P)
-        turned = inverse @ logarithm(self.P, self.prior) @ np.swapaxes(inverse, -1, -2)
-        return np.asarray(turned, float)
+    def reachable(self) -> NDArray[np.bool_]:
+        """(m,) which rows have projections here, in use or not."""
+        return project(self.root, self.problem.X, self.problem.b).exists
 
-    @property
+    @cached_property
     def cost(self) -> float:
         """The cost over the rows in use."""
-        data = self.weights[self.used] @ self.projections.half_squared_distances
-        return float(data + 0.5 * self.gamma * np.square(self.towards_prior).sum())
+        data = self.weights @ self.projections.half_squared_distances
+        return float(data + 0.5 * self.problem.gamma * np.square(self.to_prior[0]).sum())
 
-    def gauss_newton(self) -> Array:
-        """Velocities (10·nb,) in the axes of `SYMMETRIC_BASIS`, towards the minimum."""
-        weights = self.weights[self.used]
-        pull = np.einsum("m,mbij->bij", weights, self.projections.velocities)
-        downhill = _flat(pull + self.gamma * self.towards_prior)
-        normals = self.projections.normals
-        sizes = np.sqrt(np.square(normals).sum((1, 2, 3)))
-        directions = _flat(normals) * (np.sqrt(weights) / sizes)[:, None]
-        hessian = directions.T @ directions + self.gamma * np.eye(len(downhill))
-        return np.asarray(cho_solve(cho_factor(hessian), downhill), float)
+    @cached_property
+    def downhill(self) -> Array:
+        """Minus the gradient of the cost, (10 nb,)."""
+        logs, axes = self.to_prior
+        pull = (axes * logs[:, None, :]) @ np.swapaxes(axes, -1, -2)
+        return flat(self.problem.gamma * pull - self.projections.gradient(self.weights))
 
-    def along(self, step: Array) -> _Iteration:
-        """Bodies of lower cost along a step; rows are only rejected where nothing else helps."""
-        L, _ = whitening(self.P)
-        velocity = np.einsum("bk,kij->bij", step.reshape(len(L), -1), SYMMETRIC_BASIS)
-        velocity = L @ velocity @ np.swapaxes(L, -1, -2)
-        before, length = self.cost, 1.0
-        for _ in range(_MOST_HALVINGS):
-            trial = self.moved(exponential(self.P, length * velocity))
-            whole = np.array_equal(trial.used, self.used)
-            if whole and trial.cost <= before * (1.0 + _ROUNDING):
-                return trial
+    @cached_property
+    def spectrum(self) -> tuple[Array, Array]:
+        """Eigenvalues and eigenvectors of the Hessian (10 nb, 10 nb) of the cost, in V."""
+        logs, axes = self.to_prior
+        half = 0.5 * np.abs(logs[:, :, None] - logs[:, None, :])
+        safe = np.maximum(half, _SMALL)
+        curvature = np.where(half < _SMALL, 1.0 + half**2 / 3.0, safe / np.tanh(safe))
+        own = pairwise(self.problem.gamma * curvature[None], axes[None])
+        # To second order, L (𝟙 + V) Lᵀ is on the geodesic of velocity V − ½ V².
+        pull = np.einsum("bk,kij->bij", self.downhill.reshape(len(axes), -1), SYMMETRIC_BASIS)
+        bent = block_diag(*np.einsum("bca,iad,jdc->bij", pull, SYMMETRIC_BASIS, SYMMETRIC_BASIS))
+        own += self.projections.hessian(self.weights) + 0.5 * (bent + bent.T)
+        values, vectors = np.linalg.eigh(own)
+        return values, vectors
+
+    @cached_property
+    def step(self) -> Array:
+        """Newton's step (10 nb,), turned downhill where the cost is not convex."""
+        values, vectors = self.spectrum
+        least = _LEAST_CURVATURE * self.problem.gamma
+        along = (vectors.T @ self.downhill) / np.maximum(np.abs(values), least)
+        return np.asarray(vectors @ along)
+
+    @property
+    def distance(self) -> float:
+        """Length of Newton's step."""
+        return float(np.linalg.norm(self.step))
+
+    @property
+    def settled(self) -> bool:
+        """Whether all that Newton's step promises is less than rounding of the cost."""
+        return bool(self.distance < _SETTLED and self.step @ self.downhill < _ROUNDING * self.cost)
+
+    def moved(self, change: Array) -> _Point:
+        """Bodies P = L (𝟙 + V) Lᵀ, without the rows that have no projection there.
+
+        Args:
+            change: (nb, 4, 4) symmetric V, its eigenvalues above −1.
+        """
+        values, axes = np.linalg.eigh(change)
+        turned = (axes * np.sqrt(1.0 + values)[:, None, :]) @ np.swapaxes(axes, -1, -2)
+        return self.problem.at(self.root @ turned, self.used).with_projections()
+
+    def with_projections(self) -> _Point:
+        """The same without the rows that have no projection."""
+        exists, used = self.projections.exists, self.used.copy()
+        used[used] = exists
+        return replace(self, used=used, projections=self.projections.of(exists))
+
+    def newton_step(self) -> _Point:
+        """Bodies of lower cost along Newton's step; rows are lost only where nothing else helps.
+
+        Raises:
+            ConvergenceError: There are none.
+        """
+        change = np.einsum("bk,kij->bij", self.step.reshape(len(self.root), -1), SYMMETRIC_BASIS)
+        slope = float(self.step @ self.downhill)
+        length = _SHARE / max(_SHARE, -float(np.linalg.eigvalsh(change).min()))
+        for halvings in range(_MOST_HALVINGS):
+            trial = self.moved(length * change)
+            kept = trial.used[self.used]
+            if kept.all():
+                least = _DECREASE * length * slope
+                if trial.cost <= self.cost * (1.0 + _ROUNDING) - least:
+                    return trial
+            elif halvings >= _MOST_TRIES and kept.any():
+                rest = replace(self, used=trial.used, projections=self.projections.of(kept))
+                if trial.cost < rest.cost:
+                    return trial
             length *= 0.5
-        return self.mean()
+        raise ConvergenceError(
+            "No step along Newton's lowers the cost of geodesic least squares, "
+            f"{self.distance:.2g} from its minimum.",
+            advice="Raise gamma, sigma or the tolerance.",
+            distance=self.distance,
+        )
 
-    def mean(self) -> _Iteration:
-        """The Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42))."""
-        L, _ = whitening(self.P)
-        rates, axes = np.linalg.eigh(self.projections.velocities)
-        sides = L @ axes * np.exp(0.5 * rates)[..., None, :]
-        points = np.concatenate([sides @ np.swapaxes(sides, -1, -2), self.prior[None]])
-        weights = np.append(self.weights[self.used], self.gamma)
-        return self.moved(karcher_mean(np.swapaxes(points, 0, 1), weights))
+    def mean(self) -> _Point:
+        """The Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42)).
 
-
-def _chosen(projections: Projections, rows: NDArray[np.bool_]) -> Projections:
-    """The projections onto some rows."""
-    return Projections(
-        projections.exists[rows], projections.velocities[rows], projections.normals[rows]
-    )
-
-
-def _flat(matrices: Array) -> Array:
-    """Coordinates (…, 10·nb) of symmetric matrices (…, nb, 4, 4)."""
-    coordinates = np.einsum("...ij,kij->...k", matrices, SYMMETRIC_BASIS)
-    return np.asarray(coordinates.reshape(*matrices.shape[:-3], -1), float)
+        Raises:
+            ConvergenceError: It is not found.
+        """
+        logs, axes = self.to_prior
+        rates = np.concatenate([self.projections.rates, logs[None]])
+        sides = np.concatenate([self.projections.axes, axes[None]])
+        sides = sides * np.exp(0.5 * rates)[..., None, :]
+        points = sides @ np.swapaxes(sides, -1, -2)
+        weights = np.append(self.weights, self.problem.gamma)
+        try:
+            # Seen from here, so that what is far from another is so by its logarithm only.
+            mean = karcher_mean(np.swapaxes(points, 0, 1), weights)
+            return self.moved(mean - np.eye(4))
+        except (ArgumentError, ConvergenceError) as error:
+            raise ConvergenceError(
+                f"The mean of the projections is not found, {self.distance:.2g} from the minimum "
+                f"of geodesic least squares: {error}",
+                advice='Raise gamma, or take method="newton".',
+                distance=self.distance,
+            ) from error

@@ -6,34 +6,122 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.special import lambertw
 
+from geodrake.identification.coordinates import SYMMETRIC_BASIS
 from geodrake.inertia import Array, pseudo_inertia_basis
 
 _ROOT = 1e-14
 _MOST_STEPS = 200
 _BRANCH = 1e-5
+_SAME = 1e-5
+_LEAST_ROOM = 1e-8  # 1 + W where a projection is about to get lost
 
 
 @dataclass(frozen=True, eq=False)
 class Projections:
     """Projections of one set of bodies onto m hyperplanes.
 
+    With P = L Lᵀ, the gradient of tr(P X) is N = Lᵀ X L = U diag(σ) Uᵀ, and P̂ = L exp(Q) Lᵀ with
+    Q = −W(λ N) for the inverse W of w eʷ.
+
     Attributes:
         exists: (m,) whether there is one within a factor e: λ_max(P⁻¹ P̂) ≤ e for every body.
-        velocities: (m, nb, 4, 4) symmetric matrices Q with P̂ = L exp(Q) Lᵀ, where P = L Lᵀ; zero
-            where there is no projection.
-        normals: (m, nb, 4, 4) matrices Lᵀ X L, the gradients of tr(P X).
+        sigma: (m, nb, 4) eigenvalues σ.
+        axes: (m, nb, 4, 4) U.
+        rates: (m, nb, 4) eigenvalues −W(λ σ) of Q; zero where there is no projection.
     """
 
     exists: NDArray[np.bool_]
-    velocities: Array
-    normals: Array
+    sigma: Array
+    axes: Array
+    rates: Array
+
+    @property
+    def velocities(self) -> Array:
+        """Symmetric Q (m, nb, 4, 4), the velocities of the geodesics to the projections."""
+        return self._functions(self.rates)
+
+    @property
+    def normals(self) -> Array:
+        """N (m, nb, 4, 4)."""
+        return self._functions(self.sigma)
 
     @property
     def half_squared_distances(self) -> Array:
         """½ d², (m,)."""
-        return 0.5 * np.square(self.velocities).sum((1, 2, 3))
+        return 0.5 * np.square(self.rates).sum((1, 2))
+
+    def of(self, rows: NDArray[np.bool_]) -> Projections:
+        """Those onto some of the hyperplanes.
+
+        Args:
+            rows: (m,) which.
+        """
+        return Projections(
+            *(part[rows] for part in (self.exists, self.sigma, self.axes, self.rates))
+        )
+
+    def gradient(self, weights: Array) -> Array:
+        """Of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4).
+
+        Args:
+            weights: (m,) γ_i.
+        """
+        return -np.asarray(np.einsum("m,mbij->bij", weights, self.velocities))
+
+    def hessian(self, weights: Array) -> Array:
+        """Of the same, (10 nb, 10 nb) in the coordinates of `flat`.
+
+        L exp(½ t V) is a frame that is parallel along the geodesic, so Hess[V] = −dQ with
+        dN = ½ (V N + N V), where λ changes so that P̂ stays on its hyperplane. In the axes of N,
+        that of each row is diagonal, plus a term of rank one.
+
+        Args:
+            weights: (m,) γ_i.
+        """
+        W = -self.rates
+        decay = np.exp(-W) / np.maximum(1.0 + W, _LEAST_ROOM)  # W'(λ σ)
+        x = W * np.exp(W)
+        # Divided differences of W, which are W' where two arguments are nearly the same.
+        gap, middle = W[..., :, None] - W[..., None, :], 0.5 * (W[..., :, None] + W[..., None, :])
+        near = np.abs(gap) < _SAME
+        slope = np.exp(-middle) / np.maximum(1.0 + middle, _LEAST_ROOM)
+        step = np.where(near, 1.0, x[..., :, None] - x[..., None, :])
+        curvature = 0.5 * (x[..., :, None] + x[..., None, :])
+        curvature *= np.where(near, slope, gap / np.where(step == 0.0, 1.0, step))
+        hessian = pairwise(weights[:, None, None, None] * curvature, self.axes)
+        along = self.sigma * decay
+        size = (np.square(self.sigma) * np.exp(-W) * decay).sum((1, 2))
+        pull = flat(self._functions(along))
+        pull *= np.sqrt(weights / np.where(size > 0, size, 1.0))[:, None]
+        return np.asarray(hessian + pull.T @ pull)
+
+    def _functions(self, values: Array) -> Array:
+        """Matrices of other eigenvalues (m, nb, 4) in the axes of N."""
+        return np.asarray((self.axes * values[..., None, :]) @ np.swapaxes(self.axes, -1, -2))
+
+
+def flat(matrices: Array) -> Array:
+    """Coordinates (…, 10 nb) of symmetric matrices (…, nb, 4, 4) in `SYMMETRIC_BASIS`."""
+    coordinates = np.einsum("...ij,kij->...k", matrices, SYMMETRIC_BASIS)
+    return np.asarray(coordinates.reshape(*matrices.shape[:-3], -1), float)
+
+
+def pairwise(values: Array, axes: Array) -> Array:
+    """Sum of m quadratic forms that are diagonal in pairs of axes, (10 nb, 10 nb) as of `flat`.
+
+    Args:
+        values: (m, nb, 4, 4) symmetric; what the form has of V is Σ values_ab (uₐᵀ V u_b)².
+        axes: (m, nb, 4, 4) u, one a column.
+    """
+    turned = np.swapaxes(axes, -1, -2)[..., None, :, :] @ SYMMETRIC_BASIS @ axes[..., None, :, :]
+    rows, nb = turned.shape[:2]
+    turned = np.moveaxis(turned, 0, 1).reshape(nb, rows, len(SYMMETRIC_BASIS), 16)
+    scaled = turned * np.moveaxis(values, 0, 1).reshape(nb, rows, 1, 16)
+    blocks = np.einsum("bmip,bmjp->bij", scaled, turned, optimize=True)
+    return np.asarray(block_diag(*blocks))
 
 
 def covectors(A: Array) -> Array:
@@ -55,14 +143,11 @@ def project(roots: Array, X: Array, b: Array) -> Projections:
         X: (m, nb, 4, 4) symmetric matrices, as of `covectors`.
         b: (m,) values.
     """
-    normals = np.swapaxes(roots, -1, -2) @ X @ roots
-    values, axes = np.linalg.eigh(normals)
-    sigma = values.reshape(len(b), -1)
-    multiplier, exists = _multipliers(sigma, b)
-    rates = -_lambert(multiplier[:, None] * sigma).reshape(values.shape)
+    sigma, axes = np.linalg.eigh(np.swapaxes(roots, -1, -2) @ X @ roots)
+    multiplier, exists = _multipliers(sigma.reshape(len(b), -1), b)
+    rates = -_lambert(multiplier[:, None, None] * sigma)
     rates[~exists] = 0.0
-    velocities = (axes * rates[..., None, :]) @ np.swapaxes(axes, -1, -2)
-    return Projections(exists, velocities, normals)
+    return Projections(exists, sigma, axes, rates)
 
 
 def _multipliers(sigma: Array, b: Array) -> tuple[Array, NDArray[np.bool_]]:

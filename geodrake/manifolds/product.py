@@ -159,7 +159,7 @@ class Product(Manifold):
 
     def calc_contains(self, x: Array) -> NDArray[np.bool_]:
         """Whether x is inside every factor (...)."""
-        robot = self._robot if x.ndim == 1 else None
+        robot = self.robot if x.ndim == 1 else None
         if robot is not None and calc_clearly_inside(contiguous(x), robot):
             return np.asarray(True)
         inside = [g.manifold.calc_contains(g.part(x)) for g in self._groups]
@@ -237,8 +237,8 @@ class Product(Manifold):
 
     def calc_mirror_span(self, x: Array, rows: Array) -> MirrorSpan:
         """Each factor by itself; those of robots in one loop."""
-        if self._robot is not None and x.ndim == 1:
-            return robot_span(contiguous(x), contiguous(rows), self._robot)
+        if self.robot is not None and x.ndim == 1:
+            return robot_span(contiguous(x), contiguous(rows), self.robot)
         points, halves = [], []
         for group in self._groups:
             own = group.manifold.calc_mirror_span(group.part(x), group.part(rows))
@@ -268,16 +268,16 @@ class Product(Manifold):
 
     def calc_natural_step(self, x: Array, b: Array, time: float) -> Array:
         """Each factor by itself; of one point, those of robots in one loop."""
-        if self._robot is not None and x.ndim == b.ndim == 1:
+        if self.robot is not None and x.ndim == b.ndim == 1:
             stepped, (x, b) = np.empty(x.shape), (contiguous(x), contiguous(b))
-            if calc_natural_steps(x, b, self._robot, float(time), stepped):
+            if calc_natural_steps(x, b, self.robot, float(time), stepped):
                 return stepped
         return self._filled(
             lambda g, x, b: g.manifold.calc_natural_step(x, b, time / g.weight), x, b
         )
 
     @cached_property
-    def _robot(self) -> Factors | None:
+    def robot(self) -> Factors | None:
         """For compiled loops; None if there is anything but bodies and lower bounds."""
         bodies, bounded = [], []
         for factor, weight, part in self._factors:

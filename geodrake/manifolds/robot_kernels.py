@@ -273,6 +273,12 @@ def calc_whitened(x: Array, rows: Array, factors: Factors, L: Array, out: Array)
             for j in range(4):
                 root[i, j] *= d[i]
         for r in range(len(rows)):
+            any_of_it = False
+            for j in range(first, first + PARAMETERS_PER_BODY):
+                any_of_it |= rows[r, j] != 0.0
+                out[r, j] = 0.0
+            if not any_of_it:  # as of bodies inboard of a joint
+                continue
             put_dual(rows[r, first : first + PARAMETERS_PER_BODY], X)
             put_congruence(root, X, F, X)
             entry = first

@@ -214,10 +214,40 @@ def test_samples_lead_to_the_truth_and_never_away():
         memory = filtered.advanced(memory, *now)
         Y, u = filtered.rows(memory)
         errors.append(np.abs(Y @ p - u).max())
-        p = made.updated(p, Y, u, STEP)
+        p = made.updated(p, Y, u, STEP).parameters
         distances.append(float(MANIFOLD.divergence(TRUTH, p)))
     assert np.diff(distances).max() < 1e-6
     assert np.mean(errors[-300:]) < 0.4 * max(errors)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_sample_is_explained_at_once(seed):
+    """The estimate is in the slabs of a sample after it; a nudge leaves much of its error."""
+    rng, p = np.random.default_rng(seed), perturbed(0.3, seed)
+    q, v, a = rng.normal(size=(3, 2))
+    Y = CONTROL.at(q, v, v, a).regressor
+    u, left = Y @ TRUTH, {}
+    for method in ("projection", "nudge"):
+        found = update(method=method).updated(p, Y, u, STEP)
+        left[method] = np.abs(Y @ found.parameters - u).max()
+        assert (found.error <= 1e-8) == (method == "projection")
+        assert MANIFOLD.divergence(TRUTH, found.parameters) <= MANIFOLD.divergence(TRUTH, p)
+    assert left["projection"] < 2e-3 * (1 + 1e-6)
+    assert left["nudge"] > 0.3 * np.abs(Y @ p - u).max() > 10 * left["projection"]
+
+
+def test_an_earlier_sample_holds_too_if_it_agrees():
+    rng, p = np.random.default_rng(0), perturbed(0.3)
+    (Y, other), made = rng.normal(size=(2, 2, len(p))), update()
+    earlier = other, other @ TRUTH
+    found = made.updated(p, Y, Y @ TRUTH, STEP, earlier=earlier)
+    assert found.error <= 1e-8
+    for rows in (Y, other):
+        assert np.abs(rows @ (found.parameters - TRUTH)).max() < 2e-3 * (1 + 1e-6)
+    # One that contradicts this sample is left out.
+    alone = made.updated(p, Y, Y @ TRUTH, STEP).parameters
+    against = made.updated(p, Y, Y @ TRUTH, STEP, earlier=(Y, Y @ TRUTH + 1.0))
+    np.testing.assert_array_equal(against.parameters, alone)
 
 
 def test_bodies_with_constraints_are_estimated_too():
@@ -226,22 +256,32 @@ def test_bodies_with_constraints_are_estimated_too():
     manifold, truth, p = Product((bounded,)), perturbed(0.1)[:10], perturbed(0.3)[:10]
     made = SampleUpdate(manifold, 1e-5)
     before = manifold.divergence(truth, p)
-    for _ in range(300):
+    for _ in range(60):
         Y = rng.normal(size=(2, 10))
-        p = made.updated(p, Y, Y @ truth, STEP)
+        p = made.updated(p, Y, Y @ truth, STEP).parameters
         assert manifold.contains(p)
     assert manifold.divergence(truth, p) < 0.2 * before
 
 
-def test_efforts_that_no_body_has_move_the_estimate_a_little():
+def test_a_nudge_goes_a_little_toward_efforts_that_no_body_has():
     p = perturbed(0.2)
     Y = np.zeros((2, len(p)))
     Y[:, 0] = 1.0
-    moved = update().updated(p, Y, np.full(2, -3.0), STEP)
+    moved = update(method="nudge").updated(p, Y, np.full(2, -3.0), STEP).parameters
     assert 0 < moved[0] < p[0]
     assert MANIFOLD.contains(moved)
     for wrong in (np.nan, np.inf):
-        assert update().updated(p, Y, np.array([0.0, wrong]), STEP) is p
+        assert update().updated(p, Y, np.array([0.0, wrong]), STEP).parameters is p
+
+
+def test_efforts_that_no_body_has_are_left_out_by_a_projection():
+    """No certificate, no step: there is no mass of −3 kg."""
+    p = perturbed(0.2)
+    Y = np.zeros((2, len(p)))
+    Y[:, 0] = 1.0
+    found = update().updated(p, Y, np.full(2, -3.0), STEP)
+    assert found.parameters is p
+    assert found.error == np.inf
 
 
 def test_constraints_hold_after_every_sample():
@@ -250,7 +290,7 @@ def test_constraints_hold_after_every_sample():
     p = TRUTH.copy()
     for _ in range(50):
         Y = rng.normal(size=(2, len(p)))
-        p = made.updated(p, Y, rng.normal(size=2), STEP)
+        p = made.updated(p, Y, rng.normal(size=2), STEP).parameters
         assert (LinearSet(limits).values(p) <= 1e-9).all()
 
 
@@ -260,7 +300,7 @@ def test_forgetting_goes_back_where_no_sample_holds():
     nothing = (np.zeros((2, len(p))), np.zeros(2))
     gap = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
     for _ in range(1000):
-        p = made.updated(p, *nothing, STEP)
+        p = made.updated(p, *nothing, STEP).parameters
     left = MANIFOLD.gradient(p) - MANIFOLD.gradient(TRUTH)
     np.testing.assert_allclose(left, np.exp(-2.0) * gap, rtol=1e-5, atol=1e-7 * np.abs(gap).max())
 
@@ -270,6 +310,7 @@ def test_forgetting_goes_back_where_no_sample_holds():
     [
         ({"relaxation": 0.0}, "relaxation"),
         ({"relaxation": 1.5}, "relaxation"),
+        ({"method": "newton"}, "method"),
         ({"forgetting": -1.0}, "forgetting"),
         ({"forgetting": 1.0}, "prior"),
         ({"forgetting": 1.0, "prior": -TRUTH}, "inside of the manifold"),

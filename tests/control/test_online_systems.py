@@ -64,7 +64,7 @@ def recorded(duration=4.0, truth=TRUTH, gap=()):
 
 
 def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, duration=None, every=1):
-    """What an estimator makes of a log: the system, times, and estimates and residuals then."""
+    """What an estimator makes of a log: the system, times, and its outputs then."""
     builder = DiagramBuilder()
     source = builder.AddSystem(LogSource(log, MODEL.joints))
     system = builder.AddSystem(
@@ -79,7 +79,7 @@ def estimated(log, *, start=TRUTH, sensor=None, update=UPDATE, duration=None, ev
         state = sensor.get_output_port()
     builder.Connect(state, system.GetInputPort("estimated_state"))
     builder.Connect(source.GetOutputPort("effort"), system.GetInputPort("effort"))
-    sinks = [LogVectorOutput(system.get_output_port(i), builder, 0.02) for i in range(2)]
+    sinks = [LogVectorOutput(system.get_output_port(i), builder, 0.02) for i in range(3)]
     found = simulator(builder.Build())
     found.AdvanceTo(duration or source.duration)
     logs = [sink.FindLog(found.get_context()) for sink in sinks]
@@ -106,11 +106,21 @@ def unexplained(p, truth=TRUTH):
 
 @pytest.mark.parametrize("every", [1, 2])
 def test_the_estimate_explains_what_is_measured(every):
-    _, _, p, residual = estimated(recorded(), start=perturbed(0.3), every=every)
-    check(p)
-    assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-6
-    assert unexplained(p[-1]) < 0.15 * unexplained(p[0])
-    assert np.abs(residual).max() < 0.2
+    """Exact projections by default, each with a certificate, go farther than nudges."""
+    start, fallen = perturbed(0.3), {}
+    for method in ("projection", "nudge"):
+        update = SampleUpdate(MANIFOLD, np.full(2, 0.005), method=method)
+        _, _, p, residual, error = estimated(recorded(), start=start, every=every, update=update)
+        check(p)
+        D = MANIFOLD.divergence(TRUTH, p)
+        assert np.diff(D).max() < 1e-6
+        assert unexplained(p[-1]) < 0.2 * unexplained(p[0])
+        assert np.abs(residual).max() < 0.2
+        fallen[method] = D[0] - D[-1]
+        certified = error[1:] <= 1e-8
+        assert certified.all() if method == "projection" else not certified.any()
+    assert UPDATE.method == "projection"
+    assert fallen["projection"] > 1.3 * fallen["nudge"]
 
 
 def test_a_payload_shows_within_seconds():
@@ -119,7 +129,7 @@ def test_a_payload_shows_within_seconds():
     p = np.array([0.0, 0.0, 0.15])
     extra = np.array([1, *p, 0.15**2 + 1e-4, 0.15**2 + 1e-4, 1e-4, 0, 0, 0])
     heavier[10:20] += 0.5 * (TRUTH[0] + TRUTH[10]) * extra
-    _, time, p, _ = estimated(recorded(6.0, truth=heavier))
+    _, time, p, _, _ = estimated(recorded(6.0, truth=heavier))
     check(p)
     # Its effort is explained within a second, …
     assert unexplained(p[time >= 1.0][0], heavier) < 0.15 * unexplained(p[0], heavier)
@@ -134,7 +144,7 @@ def test_a_payload_shows_within_seconds():
 def test_a_sensor_that_fails_for_a_while(fault):
     start = perturbed(0.3)
     sensor = FaultySensor(4, fault, 0.5, 1.2)
-    _, time, p, residual = estimated(recorded(2.0), start=start, sensor=sensor)
+    _, time, p, residual, _ = estimated(recorded(2.0), start=start, sensor=sensor)
     check(p)
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-3
     during = p[(time > 0.61) & (time < 1.19)]
@@ -144,7 +154,7 @@ def test_a_sensor_that_fails_for_a_while(fault):
 
 
 def test_gaps_of_a_log_are_left_out():
-    _, _, p, _ = estimated(recorded(2.0, gap=(300, 500)), start=perturbed(0.3))
+    _, _, p, _, _ = estimated(recorded(2.0, gap=(300, 500)), start=perturbed(0.3))
     check(p)
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-6
 
@@ -271,7 +281,7 @@ def test_logs_that_cannot_be_played():
 def test_a_sensor_that_is_slower_than_the_estimator(times):
     """States that only repeat say nothing; what is learned is that of the new ones."""
     sensor = SlowSensor(4, times * STEP)
-    _, _, p, _ = estimated(recorded(2.0), start=perturbed(0.3), sensor=sensor)
+    _, _, p, _, _ = estimated(recorded(2.0), start=perturbed(0.3), sensor=sensor)
     check(p)
     # (The effort is later than the held state by up to a sample of the sensor.)
     assert np.diff(MANIFOLD.divergence(TRUTH, p)).max() < 1e-3

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from math import expm1, isfinite
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geodrake.boundary.arguments import instance, number, positive, real_array
+from geodrake.boundary.arguments import instance, number, one_of, positive, real_array
 from geodrake.boundary.showing import Short
 from geodrake.control.adaptation import ConvexSet, ProjectedLaw, natural_adaptation
 from geodrake.control.online_estimation.slab_step import slab_step
@@ -17,21 +18,50 @@ from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 from geodrake.manifolds import Product
 from geodrake.manifolds.projections import Polyhedron
+from geodrake.manifolds.projections.slabs import SlabProjection, slab_projection
 
 Rows = tuple[Array, Array]
 """A regressor (k, n) and its efforts (k,)."""
 
 
+METHODS = ("projection", "nudge")
+
+
+class UpdatedEstimate(NamedTuple):
+    """An estimate after a sample.
+
+    Attributes:
+        parameters: (n,) the estimate; the one before if it could not be moved.
+        error: Greatest error of the conditions of optimality of the projection onto the slabs, in
+            lengths of the metric: its certificate, 1e-8 at most. Infinite where no projection was
+            found, or none was sought.
+    """
+
+    parameters: Array
+    error: float
+
+
 @dataclass(frozen=True, eq=False)
 class SampleUpdate(Short):
-    """A step of an estimate toward the slab of a sample, and its projection onto a constraint set.
+    """A projection of an estimate onto the slabs of a sample, and onto a constraint set.
+
+    A "projection" is exact ([Lee2019] Eq. (2.2.11), (5.4.59)): onto the slabs of this sample and of
+    an earlier one, if there is one and some bodies are in all of them; else onto those of this one.
+    A sample of which no bodies are in the slabs is left out.
+
+    A "nudge" is one damped step of Newton's method toward the slabs of both. It costs less, and
+    averages samples that contradict each other or the model: where ε is less than what the model
+    lacks, as on a real robot whose friction is not known.
+
+    Neither takes the estimate farther from a truth that is in the slabs.
 
     Attributes:
         manifold: The manifold of the parameters, as `parameter_manifold` gives it.
         tolerance: (nv,) or one ε, N·m or N: the error of filtered efforts that is not believed.
         constraints: A convex set that holds the truth, if one is known.
-        relaxation: Share in (0, 1] of a step toward the slabs that is carried out: less follows
-            noise less.
+        method: "projection" or "nudge".
+        relaxation: Share in (0, 1] of the way to the slabs that is gone: less follows noise less.
+            None for all of it, or for half of a nudge.
         forgetting: Rate, 1/s, at which the gradient of the barrier at an estimate goes back to that
             at the prior, where no sample says otherwise; zero for never.
         prior: (n,) where it goes back to, inside of the manifold.
@@ -43,7 +73,8 @@ class SampleUpdate(Short):
     manifold: Product
     tolerance: ArrayLike
     constraints: ConvexSet | Polyhedron | None = None
-    relaxation: float = 0.5
+    method: str = "projection"
+    relaxation: float | None = None
     forgetting: float = 0.0
     prior: Array | None = None
 
@@ -54,8 +85,10 @@ class SampleUpdate(Short):
             raise ArgumentError(
                 f"tolerance must be positive numbers, one or (nv,); it is {epsilon.tolist()}."
             )
-        number(self.relaxation, "relaxation", upper=1.0)
-        positive(self.relaxation, "relaxation")
+        one_of(self.method, "method", METHODS)
+        if self.relaxation is not None:
+            number(self.relaxation, "relaxation", upper=1.0)
+            positive(self.relaxation, "relaxation")
         number(self.forgetting, "forgetting", lower=0.0)
         if self.forgetting > 0 and self.prior is None:
             raise ArgumentError("Forgetting needs a prior to go back to.")
@@ -79,10 +112,16 @@ class SampleUpdate(Short):
     def _prior_gradient(self) -> Array:
         return self.manifold.calc_gradient(np.asarray(self.prior, float))
 
+    @cached_property
+    def _share(self) -> float:
+        if self.relaxation is not None:
+            return self.relaxation
+        return 1.0 if self.method == "projection" else 0.5
+
     def updated(
         self, p: Array, Y: Array, effort: Array, dt: float, *, earlier: Rows | None = None
-    ) -> Array:
-        """The estimate (n,) after a sample; the one before if something is not finite.
+    ) -> UpdatedEstimate:
+        """The estimate after a sample; the one before if something is not finite.
 
         Args:
             p: (n,) estimate inside of the manifold.
@@ -92,26 +131,32 @@ class SampleUpdate(Short):
             earlier: Regressor and efforts of an earlier sample, which are to hold as well: what one
                 sample says of the parameters is little, and soon forgotten without.
         """
+        stays = UpdatedEstimate(p, np.inf)
         if not (isfinite(np.vdot(Y, Y)) and isfinite(np.vdot(effort, effort))):
-            return p
-        following = self._forgotten(p, dt) if self.forgetting > 0 else p
-        epsilon = self._tolerances
+            return stays
+        moved = self._forgotten(p, dt) if self.forgetting > 0 else p
+        try:
+            found = self._toward(moved, (Y, effort), earlier)
+            moved, error = found.point, found.error
+            if self._limited is not None:
+                moved = self._limited.project(moved)
+        except (GeodrakeError, np.linalg.LinAlgError):
+            return stays
+        return UpdatedEstimate(moved, error) if self.manifold.calc_contains(moved) else stays
+
+    def _toward(self, p: Array, rows: Rows, earlier: Rows | None) -> SlabProjection:
+        """Where a sample takes an estimate, together with an earlier one if they agree."""
+        (Y, effort), epsilon = rows, np.broadcast_to(self._tolerances, len(rows[1]))
         if earlier is not None:
             Y, effort = np.concatenate((Y, earlier[0])), np.concatenate((effort, earlier[1]))
-            epsilon = np.concatenate((epsilon, epsilon)) if epsilon.ndim else epsilon
-        epsilon = epsilon if epsilon.ndim else np.full(len(effort), epsilon)
-        try:
-            moved = slab_step(
-                self.manifold, following, Y, effort, epsilon, relaxation=self.relaxation
-            )
-        except np.linalg.LinAlgError:
-            return p
-        if self._limited is not None:
-            try:
-                moved = self._limited.project(moved)
-            except (GeodrakeError, np.linalg.LinAlgError):
-                return p
-        return moved if self.manifold.calc_contains(moved) else p
+            epsilon = np.concatenate((epsilon, epsilon))
+        if self.method == "nudge":
+            nudged = slab_step(self.manifold, p, Y, effort, epsilon, relaxation=self._share)
+            return SlabProjection(nudged, np.inf, 1)
+        found = slab_projection(self.manifold, p, Y, effort, epsilon, share=self._share)
+        if found.certified:
+            return found
+        return self._toward(p, rows, None) if earlier is not None else found._replace(point=p)
 
     def _forgotten(self, p: Array, dt: float) -> Array:
         """The point of which ∇h is nearer to that of the prior, by the share of a time step."""

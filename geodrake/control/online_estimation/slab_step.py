@@ -1,4 +1,4 @@
-"""One step toward the slabs of a sample."""
+"""A nudge: one step toward the slabs of a sample."""
 
 from __future__ import annotations
 

@@ -66,20 +66,24 @@ class BregmanProjectionEstimator(LeafSystem):
         output_ports:
         - parameters
         - residual
+        - projection_error
 
     Every sample adds to filtered rows Y_f p = effort_f, which need no acceleration
-    (`FilteredRegressor`). The estimate goes toward its projection, in the divergence of its
-    manifold, onto the slab |Y_f p − effort_f| ≤ ε of each sample, together with that of one of the
-    samples of the last seconds, so that they are not forgotten: one step of Newton's method a
-    sample. Then it is projected onto a constraint set (`SampleUpdate`). If the truth is in slabs
-    and set, no sample takes the estimate farther from it (unless the update forgets), and it always
-    stays physical.
+    (`FilteredRegressor`). The estimate is projected, in the divergence of its manifold, onto the
+    slabs |Y_f p − effort_f| ≤ ε of the sample and of one of those of the last seconds, so that they
+    are not forgotten ([Lee2019] Eq. (2.2.11)); then onto a constraint set (§5.4.2). `SampleUpdate`
+    says how, and has a nudge that costs less. If the truth is in slabs and set, no sample takes the
+    estimate farther from it (unless the update forgets), and it always stays physical.
 
-    `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection.
+    `residual` (nv), N·m or N, is effort_f − Y_f p̂ of the last sample, before its projection, and
+    `projection_error` the certificate of that: the greatest error of its conditions of optimality,
+    in lengths of the metric, at most 1e-8; infinite where no bodies are in its slabs, or for a
+    nudge, and before the first one.
 
     A sample that is not finite, or a state that stands still for `stale_time` while it says that
-    the robot moves, is left out of the filter, and the estimate stays; so does one whose projection
-    is not found. A sensor may be slower than the time step: its states count when they are new.
+    the robot moves, is left out of the filter, and the estimate stays; so it does where a
+    projection is not found. A sensor may be slower than the time step: its states count when they
+    are new.
     """
 
     def __init__(
@@ -139,9 +143,10 @@ class BregmanProjectionEstimator(LeafSystem):
         self._watch = Watch(nv, max(stale_time / time_step, 1.0))
         self._state_port = self.DeclareVectorInputPort("estimated_state", BasicVector(2 * nv))
         self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(nv))
-        self._estimate, self._memory, self._seen, self._residual = (
+        seen = self._watch.start()[: 2 * nv + 1]
+        self._estimate, self._memory, self._seen, self._residual, self._error = (
             self.DeclareDiscreteState(value)
-            for value in (start, filtered.start(), self._watch.start()[: 2 * nv + 1], np.zeros(nv))
+            for value in (start, filtered.start(), seen, np.zeros(nv), np.array([np.inf]))
         )
         # (Not discrete state, all of which Drake copies at every update.)
         samples = _Remembered(np.zeros((_SLOTS, *filtered.shape)), np.zeros((_SLOTS, nv)))
@@ -154,6 +159,7 @@ class BregmanProjectionEstimator(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(time_step, 0.0, self._update)
         self.DeclareStateOutputPort("parameters", self._estimate)
         self.DeclareStateOutputPort("residual", self._residual)
+        self.DeclareStateOutputPort("projection_error", self._error)
 
     def parameters(self, context: Context) -> Array:
         """The estimate (p,) in a Context."""
@@ -199,7 +205,8 @@ class BregmanProjectionEstimator(LeafSystem):
             earlier = samples.turn(number, number // self._spacing)
             since = self._time_step * self._every
             following = self._sample_update.updated(p, Y, known, since, earlier=earlier)
-            state.set_value(self._estimate, following)
+            state.set_value(self._estimate, following.parameters)
+            state.set_value(self._error, [following.error])
 
     def _remember(self, context: Context, state: State) -> None:
         """Puts the last sample into memory, if there is a new one."""
