@@ -84,7 +84,7 @@ class Coordinates:
         R = problem.factor[:, :-1]
         norms = np.sqrt((R * R).sum(0) + np.diagonal(problem.prior_information))
         scale = 1.0 / np.where(norms > 0, norms, 1.0)
-        for column, (prior, _) in (problem.scalar_priors | problem.entropic_scalars).items():
+        for column, (prior, _) in {**problem.scalar_priors, **problem.entropic_scalars}.items():
             scale[column] = prior
             if centre is not None:
                 scale[column] = max(centre[column], 0.0) + _CENTRE_FLOOR * prior

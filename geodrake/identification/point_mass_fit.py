@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram
+from pydrake.solvers import MathematicalProgram, SolutionResult
 from scipy.special import rel_entr
 
 from geodrake.boundary.arguments import instance
@@ -25,6 +25,7 @@ from geodrake.identification.solvers import ROUGHLY, Tolerances, solved_apart
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 
 _SAME_PRIOR = 1e-6
+_SCALES = (1.0, 0.1, 10.0)
 _SPENT = 1e-5
 """Share of its prior below which a point mass cannot get any less."""
 
@@ -135,7 +136,7 @@ class PointMassRegularizer(Regularizer):
         scale = 1e-2 * gamma * self.distance(0.0 * self.points.prior)
         for tried in (ROUGHLY, accuracies):
             try:
-                v, weight = program.solve(self.add_cost, solver, gamma, scale, tried)
+                v, weight = self._at_some_scale(program, solver, gamma, scale, tried)
             except IdentificationError as failure:
                 program.check_bound(solver, failure)
                 raise
@@ -143,6 +144,23 @@ class PointMassRegularizer(Regularizer):
             cost += program.excess(v) if program.problem.residual_bound is None else 0.0
             scale = max(cost, 1e-4 * scale)
         return v, weight
+
+    def _at_some_scale(
+        self,
+        program: PointMassProgram,
+        solver: str,
+        gamma: float,
+        scale: float,
+        accuracies: Sequence[Tolerances],
+    ) -> tuple[Array, float]:
+        """As `PointMassProgram.solve`; at another scale of the cost where rounding ends the solver."""
+        for factor in _SCALES[:-1]:
+            try:
+                return program.solve(self.add_cost, solver, gamma, factor * scale, accuracies)
+            except IdentificationError as failure:
+                if failure.evidence.get("status") != SolutionResult.kSolverSpecificError.name:
+                    raise
+        return program.solve(self.add_cost, solver, gamma, _SCALES[-1] * scale, accuracies)
 
     def _informed(self, problem: FitProblem, gamma: float, masses: Array) -> FitProblem:
         """With (R M Rᵀ)⁻¹ as information, for mobilities M of masses that are not spent."""
