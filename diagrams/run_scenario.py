@@ -23,8 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 from geodrake.boundary.escaping import printable
+from geodrake.boundary.whole_files import write_whole
 from geodrake.control.scenes import RobotRun, Scenario, SceneRun, load_scenario, run, write_logs
-from geodrake.errors import GeodrakeError
+from geodrake.errors import GeodrakeError, OutputError
 from geodrake.report import style
 from geodrake.report.adaptation_view import save_recording
 
@@ -120,7 +121,6 @@ def write(options: argparse.Namespace, name: str, done: SceneRun, meshcat: Meshc
     if recording and meshcat is not None:
         save_recording(meshcat, recording)
     if options.figures:
-        options.figures.mkdir(parents=True, exist_ok=True)
         if meshcat is not None:
             save_recording(meshcat, options.figures / f"{name}.html")
         tracked = {key: robot for key, robot in done.robots.items() if robot.error is not None}
@@ -131,6 +131,7 @@ def write(options: argparse.Namespace, name: str, done: SceneRun, meshcat: Meshc
 def simulate(options: argparse.Namespace) -> None:
     """Reads, simulates, prints, and writes."""
     scenario, name = chosen(options)
+    make_folders(options)
     recorded = bool(options.figures or scenario.meshcat.recording)
     meshcat = None
     if recorded or scenario.meshcat.show:
@@ -153,8 +154,19 @@ def simulate(options: argparse.Namespace) -> None:
             "tracking": [asdict(row) for row in found],
             "moved": moved,
         }
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+        write_whole(options.json, json.dumps(table, indent=2) + "\n")
+
+
+def make_folders(options: argparse.Namespace) -> None:
+    """Makes the folders that are written to, before there is something to lose."""
+    for folder in (options.json and options.json.parent, options.figures):
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OutputError(
+                    f"There can be no folder {folder}: {error.strerror}.", advice="Choose another."
+                ) from error
 
 
 def chosen(options: argparse.Namespace) -> tuple[Scenario, str]:

@@ -131,6 +131,8 @@ class TestRunScenario:
         [
             (("--scenario", "none.yaml"), "none.yaml does not exist"),
             (("--scenario-name", "dance"), "It has push, carry, messages, controller"),
+            (("--seed", -1), "random_seed must be"),
+            (("--json", "/dev/null/x/table.json"), "no folder /dev/null/x"),
         ],
     )
     def test_what_cannot_be_run_is_one_line(self, arguments, message, capsys):
