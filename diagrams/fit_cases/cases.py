@@ -36,6 +36,7 @@ class Case:
         sigma: Standard deviations of b.
         ellipsoids: (nb, 4, 4) bounding ellipsoids.
         extra_bounds: Bounds of the parameters after the inertial ones.
+        truth: (p,) true parameters, if they are known.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Case:
     sigma: np.ndarray | float
     ellipsoids: np.ndarray
     extra_bounds: np.ndarray | None = None
+    truth: np.ndarray | None = None
 
     def identified(self, regularizer: str, solver: str) -> Any:
         """The result of `identify`, from the regressors."""
@@ -97,6 +99,7 @@ def arm_case(*, samples: int, seed: int) -> Case:
         sigma=1.0,
         ellipsoids=np.array([_ellipsoid(centre, radii) for centre in com]),
         extra_bounds=np.tile([0.0, np.inf], (7, 1)),
+        truth=parameters,
     )
 
 

@@ -37,3 +37,11 @@ def test_memory_is_that_of_the_solve(table):
     for solver in ("clarabel", "newton"):
         memory = table["arm"]["memory, MB"][solver]
         assert 0.9 * memory["made"] < memory["solved"] < memory["made"] + 500.0
+
+
+def test_geodesic_least_squares_is_a_minimum_and_better_than_the_prior(table):
+    (row,) = table["arm"]["geodesic least squares"]
+    assert row["curvature"] > 0
+    assert row["entropic residual"] == pytest.approx(row["residual"], rel=1e-3)
+    for kind in ("geodesic", "entropic"):
+        assert row[kind]["error"] < 0.5 * row["prior"]["error"]
