@@ -377,7 +377,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
-    duration, repeats = (0.2, 1) if options.quick else (2.0, 7)
+    duration, repeats = (0.05, 1) if options.quick else (2.0, 7)
     repeats = options.repeats or repeats
     arm = Arm.load(options.seed)
     table = summary(measure(arm, duration=duration, repeats=repeats))

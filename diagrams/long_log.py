@@ -153,7 +153,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
-    samples = options.samples or (40_000 if options.quick else 1_000_000)
+    samples = options.samples or (20_000 if options.quick else 1_000_000)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.npz"
         write_long_log(path, samples=samples, seed=options.seed)
