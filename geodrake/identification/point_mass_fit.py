@@ -153,7 +153,7 @@ class PointMassRegularizer(Regularizer):
         scale: float,
         accuracies: Sequence[Tolerances],
     ) -> tuple[Array, float]:
-        """As `PointMassProgram.solve`; at another scale of the cost where rounding ends the solver."""
+        """As `PointMassProgram.solve`; at another scale where rounding ends the solver."""
         for factor in _SCALES[:-1]:
             try:
                 return program.solve(self.add_cost, solver, gamma, factor * scale, accuracies)
