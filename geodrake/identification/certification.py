@@ -47,15 +47,14 @@ def certified(
         program = build_fit(problem, centre=fit.x)
         here = ProgramPoint.of(program, fit.x)
     except np.linalg.LinAlgError:
-        return replace(fit, certificate=_failed(scope, "rounding leaves its program no digits"))
+        return uncertified(fit, "rounding leaves its program no digits", scope=scope)
     if size is None:
         size = program.cost_scale + (fit.residual if problem.residual_bound is None else 0.0)
     try:
         x, weight, accuracy = solved_apart(partial(_solution, problem, fit.x), SOLVER)
         there = ProgramPoint.of(program, x)
     except (IdentificationError, ConvergenceError) as error:
-        own = replace(_failed(scope, error.problem), cost=size, violation=here.violation)
-        return replace(fit, certificate=own)
+        return uncertified(fit, error.problem, scope=scope, cost=size, violation=here.violation)
     gap = here.cost - there.cost
     worse = gap > TOLERANCE * size or here.violation > TOLERANCE
     replaced = worse and there.violation <= TOLERANCE and scope == "global"
@@ -118,7 +117,24 @@ def _solution(
     return x, prior_weight_of(fit, result, x), gap
 
 
-def _failed(scope: Scope, failure: str) -> Certificate:
-    return Certificate(
-        solver=SOLVER, gap=np.inf, cost=np.nan, violation=np.nan, scope=scope, failure=failure
+def uncertified(
+    fit: FitResult,
+    failure: str,
+    *,
+    scope: Scope = "global",
+    cost: float = np.nan,
+    violation: float = np.nan,
+) -> FitResult:
+    """The fit with a certificate that says why there is none.
+
+    Args:
+        fit: The fit.
+        failure: Why its program has no solution, in words.
+        scope: See `Certificate`.
+        cost: Size of the cost, if it is known.
+        violation: Greatest violation of a constraint, if it is known.
+    """
+    certificate = Certificate(
+        solver=SOLVER, gap=np.inf, cost=cost, violation=violation, scope=scope, failure=failure
     )
+    return replace(fit, certificate=certificate)

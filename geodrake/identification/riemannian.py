@@ -11,7 +11,7 @@ import numpy as np
 
 from geodrake.boundary.arguments import instances, integer
 from geodrake.errors import ArgumentError, GeodrakeError
-from geodrake.identification.certification import certified
+from geodrake.identification.certification import certified, uncertified
 from geodrake.identification.entropic import Entropic
 from geodrake.identification.fit import FitResult
 from geodrake.identification.interior_point import LocalMinimum
@@ -115,8 +115,11 @@ class Riemannian(Regularizer):
         with the weight that meets a residual bound.
         """
         search = RiemannianSearch.of(problem, prior, gamma)
-        local, size = search.second_order(fit.x, fit.prior_weight)
-        return certified(local, fit, size=size, scope="local")
+        try:
+            local, size = search.second_order(fit.x, fit.prior_weight)
+            return certified(local, fit, size=size, scope="local")
+        except ArgumentError:  # the second order is no convex program
+            return uncertified(fit, "the cost is not convex around the minimum", scope="local")
 
     def _others(
         self, search: RiemannianSearch, first: Array, prior: Array, gamma: float

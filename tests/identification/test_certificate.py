@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from test_newton import PRIOR, constrained, cost, example
 
 from geodrake.errors import IdentificationError
-from geodrake.identification import certification, identify, solve_fit
+from geodrake.identification import BodyConstraints, certification, identify, solve_fit
 from geodrake.identification.certification import certified
 from geodrake.identification.identify import REGULARIZERS
 from geodrake.identification.newton import solve_newton
@@ -121,6 +121,16 @@ def test_cvxpy_finds_no_lower_cost_than_the_certificate_says():
         value += gamma * np.linalg.slogdet(prior)[1]
     least = cp.Problem(cp.Minimize(value), limits).solve(solver="CLARABEL")
     assert cost(problem, solve_newton(problem).x) - least <= told.gap + 1e-8 * told.cost
+
+
+def test_a_minimum_around_which_the_cost_is_not_convex_is_not_certified():
+    A = np.vstack([np.eye(30)[1:], np.zeros(30)])  # nothing but a bound holds the first mass
+    b = A @ PRIOR.ravel()
+    heavier = BodyConstraints(total_mass=30.0)
+    found = identify(A, b, PRIOR, regularizer="riemannian", gamma=1e-3, constraints=heavier)
+    assert found.phi[:, 0].sum() == pytest.approx(30.0)
+    told = found.certificate
+    assert told.scope == "local" and not told.holds and "not convex" in told.failure
 
 
 def test_closed_forms_are_certified_too():
