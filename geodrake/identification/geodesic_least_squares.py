@@ -113,7 +113,7 @@ def geodesic_least_squares(
             f"{prior.size}; there are no other parameters here.",
             advice="Subtract what friction and the like contribute to b first.",
         )
-    problem = _Problem.of(rows, prior, gamma)
+    problem = _GeodesicProblem.of(rows, prior, gamma)
     point, readmitted = problem.start(prior, rows), np.zeros(len(rows), bool)
     for count in range(max_iterations + 1):
         if point.distance <= tolerance or point.settled:
@@ -133,7 +133,7 @@ def geodesic_least_squares(
     )
 
 
-def _result(point: _Point, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
+def _result(point: _GeodesicPoint, rows: Array, iterations: int) -> GeodesicLeastSquaresResult:
     """What was found.
 
     Raises:
@@ -161,7 +161,7 @@ def _result(point: _Point, rows: Array, iterations: int) -> GeodesicLeastSquares
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _GeodesicProblem:
     """What is minimized.
 
     Attributes:
@@ -179,12 +179,12 @@ class _Problem:
     gamma: float
 
     @classmethod
-    def of(cls, rows: Array, prior: Array, gamma: float) -> _Problem:
+    def of(cls, rows: Array, prior: Array, gamma: float) -> _GeodesicProblem:
         root, X = whitening(pseudo_inertia(prior))[0], covectors(rows[:, :-1])
         weights = 2.0 * np.square(np.swapaxes(root, -1, -2) @ X @ root).sum((1, 2, 3))
         return cls(root, X, rows[:, -1], weights, gamma)
 
-    def start(self, prior: Array, rows: Array) -> _Point:
+    def start(self, prior: Array, rows: Array) -> _GeodesicPoint:
         """The entropic fit to the rows that have projections there, and these rows.
 
         Raises:
@@ -211,13 +211,13 @@ class _Problem:
                 break
         return self.at(root, used)
 
-    def at(self, root: Array, used: NDArray[np.bool_]) -> _Point:
+    def at(self, root: Array, used: NDArray[np.bool_]) -> _GeodesicPoint:
         """Bodies with some of the rows, all of which must have projections."""
-        return _Point(self, root, used, project(root, self.X[used], self.b[used]))
+        return _GeodesicPoint(self, root, used, project(root, self.X[used], self.b[used]))
 
 
 @dataclass(frozen=True, eq=False)
-class _Point:
+class _GeodesicPoint:
     """Bodies, and their projections onto the rows in use.
 
     P = L Lᵀ is kept as its root, which stays one however far a step leads.
@@ -229,7 +229,7 @@ class _Point:
         projections: Onto these.
     """
 
-    problem: _Problem
+    problem: _GeodesicProblem
     root: Array
     used: NDArray[np.bool_]
     projections: Projections
@@ -296,7 +296,7 @@ class _Point:
         """Whether all that Newton's step promises is less than rounding of the cost."""
         return bool(self.distance < _SETTLED and self.step @ self.downhill < _ROUNDING * self.cost)
 
-    def moved(self, change: Array) -> _Point:
+    def moved(self, change: Array) -> _GeodesicPoint:
         """Bodies P = L (𝟙 + V) Lᵀ, without the rows that have no projection there.
 
         Args:
@@ -306,13 +306,13 @@ class _Point:
         turned = (axes * np.sqrt(1.0 + values)[:, None, :]) @ np.swapaxes(axes, -1, -2)
         return self.problem.at(self.root @ turned, self.used).with_projections()
 
-    def with_projections(self) -> _Point:
+    def with_projections(self) -> _GeodesicPoint:
         """The same without the rows that have no projection."""
         exists, used = self.projections.exists, self.used.copy()
         used[used] = exists
         return replace(self, used=used, projections=self.projections.of(exists))
 
-    def newton_step(self) -> _Point:
+    def newton_step(self) -> _GeodesicPoint:
         """Bodies of lower cost along Newton's step; rows are lost only where nothing else helps.
 
         Raises:
@@ -340,7 +340,7 @@ class _Point:
             distance=self.distance,
         )
 
-    def mean(self) -> _Point:
+    def mean(self) -> _GeodesicPoint:
         """The Karcher mean of all projections and the prior ([Lee2019] Eq. (3.4.42)).
 
         Raises:

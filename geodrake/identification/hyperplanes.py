@@ -59,9 +59,8 @@ class Projections:
         Args:
             rows: (m,) which.
         """
-        return Projections(
-            *(part[rows] for part in (self.exists, self.sigma, self.axes, self.rates))
-        )
+        parts = (self.sigma[rows], self.axes[rows], self.rates[rows])
+        return Projections(self.exists[rows], *parts)
 
     def gradient(self, weights: Array) -> Array:
         """Of Σ γ_i ½ d_i² as P moves along L exp(t V) Lᵀ, (nb, 4, 4).

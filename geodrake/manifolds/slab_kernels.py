@@ -97,14 +97,25 @@ def calc_slab_projection(
 
 @compiled
 def put_scaled(share: float, values: Array, out: Array) -> None:
-    """Writes a multiple of a vector; zeros for none of it."""
+    """Writes a multiple of a vector; zeros for none of it.
+
+    Args:
+        share: The factor.
+        values: (n,) the vector, whatever is in it if the factor is zero.
+        out: (n,) written.
+    """
     for i in range(len(out)):
         out[i] = share * values[i] if share != 0.0 else 0.0
 
 
 @compiled
 def put_products(whitened: Array, products: Array) -> None:
-    """Writes W Wᵀ (k, k) of W (k, n)."""
+    """Writes W Wᵀ.
+
+    Args:
+        whitened: (k, n) W.
+        products: (k, k) written.
+    """
     for i in range(len(whitened)):
         for j in range(i + 1):
             total = 0.0
@@ -255,7 +266,14 @@ def is_short_enough(
 
 @compiled
 def put_body_root(phi: Array, P: Array, d: Array, L: Array) -> bool:
-    """Writes the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none."""
+    """Writes the lower triangular L (4, 4) with P(φ) = L Lᵀ; False where there is none.
+
+    Args:
+        phi: (10,) φ.
+        P: (4, 4) overwritten.
+        d: (4,) overwritten.
+        L: (4, 4) written.
+    """
     put_pseudo_inertia(phi, P)
     if not (put_units(P, d) and put_root(P, L) > 0.0):
         return False

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from geodrake.errors import ArgumentError, ConvergenceError
 from geodrake.identification import geodesic_least_squares, identify
 from geodrake.identification.coordinates import SYMMETRIC_BASIS
-from geodrake.identification.geodesic_least_squares import _Problem
+from geodrake.identification.geodesic_least_squares import _GeodesicProblem
 from geodrake.identification.hyperplanes import _lambert, covectors, project
 from geodrake.inertia import (
     change_frame,
@@ -145,7 +145,7 @@ def problem_at(seed, rows=12):
     """A point off the prior, and the problem there."""
     A, b = data(seed, rows=rows)
     whole = np.column_stack([A, b]) / 0.1
-    point = _Problem.of(whole, PRIOR, 3.0).at(ROOTS, project(ROOTS, covectors(A), b).exists)
+    point = _GeodesicProblem.of(whole, PRIOR, 3.0).at(ROOTS, project(ROOTS, covectors(A), b).exists)
     rng = np.random.default_rng(seed)
     change = np.einsum("bk,kij->bij", 0.1 * rng.normal(size=(2, 10)), SYMMETRIC_BASIS)
     return point.moved(change), rng.normal(size=20)
