@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Literal
 
@@ -31,6 +31,19 @@ class UpdateLaw(abc.ABC):
     def dimension(self) -> int | None:
         """Number n of parameters; None if any will do."""
         return None
+
+    @property
+    def slowness(self) -> float:
+        """γ, of which adaptation is as fast as γ⁻¹; 1 if the law does not say."""
+        return 1.0
+
+    def with_slowness(self, gamma: float) -> UpdateLaw:
+        """The same law with another γ.
+
+        Raises:
+            ArgumentError: It has none.
+        """
+        raise ArgumentError(f"{type(self).__name__} has no γ; {gamma} would change nothing.")
 
     def contains(self, parameters: ArrayLike) -> bool:
         """Whether an estimate is one that the law can move.
@@ -106,6 +119,15 @@ class AdaptationLaw(UpdateLaw):
         instance(self.manifold, "manifold", Manifold)
         positive(self.gamma, "gamma")
         one_of(self.integrator, "integrator", ("geodesic", "euler"))
+
+    @property
+    def slowness(self) -> float:
+        """γ."""
+        return self.gamma
+
+    def with_slowness(self, gamma: float) -> AdaptationLaw:
+        """The same law with another γ."""
+        return replace(self, gamma=gamma)
 
     @property
     def dimension(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,15 @@ class PartialLaw(UpdateLaw, Short):
     @cached_property
     def _places(self) -> NDArray[np.intp]:
         return np.flatnonzero(self.adapted)
+
+    @property
+    def slowness(self) -> float:
+        """That of the law of what is adapted."""
+        return self.law.slowness
+
+    def with_slowness(self, gamma: float) -> PartialLaw:
+        """The same law with another γ."""
+        return replace(self, law=self.law.with_slowness(gamma))
 
     @property
     def dimension(self) -> int:

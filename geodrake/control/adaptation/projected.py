@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,6 +59,15 @@ class ProjectedLaw(UpdateLaw):
                 f"The law moves {n} parameters; the limits are on "
                 f"{convex.polyhedron.matrix.shape[1]}."
             )
+
+    @property
+    def slowness(self) -> float:
+        """That of the law inside of C."""
+        return self.law.slowness
+
+    def with_slowness(self, gamma: float) -> ProjectedLaw:
+        """The same law with another γ."""
+        return replace(self, law=self.law.with_slowness(gamma))
 
     @property
     def dimension(self) -> int:

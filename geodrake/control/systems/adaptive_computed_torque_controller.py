@@ -16,8 +16,10 @@ from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.inertia import Array
+from geodrake.model.simulation.differenced_system import differenced
 
 
+@differenced
 class AdaptiveComputedTorqueController(AdaptiveController):
     """Tracks a motion by computed torque and adapts the model ([Lee2019] §5.2.1.1).
 
@@ -88,8 +90,7 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         """
         nv = len(checked_control(control).joints)
         poles = checked_gains(rate, nv, "rates")
-        self._K_p, self._K_v = poles**2, 2.0 * poles
-        self._P = error_weight(self._K_p, self._K_v, np.eye(2 * nv))
+        self._weight = np.zeros(0), np.zeros((0, 0))  # of the error, and of which poles it is
         super().__init__(
             control,
             law,
@@ -98,14 +99,34 @@ class AdaptiveComputedTorqueController(AdaptiveController):
             truth=truth,
             safeguards=Safeguards() if safeguards is None else safeguards,
             prediction=prediction,
+            gains=poles,
         )
         self._measured_port: InputPort | None = None
         if prediction is None or not prediction.alone:
             self._measured_port = self.DeclareVectorInputPort("acceleration", BasicVector(nv))
 
-    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
+    def set_gains(self, context: Context, rate: ArrayLike) -> None:
+        """Changes the gains in a Context.
+
+        Args:
+            context: Context of this system.
+            rate: λ of both poles of each joint's error, 1/s; one for all joints or (nv,).
+
+        Raises:
+            ArgumentError: They are not positive.
+        """
+        self._set_gains(context, checked_gains(rate, self._nv, "rates"))
+
+    def _weight_at(self, poles: Array) -> Array:
+        """P (2 nv, 2 nv)."""
+        if not np.array_equal(self._weight[0], poles):
+            P = error_weight(poles**2, 2.0 * poles, np.eye(2 * self._nv))
+            self._weight = poles.copy(), P
+        return self._weight[1]
+
+    def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
-        wanted = seen.a_d - self._K_v * e[self._nv :] - self._K_p * e[: self._nv]
+        wanted = seen.a_d - 2.0 * gains * e[self._nv :] - gains**2 * e[: self._nv]
         sample = self.control.at(seen.q, seen.qd, seen.qd, wanted)
         return ControlResult(
             sample.effort(p), sample, lambda context: self._covector(context, p, seen, e)
@@ -118,14 +139,15 @@ class AdaptiveComputedTorqueController(AdaptiveController):
         if not np.isfinite(acceleration).all():
             return None
         sample = self.control.at(seen.q, seen.qd, seen.qd, acceleration)
-        return calc_computed_torque_covector(sample.regressor, sample.mass_matrix(p), self._P, e)
+        P = self._weight_at(self._gains(context))
+        return calc_computed_torque_covector(sample.regressor, sample.mass_matrix(p), P, e)
 
-    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+    def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         if self._measured_port is None:
             return 0.0
         e = np.concatenate([seen.q - seen.q_d, seen.qd - seen.v_d])
-        return float(0.5 * e @ self._P @ e)
+        return float(0.5 * e @ self._weight_at(gains) @ e)
 
-    def _resting(self, seen: Seen) -> bool:
-        r = seen.qd - seen.v_d + 0.5 * self._K_v * (seen.q - seen.q_d)
+    def _resting(self, seen: Seen, gains: Array) -> bool:
+        r = seen.qd - seen.v_d + gains * (seen.q - seen.q_d)
         return bool((np.abs(r) < self._dead_zone).all())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +19,7 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from geodrake.boundary.arguments import instance
+from geodrake.boundary.arguments import instance, positive
 from geodrake.control.adaptation import UpdateLaw
 from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.control_result import ControlResult, Covector
@@ -29,10 +30,11 @@ from geodrake.control.systems.requirements import (
     require_single_joints,
 )
 from geodrake.control.systems.safeguards import Safeguards, Seen, Watch, usable
-from geodrake.errors import GeodrakeError
+from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.inertia import Array
 
 _PARAMETERS, _ACTUATION, _WATCH = 0, 1, 2
+_GAINS, _GAMMA = 0, 1  # numeric parameters
 _QUIETLY = np.errstate(all="ignore")  # what is not finite is looked for and replaced
 
 
@@ -63,7 +65,13 @@ class AdaptiveController(LeafSystem):
 
     Large errors that no parameters can explain, as of a motion that the motors cannot make, still
     move the estimate whenever no limit is reached. A `ProjectedLaw` keeps it where it makes sense.
+
+    Gains and γ are numeric parameters of the Context (`set_gains`, `set_gamma`). Controllers can be
+    cloned, and converted to AutoDiffXd: their kernels are of floats, so that derivatives are by
+    central differences, exact to some 1e-9 where no limit is reached.
     """
+
+    _converter: Any = None
 
     def __init__(
         self,
@@ -75,6 +83,7 @@ class AdaptiveController(LeafSystem):
         truth: ArrayLike | None,
         safeguards: Safeguards,
         prediction: PredictionError | None,
+        gains: Array,
     ) -> None:
         """Declares what all adaptive controllers have.
 
@@ -86,12 +95,13 @@ class AdaptiveController(LeafSystem):
             truth: (p,) true parameters, for the port `lyapunov`.
             safeguards: Limits.
             prediction: Adaptation by the error of prediction; None for none.
+            gains: (n,) gains, which become numeric parameters.
 
         Raises:
             ArgumentError: The robot has joints of several degrees of freedom, or an argument does
                 not fit.
         """
-        LeafSystem.__init__(self)
+        LeafSystem.__init__(self, converter=self._converter)
         require_single_joints(control)
         instance(safeguards, "safeguards", Safeguards)
         self.control, self.law = control, law
@@ -104,6 +114,9 @@ class AdaptiveController(LeafSystem):
             self._prediction = Prediction.of(prediction, control, time_step)
         if law is not None:
             instance(law, "law", UpdateLaw)
+        self._law_then = law
+        self.DeclareNumericParameter(BasicVector(gains))
+        self.DeclareNumericParameter(BasicVector([1.0 if law is None else law.slowness]))
         start = checked_estimate(control, law, parameters)
         self._truth = None if truth is None else checked_estimate(control, law, truth)
         self._limits = safeguards.limits(nv)
@@ -146,7 +159,8 @@ class AdaptiveController(LeafSystem):
             allocate=lambda: AbstractValue.Make(object()), calc=self._calc_result
         )
         # Both actuation and derivatives need it.
-        self._result = self.DeclareCacheEntry("result", producer, {*self._inputs, self.xc_ticket()})
+        known = {*self._inputs, self.xc_ticket(), self.all_parameters_ticket()}
+        self._result = self.DeclareCacheEntry("result", producer, known)
         self.DeclareVectorOutputPort(
             "actuation", BasicVector(self._nv), self._calc_actuation, {self._result.ticket()}
         )
@@ -155,20 +169,19 @@ class AdaptiveController(LeafSystem):
 
     def _declare_lyapunov(self, estimate: DependencyTicket) -> None:
         if self._truth is not None:
-            self.DeclareVectorOutputPort(
-                "lyapunov", BasicVector(1), self._calc_lyapunov, {*self._inputs, estimate}
-            )
+            known = {*self._inputs, estimate, self.all_parameters_ticket()}
+            self.DeclareVectorOutputPort("lyapunov", BasicVector(1), self._calc_lyapunov, known)
 
     @abc.abstractmethod
-    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
+    def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
         """The result without regard to limits."""
 
     @abc.abstractmethod
-    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
+    def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
         """V_t."""
 
     @abc.abstractmethod
-    def _resting(self, seen: Seen) -> bool:
+    def _resting(self, seen: Seen, gains: Array) -> bool:
         """Whether the tracking error is within the dead zone."""
 
     @property
@@ -198,6 +211,39 @@ class AdaptiveController(LeafSystem):
         else:
             context.SetContinuousState(p)
 
+    def set_gamma(self, context: Context, gamma: float) -> None:
+        """Changes γ of the law in a Context: adaptation is as fast as γ⁻¹.
+
+        Args:
+            context: Context of this system.
+            gamma: γ > 0.
+
+        Raises:
+            ArgumentError: It is not positive, or there is no law with a γ.
+        """
+        positive(gamma, "gamma")
+        if self.law is None:
+            raise ArgumentError("The controller does not adapt, so it has no γ.")
+        self.law.with_slowness(gamma)
+        context.get_mutable_numeric_parameter(_GAMMA).SetFromVector([gamma])
+
+    def _set_gains(self, context: Context, gains: Array) -> None:
+        context.get_mutable_numeric_parameter(_GAINS).SetFromVector(gains)
+
+    def _gains(self, context: Context) -> Array:
+        """The gains (n,) in a Context."""
+        return np.asarray(context.get_numeric_parameter(_GAINS).CopyToVector())
+
+    def _law_in(self, context: Context) -> UpdateLaw | None:
+        """The law with the γ of a Context."""
+        gamma = float(context.get_numeric_parameter(_GAMMA).value()[0])
+        law = self.law
+        if law is None or law.slowness == gamma:
+            return law
+        if self._law_then is None or self._law_then.slowness != gamma:
+            self._law_then = law.with_slowness(gamma)  # kept, as it may have much to prepare
+        return self._law_then
+
     def _look(self, context: Context, memory: Array) -> tuple[Seen, Array]:
         return self._watch.look(
             memory,
@@ -206,12 +252,12 @@ class AdaptiveController(LeafSystem):
             self._acceleration_port.Eval(context),
         )
 
-    def _controlled(self, p: Array, seen: Seen) -> ControlResult | None:
+    def _controlled(self, p: Array, seen: Seen, gains: Array) -> ControlResult | None:
         """The result at what was seen; None if the effort is not a number."""
         if not seen.known:
             return None
         try:
-            result = self._result_at(p, seen)
+            result = self._result_at(p, seen, gains)
             effort = applied = result.effort
         except (GeodrakeError, np.linalg.LinAlgError):
             return None
@@ -224,7 +270,7 @@ class AdaptiveController(LeafSystem):
             or not seen.trusted
             or (self._prediction is not None and self._prediction.alone)
             or bool((applied != effort).any())
-            or (self._rests and self._resting(seen))
+            or (self._rests and self._resting(seen, gains))
         )
         return ControlResult(applied, result.sample, None if waits else result.covector)
 
@@ -238,11 +284,12 @@ class AdaptiveController(LeafSystem):
 
     def _adapted(self, p: Array, covectors: Sequence[Covector], context: Context) -> Array:
         """The estimate after a time step; as it was where it cannot be moved."""
-        if self.law is None:
+        law = self._law_in(context)
+        if law is None:
             return p
         try:
             found = [b for covector in covectors if (b := covector(context)) is not None]
-            following = self.law.step(p, sum(found), self._time_step) if found else p
+            following = law.step(p, sum(found), self._time_step) if found else p
         except (GeodrakeError, np.linalg.LinAlgError):
             return p
         return following if usable(following) else p
@@ -252,7 +299,7 @@ class AdaptiveController(LeafSystem):
         p = context.get_discrete_state(_PARAMETERS).value()
         seen, memory = self._look(context, self._watched(context))
         state.set_value(_WATCH, memory)
-        result = self._controlled(p, seen)
+        result = self._controlled(p, seen, self._gains(context))
         if result is not None:
             state.set_value(_ACTUATION, result.effort)
         following = self._following(context, state, p, seen, result)
@@ -268,7 +315,7 @@ class AdaptiveController(LeafSystem):
         result: ControlResult | None,
     ) -> Array:
         """The estimate (p,) after a time step."""
-        law, covectors = self.law, []
+        law, covectors = self._law_in(context), []
         if law is None:
             return p
         if result is not None and result.covector is not None:
@@ -297,7 +344,7 @@ class AdaptiveController(LeafSystem):
     def _calc_result(self, context: Context, value: AbstractValue) -> None:
         seen, _ = self._look(context, self._watch.start())
         p = context.get_continuous_state_vector().CopyToVector()
-        value.set_value(self._controlled(p, seen))
+        value.set_value(self._controlled(p, seen, self._gains(context)))
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         """The rate of the update law.
@@ -314,12 +361,12 @@ class AdaptiveController(LeafSystem):
     @_QUIETLY
     def _rate_of(self, p: Array, context: Context) -> Array:
         """The rate of an estimate (p,); zero where it cannot be moved."""
-        result = self._result.Eval(context)
-        if self.law is None or result is None or result.covector is None:
+        result, law = self._result.Eval(context), self._law_in(context)
+        if law is None or result is None or result.covector is None:
             return np.zeros(len(p))
         try:
             b = result.covector(context)
-            rate = np.zeros(len(p)) if b is None else self.law.rate(p, b)
+            rate = np.zeros(len(p)) if b is None else law.rate(p, b)
         except (GeodrakeError, np.linalg.LinAlgError):
             return np.zeros(len(p))
         return rate if np.isfinite(rate).all() else np.zeros(len(p))
@@ -333,9 +380,10 @@ class AdaptiveController(LeafSystem):
         if self._truth is None:
             return
         p, truth, value = self.parameters(context), self._truth, 0.0
-        if self.law is not None:
-            value += float(self.law.parameter_error(truth, p))
+        law = self._law_in(context)
+        if law is not None:
+            value += float(law.parameter_error(truth, p))
         seen, _ = self._look(context, self._watch.start())
         if seen.trusted:
-            value += self._tracking_energy(truth, seen)
+            value += self._tracking_energy(truth, seen, self._gains(context))
         output.SetFromVector([value if np.isfinite(value) else np.finfo(float).max])

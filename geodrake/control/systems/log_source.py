@@ -12,10 +12,12 @@ from geodrake.boundary.arguments import instance, instances, number
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.logs.motion import JointLog
+from geodrake.model.simulation.differenced_system import differenced
 
 _USUAL_GAPS = 5.0  # median sampling intervals
 
 
+@differenced
 class LogSource(LeafSystem):
     """Plays a log: what was measured at its time stamps, in straight lines between them.
 
@@ -32,6 +34,8 @@ class LogSource(LeafSystem):
     log's first time stamp. After the last one the robot rests: position and effort of the last
     sample, velocity zero. Where the log holds NaN, and in gaps, outputs are NaN: geodrake's systems
     know what to do with that. Samples without a time stamp are left out.
+
+    The system can be cloned, and converted to AutoDiffXd.
     """
 
     def __init__(
@@ -52,7 +56,7 @@ class LogSource(LeafSystem):
             LogError: The log lacks one of the joints.
             ArgumentError: The log has less than two samples, or the gap is not positive.
         """
-        LeafSystem.__init__(self)
+        LeafSystem.__init__(self, converter=self._converter)
         stamped = np.isfinite(instance(log, "log", JointLog).time)
         if stamped.sum() < 2:
             raise ArgumentError(

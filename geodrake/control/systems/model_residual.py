@@ -10,8 +10,10 @@ from geodrake.control.regressor import ControlModel
 from geodrake.control.systems.requirements import require_same_robot, require_single_joints
 from geodrake.errors import GeodrakeError
 from geodrake.inertia import Array
+from geodrake.model.simulation.differenced_system import differenced
 
 
+@differenced
 class ModelResidual(LeafSystem):
     """Compares a model with measured efforts, online.
 
@@ -35,6 +37,9 @@ class ModelResidual(LeafSystem):
 
     `valid` is one where all inputs are finite; elsewhere it is zero and the residual is zero, or
     with a filter the last one.
+
+    The system can be cloned, and converted to AutoDiffXd: its kernels are of floats, so that
+    derivatives are by central differences, exact to some 1e-9.
     """
 
     def __init__(self, control: ControlModel, *, filtered: FilteredRegressor | None = None) -> None:
@@ -48,7 +53,7 @@ class ModelResidual(LeafSystem):
             ArgumentError: The robot has joints of several degrees of freedom, or the filter is one
                 for another robot.
         """
-        LeafSystem.__init__(self)
+        LeafSystem.__init__(self, converter=self._converter)
         require_single_joints(control)
         if filtered is not None:
             require_same_robot(control, filtered)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.systems.framework import Context
 
 from geodrake.boundary.arguments import positive, real_array
 from geodrake.boundary.showing import Short
@@ -20,6 +21,7 @@ from geodrake.control.systems.requirements import checked_gains
 from geodrake.control.systems.safeguards import Safeguards, Seen
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
+from geodrake.model.simulation.differenced_system import differenced
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +60,7 @@ class VaryingGains:
         positive(self.rate, "rate")
 
 
+@differenced
 class PassivityBasedAdaptiveController(AdaptiveController):
     """Tracks a motion and adapts the model, by the passivity of robots ([Lee2019] §5.2.1.2).
 
@@ -119,12 +122,7 @@ class PassivityBasedAdaptiveController(AdaptiveController):
                 not fit.
         """
         nv = len(checked_control(control).joints)
-        if not isinstance(gains, VaryingGains | FixedGains):
-            raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
         self._varying = isinstance(gains, VaryingGains)
-        self._rate = checked_gains(gains.rate, nv, "rates")
-        damping = 1.0 if isinstance(gains, VaryingGains) else gains.damping
-        self._damping = checked_gains(damping, nv, "damping gains")
         super().__init__(
             control,
             law,
@@ -133,27 +131,59 @@ class PassivityBasedAdaptiveController(AdaptiveController):
             truth=truth,
             safeguards=Safeguards() if safeguards is None else safeguards,
             prediction=prediction,
+            gains=_gain_vector(gains, nv),
         )
 
-    def _error(self, seen: Seen) -> tuple[Array, Array, Array]:
-        """v, a and r, each (nv,)."""
-        v = seen.v_d - self._rate * (seen.q - seen.q_d)
-        return v, seen.a_d - self._rate * (seen.qd - seen.v_d), seen.qd - v
+    def set_gains(self, context: Context, gains: VaryingGains | FixedGains) -> None:
+        """Changes the gains in a Context.
 
-    def _result_at(self, p: Array, seen: Seen) -> ControlResult:
-        v, a, r = self._error(seen)
+        Args:
+            context: Context of this system.
+            gains: Gains of the same kind as before.
+
+        Raises:
+            ArgumentError: They are of the other kind, or not as many as the joints.
+        """
+        vector = _gain_vector(gains, self._nv)
+        if isinstance(gains, VaryingGains) != self._varying:
+            raise ArgumentError(
+                f"The controller was made with {'varying' if self._varying else 'fixed'} gains; "
+                f"got {gains!r}.",
+                advice="Give gains of the same kind, or make another controller.",
+            )
+        self._set_gains(context, vector)
+
+    def _error(self, seen: Seen, rate: Array) -> tuple[Array, Array, Array]:
+        """v, a and r, each (nv,)."""
+        v = seen.v_d - rate * (seen.q - seen.q_d)
+        return v, seen.a_d - rate * (seen.qd - seen.v_d), seen.qd - v
+
+    def _result_at(self, p: Array, seen: Seen, gains: Array) -> ControlResult:
+        rate, damping = gains[: self._nv], gains[self._nv :]
+        v, a, r = self._error(seen, rate)
         if self._varying:
-            sample = self.control.at(seen.q, seen.qd, v, a - self._rate * r)
+            sample = self.control.at(seen.q, seen.qd, v, a - rate * r)
             effort = sample.effort(p)
         else:
             sample = self.control.at(seen.q, seen.qd, v, a)
-            effort = sample.effort(p) - self._damping * r
+            effort = sample.effort(p) - damping * r
         return ControlResult(effort, sample, lambda _: sample.covector(r))
 
-    def _tracking_energy(self, truth: Array, seen: Seen) -> float:
-        r = self._error(seen)[2]
+    def _tracking_energy(self, truth: Array, seen: Seen, gains: Array) -> float:
+        r = self._error(seen, gains[: self._nv])[2]
         sample = self.control.at(seen.q, seen.qd, seen.qd, np.zeros(self._nv))
         return calc_tracking_energy(sample.mass_matrix(truth), r)
 
-    def _resting(self, seen: Seen) -> bool:
-        return bool((np.abs(self._error(seen)[2]) < self._dead_zone).all())
+    def _resting(self, seen: Seen, gains: Array) -> bool:
+        r = self._error(seen, gains[: self._nv])[2]
+        return bool((np.abs(r) < self._dead_zone).all())
+
+
+def _gain_vector(gains: VaryingGains | FixedGains, nv: int) -> Array:
+    """Rates Λ and, where gains are fixed, damping K: (nv,) or (2 nv,)."""
+    if not isinstance(gains, VaryingGains | FixedGains):
+        raise ArgumentError(f"Expected VaryingGains or FixedGains; got {gains!r}.")
+    rate = checked_gains(gains.rate, nv, "rates")
+    if isinstance(gains, VaryingGains):
+        return rate
+    return np.concatenate([rate, checked_gains(gains.damping, nv, "damping gains")])

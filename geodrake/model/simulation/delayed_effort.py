@@ -8,10 +8,12 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Leaf
 
 from geodrake.boundary.arguments import positive, real_array
 from geodrake.errors import ArgumentError
+from geodrake.model.simulation.differenced_system import differenced
 
 _MOST_SAMPLES = 1_000_000
 
 
+@differenced
 class DelayedEffort(LeafSystem):
     """Passes efforts on with a delay, as a drive or a bus does.
 
@@ -27,6 +29,8 @@ class DelayedEffort(LeafSystem):
     sampled every `period` and interpolated linearly, so the output is continuous. Before t = δ it
     is the first sample.
 
+    The system can be cloned, and converted to AutoDiffXd.
+
     The state is the time of the last sample, followed by the samples from the oldest to the last.
     """
 
@@ -40,7 +44,7 @@ class DelayedEffort(LeafSystem):
         Raises:
             ArgumentError: A delay is negative, or not zero but below the period.
         """
-        LeafSystem.__init__(self)
+        LeafSystem.__init__(self, converter=self._converter)
         delays = np.atleast_1d(real_array(delays, "delays")).copy()
         positive(period, "period")
         usable = (delays == 0) | (delays >= period * (1 - 1e-9))

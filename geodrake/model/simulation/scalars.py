@@ -116,10 +116,13 @@ def by_differences(function: Callable[[Array], Array], x: Scalars) -> Scalars:
     value, slopes = value_of(x), slopes_of(x)
     found = np.asarray(function(value), float)
     changes = np.zeros((len(found), slopes.shape[1]))
+    known = np.isfinite(found)  # what is not has no slopes
     for k, direction in enumerate(slopes.T):
-        size = np.abs(direction).max(initial=0.0)
-        if size > 0.0:
-            h = _STEP * (1.0 + np.abs(value).max()) / size
-            ends = function(value + h * direction), function(value - h * direction)
-            changes[:, k] = (np.asarray(ends[0]) - ends[1]) / (2.0 * h)
+        moved = np.flatnonzero(direction)
+        if len(moved):
+            h = _STEP * _size(value[moved]) / np.abs(direction[moved]).max()
+            step = np.zeros_like(value)
+            step[moved] = h * direction[moved]
+            ends = [np.asarray(function(value + s * step), float)[known] for s in (1.0, -1.0)]
+            changes[known, k] = (ends[0] - ends[1]) / (2.0 * h)
     return with_slopes(found, changes)
