@@ -72,7 +72,7 @@ def run_excite(options: ExciteOptions) -> None:
     check_alone(options, names)
     more = {"save": options.save, "meshcat": options.meshcat}
     targets = Targets(None, options.json, options.report, more, {"save": _SAVE})
-    targets.check([options.model, *files])
+    targets.check([options.model, *files, *options.transmission_files])
     # matplotlib is slow to import and only the page needs it
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:

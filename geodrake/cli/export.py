@@ -34,7 +34,7 @@ def run_export(options: ExportOptions) -> None:
     form, logs, folder = export_format(options.to), options.logs or [], options.folder
     parts = [part for log in logs for part in parts_of(log)]
     check_logs(parts)
-    read = [options.model, *parts, *(options.effects or ())]
+    read = [options.model, *parts, *options.transmission_files, *(options.effects or ())]
     targets = Targets(json=options.json, report=options.report)
     targets.check(read)
     pages = importlib.import_module("geodrake.report.export_page") if options.report else None

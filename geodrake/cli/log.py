@@ -52,7 +52,8 @@ def _run(options: LogCommandOptions) -> None:
             advice="Give them one by one.",
         )
     check_logs(files)
-    inputs = [*files, *filter(None, [options.mapping, options.model])]
+    more_files = [*options.transmission_files, *filter(None, [options.mapping, options.model])]
+    inputs = [*files, *more_files]
     targets.check(inputs)
     with progress(f"Reading {options.logs[0].name}", quiet=options.quiet):
         joints = None if options.model is None else read_model(options.model, options).known_joints

@@ -47,6 +47,15 @@ class ModelOptions:
         list[str] | None,
         typer.Option(metavar="NAME:=VALUE", help="Argument of a xacro file. Repeatable."),
     ] = None
+    transmission: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.yaml|file|none",
+            help="What moves joints in their place: gears, coupled wrists, linkages, between the "
+            "logged actuators and the model's joints; `file` takes what MODEL itself states of "
+            "motors. If absent, ARM.transmission.yaml beside ARM.urdf, if there is one.",
+        ),
+    ] = None
     floating: Annotated[
         bool,
         typer.Option("--floating", help="Leave roots free that nothing fixes to the world."),
@@ -62,6 +71,12 @@ class ModelOptions:
         from geodrake.model import Given
 
         return Given.of_words(self.robot, self.package or (), self.xacro_arg or ())
+
+    @property
+    def transmission_files(self) -> list[Path]:
+        """The transmission file that is named, which no output may replace."""
+        words = self.transmission
+        return [Path(words)] if words is not None and Path(words).is_file() else []
 
     @property
     def held(self) -> dict[str, float]:
@@ -102,5 +117,10 @@ def read_model(path: Path, options: ModelOptions, extra: Sequence[type[Effect]] 
     from geodrake.model import load_model
 
     return load_model(
-        path, floating=options.floating, extra=extra, lock=options.held, given=options.given
+        path,
+        floating=options.floating,
+        extra=extra,
+        lock=options.held,
+        given=options.given,
+        transmission=options.transmission,
     )

@@ -91,7 +91,11 @@ def _before(options: PlayOptions, given: Input) -> RobotModel | None:
     if is_saved_model(options.model):
         model = given.model
         return load_description(
-            model.path, floating=model.floating, held=model.held, given=model.given
+            model.path,
+            floating=model.floating,
+            held=model.held,
+            given=model.given,
+            transmission=model.transmission,
         )
     return None
 

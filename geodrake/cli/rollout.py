@@ -81,11 +81,14 @@ def other_model(path: Path, given: Input) -> RobotModel:
         path: The model file.
         given: What the command was given.
     """
-    model, how = given.model, None
+    model, how, drives = given.model, None, None
     regular_file(path, "model file", ModelError)
     if not is_saved_model(path):
         how = model.given if is_xacro(path.read_bytes()) else replace(model.given, xacro={})
-    other = load_model(path, floating=model.floating, extra=given.extra, given=how)
+        drives = model.transmission  # whose logs these are
+    other = load_model(
+        path, floating=model.floating, extra=given.extra, given=how, transmission=drives
+    )
     return holding(other, {j: place for j, place in model.held.items() if j in other.joints})
 
 

@@ -146,7 +146,8 @@ def _checked_targets(command: Command[R], options: LogOptions) -> tuple[Targets,
     more = {**command.more, "series": options.series_target}
     targets = Targets(options.model_target, options.json, options.report, more)
     files = [part for log in options.logs for part in parts_of(log)]
-    inputs = [options.model, *files, *filter(None, [options.mapping]), *(options.effects or ())]
+    more_files = [*options.transmission_files, *filter(None, [options.mapping])]
+    inputs = [options.model, *files, *more_files, *(options.effects or ())]
     check_logs(files)
     targets.check(inputs)
     if options.series_target is not None:

@@ -48,9 +48,9 @@ def place_of_rival(
 def _moved(model: RobotModel) -> dict[str, str]:
     """Joint of one degree of freedom -> body that it moves, the robot's base first."""
     moves = {
-        model.joints[mobilizer.velocities.start]: model.bodies[mobilizer.body]
-        for mobilizer in model.tree.mobilizers
-        if mobilizer.body >= 0
+        model.joints[at]: model.bodies[mobilizer.body]
+        for mobilizer in model.joint_tree.mobilizers
+        if mobilizer.body >= 0 and (at := model.standing(mobilizer.velocities)) >= 0
     }
     return {joint: body for joint, body in moves.items() if joint in model.single_joints}
 

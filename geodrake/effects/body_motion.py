@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.driven_tree import (
+    RobotTree,
+    actuator_rows,
+    joint_positions,
+    joint_samples,
+    joint_tree,
+    moving_velocities,
+    through,
+)
 from geodrake.robot.recursion import calc_inverse_dynamics, calc_kinematics
 
 Array = NDArray[np.float64]
@@ -50,7 +58,7 @@ class RobotBodies:
         phi: (nb, 10) inertial parameters of the bodies.
     """
 
-    tree: KinematicTree
+    tree: RobotTree
     q: Array
     phi: Array
 
@@ -83,27 +91,28 @@ class RobotBodies:
         Args:
             gravities: (3, k) k gravities in the world frame, m/s².
         """
-        q, still = contiguous(self.q), np.zeros((len(self.q), self.tree.num_velocities))
-        held = np.zeros((gravities.shape[1], *still.shape))
+        still = np.zeros((len(self.q), self.tree.num_velocities))
         phi = np.where(self.phi[:, :1] > 0.0, self.phi, 0.0)
+        tree, samples, J = joint_samples(self.tree, self.q, still, still)
+        held = np.zeros((gravities.shape[1], *samples[1].shape))
         for effort, gravity in zip(held, gravities.T, strict=True):
-            records = replace(self.tree, gravity=gravity).records
-            calc_inverse_dynamics(records, (q, still, still, still), phi, effort)
-        return np.moveaxis(held, 0, -1)
+            calc_inverse_dynamics(replace(tree, gravity=gravity).records, samples, phi, effort)
+        return actuator_rows(J, np.moveaxis(held, 0, -1))
 
     @cached_property
     def _motions(self) -> dict[str, BodyMotion]:
-        tree, n = self.tree, len(self.q)
+        tree, n = joint_tree(self.tree), len(self.q)
         poses = np.zeros((n, len(tree.bodies), 4, 4))
         angular, linear = np.zeros((2, n, len(tree.bodies), 3, tree.num_velocities))
-        calc_kinematics(tree.records, contiguous(self.q), poses, angular, linear)
+        q = contiguous(joint_positions(self.tree, self.q))
+        calc_kinematics(tree.records, q, poses, angular, linear)
         return {
             tree.bodies[mobilizer.body]: BodyMotion(
                 poses[:, mobilizer.body, :3, :3],
                 poses[:, mobilizer.body, :3, 3],
-                angular[:, mobilizer.body],
-                linear[:, mobilizer.body],
-                tuple(dict.fromkeys(mobilizer.dofs)),  # a leader moves it and its follower
+                through(self.tree, self.q, angular[:, mobilizer.body]),
+                through(self.tree, self.q, linear[:, mobilizer.body]),
+                moving_velocities(self.tree, mobilizer.dofs),
             )
             for mobilizer in tree.mobilizers
             if mobilizer.body >= 0

@@ -10,6 +10,7 @@ import numpy as np
 from geodrake.effects.base import Array, Parameter, RobotMotion, Shape
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.robot_effect import RobotEffect
+from geodrake.robot.driven_tree import joint_tree
 
 _LEAST_CHANGE = 1e-4  # of the weight
 
@@ -82,7 +83,7 @@ class GravityTilt(RobotEffect):
         bodies = motion.body_motions(self.name)
         change = self._change(bodies.gravity)
         columns: Array = np.zeros((len(motion.joints), 2))
-        for mobilizer in bodies.tree.mobilizers:
+        for mobilizer in joint_tree(bodies.tree).mobilizers:
             m, *h = bodies.phi[mobilizer.body, :4].tolist() if mobilizer.body >= 0 else (0.0,)
             if m > 0.0 and mobilizer.gravity:
                 body = bodies.motion(bodies.tree.bodies[mobilizer.body])

@@ -73,7 +73,7 @@ class CollisionWorld:
         self._diagram = builder.Build()
         self._root = self._diagram.CreateDefaultContext()
         self._context = self._plant.GetMyMutableContextFromRoot(self._root)
-        self.clearance, self._coordinates = clearance, model.coordinates
+        self.clearance, self._model = clearance, model
         self.notes = self._allow_overlaps(model, seed)
         self._constraint = MinimumDistanceLowerBoundConstraint(
             plant=self._plant,
@@ -93,7 +93,7 @@ class CollisionWorld:
             "hand and table"; no more than `clearance` + 0.05 m is distinguished from infinity.
         """
         found, names = np.full(len(q), np.inf), [""] * len(q)
-        whole = self._coordinates.plant_positions(q)
+        whole = self._model.plant_positions(q)
         for i, pairs in enumerate(self._pairs(whole, self.clearance + _INFLUENCE)):
             if pairs:
                 nearest = min(pairs, key=lambda pair: pair.distance)
@@ -109,7 +109,7 @@ class CollisionWorld:
         Returns:
             (N,) values and (N, nq) gradients of `MinimumDistanceLowerBoundConstraint`.
         """
-        whole = self._coordinates.plant_positions(q)
+        whole = self._model.plant_positions(q)
         values, gradients = np.empty(len(q)), np.zeros(whole.shape)
         for i, posture in enumerate(whole):
             result = self._constraint.Eval(InitializeAutoDiff(posture).ravel())
@@ -117,7 +117,7 @@ class CollisionWorld:
             gradient = ExtractGradient(result).ravel()
             if gradient.size:
                 gradients[i] = gradient
-        return values, self._coordinates.robot_gradient(gradients)
+        return values, self._model.robot_gradient(q, gradients)
 
     def _pairs(self, q: Array, within: float) -> list[list[SignedDistancePair]]:
         """For each posture, Drake's signed distances of pairs that are so near."""

@@ -19,15 +19,19 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from geodrake.boundary.arguments import real_array
+from geodrake.errors import ModelError
 from geodrake.excitation.reverse_recursion import MotionGradient, reverse_recursion
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.logs.motion import Motion
+from geodrake.robot.driven_tree import DrivenTree, RobotTree
 from geodrake.robot.floating_base import on_a_free_world, wrench_map
-from geodrake.robot.kinematics import KinematicTree
-from geodrake.robot.regressor import checked_samples
+from geodrake.robot.regressor import checked_samples, checked_tree, put_regressor
+from geodrake.robot.transmission.actuation import Actuation
+from geodrake.robot.transmission.base import times
 
 
 def inverse_dynamics_regressor_gradient(
-    plant: MultibodyPlant | KinematicTree,
+    plant: MultibodyPlant | RobotTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -46,15 +50,26 @@ def inverse_dynamics_regressor_gradient(
         ArgumentError: A shape does not fit the plant, or a value is not finite.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    robot = checked_tree(plant)
+    tree, samples, J = checked_samples(robot, q, v, vd)
     weights = _checked_weights(
-        weights, (len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
+        weights, (len(samples[0]), robot.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
     )
-    return reverse_recursion(tree, samples, weights)
+    if J is None or not isinstance(robot, DrivenTree):
+        return reverse_recursion(tree, samples, weights)
+    inner = J @ weights  # Σ W ∘ (Jᵀ Y) = Σ (J W) ∘ Y
+    motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
+    found = _at_actuators(robot.actuation, J, motion, reverse_recursion(tree, samples, inner))
+    if robot.actuation.constant is None:  # and J itself depends on q
+        Y = np.zeros_like(inner)
+        put_regressor(tree, samples, Y)
+        products = Y @ np.swapaxes(weights, 1, 2)
+        found.q[:] += robot.actuation.bend(motion.q, products)
+    return found
 
 
 def base_wrench_regressor_gradient(
-    plant: MultibodyPlant | KinematicTree,
+    plant: MultibodyPlant | RobotTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -77,7 +92,9 @@ def base_wrench_regressor_gradient(
         ArgumentError: A shape does not fit the plant, a value is not finite, or X_WP is no pose.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, (q, v, _, vd) = checked_samples(plant, q, v, vd)
+    robot = checked_tree(plant)
+    moved = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
+    tree, (q, v, _, vd), J = checked_samples(robot, q, v, vd)
     weights = _checked_weights(weights, (len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
     if X_WP is not None:
         weights = np.swapaxes(wrench_map(X_WP, len(q)), -1, -2) @ weights
@@ -86,11 +103,14 @@ def base_wrench_regressor_gradient(
     samples = (q, v, v, np.hstack([vd, resting]))
     rows = np.concatenate([np.zeros((len(q), nv, weights.shape[-1])), weights], axis=1)
     gradient = reverse_recursion(on_a_free_world(tree), samples, rows)
-    return MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
+    own = MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
+    if J is None or not isinstance(robot, DrivenTree):
+        return own
+    return _at_actuators(robot.actuation, J, moved, own)
 
 
 def regressor_jacobian(
-    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> tuple[Array, Array, Array]:
     """All derivatives of the regressor of inverse dynamics, one sample after the other.
 
@@ -110,7 +130,12 @@ def regressor_jacobian(
         ArgumentError: A shape does not fit the plant, or a value is not finite.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    tree, samples, J = checked_samples(plant, q, v, vd)
+    if J is not None:
+        raise ModelError(
+            "The derivatives of a regressor one by one are those of joints.",
+            advice="Give it the tree without its transmission, `model.joint_tree`.",
+        )
     shape = tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies)
     entries = np.eye(shape[0] * shape[1]).reshape(-1, *shape)
     rows = [
@@ -121,6 +146,27 @@ def regressor_jacobian(
         np.stack([getattr(row, name).reshape(*shape, -1) for row in rows])
         for name in ("q", "v", "vd")
     )
+
+
+def _at_actuators(
+    actuation: Actuation, J: Array, motion: Motion, gradient: MotionGradient
+) -> MotionGradient:
+    """The gradient with the motion of actuators, of that with the motion of joints.
+
+    By θ̇ = J q̇ and θ̈ = J q̈ + J̇ q̇, with the slopes that `effort_slopes` has as well.
+    """
+    JT, q, v, vd = np.swapaxes(J, 1, 2), motion.q, motion.v, motion.vd
+    found = MotionGradient(
+        actuation.robot_gradient(q, gradient.q), times(JT, gradient.v), times(JT, gradient.vd)
+    )
+    if actuation.constant is None:
+        rate = np.swapaxes(actuation.jacobian_rate(q, v), 1, 2)
+        bent = actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)
+        by_q = times(rate, gradient.v) + times(np.swapaxes(bent, 1, 2), gradient.vd)
+        for place in actuation.places:
+            found.q[:, place.actuator_q] += by_q[:, place.actuator_v]
+        found.v[:] += times(2.0 * rate, gradient.vd)
+    return found
 
 
 def _checked_weights(weights: ArrayLike, shape: tuple[int, ...]) -> Array:

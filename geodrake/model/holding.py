@@ -23,6 +23,7 @@ from geodrake.inertia.bodies import lumped_bodies
 from geodrake.inertia.kernels import calc_change_frame
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.plant import load_plant
+from geodrake.robot.transmission.drive import Drive
 
 Array = NDArray[np.float64]
 
@@ -51,10 +52,17 @@ def holding(
     _check_names(model, held)
     if not held:
         return model
+    places, drives = _at_joints(model, held)
     loaded = load_plant(
-        model.path, floating=model.floating, held={**model.held, **held}, given=model.given
+        model.path, floating=model.floating, held={**model.held, **places}, given=model.given
     )
-    bare = replace(model, plant=loaded.plant, held=loaded.held, followers=loaded.followers)
+    bare = replace(
+        model,
+        plant=loaded.plant,
+        held=loaded.held,
+        followers=loaded.followers,
+        transmission=drives,
+    )
     lumping = _Lumping.of(model, bare)
     kept, lost = lumping.effects(model)
     after = replace(
@@ -104,6 +112,32 @@ def _check_names(model: RobotModel, held: Mapping[str, float]) -> None:
                 advice=f"Joints are: {', '.join(model.joints)}.",
                 joint=joint,
             )
+
+
+def _at_joints(
+    model: RobotModel, held: Mapping[str, float]
+) -> tuple[dict[str, float], tuple[Drive, ...]]:
+    """Where joints of the plant are held when some of the model's are, and the drives that stay.
+
+    Raises:
+        ModelError: An actuator is to be held without others that move the same joints.
+    """
+    places, stay = dict(held), []
+    for drive in model.transmission:
+        own = [name for name in drive.actuators if name in held]
+        if not own:
+            stay.append(drive)
+            continue
+        if free := [name for name in drive.actuators if name not in held]:
+            raise ModelError(
+                f"Actuator {own[0]!r} cannot be held without {', '.join(free)}: they move "
+                f"{', '.join(drive.joints)} together.",
+                advice="Hold all of them, or none.",
+            )
+        q = np.array([[places.pop(name) for name in drive.actuators]])
+        positions = drive.map.joint_positions(q)[0].tolist()
+        places |= dict(zip(drive.joints, positions, strict=True))
+    return places, tuple(stay)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ def model_of_logs(model: RobotModel, logs: Sequence[JointLog]) -> RobotModel:
     instance(model, "model", RobotModel)
     logs = instances(logs, "logs", JointLog)
     silent = [j for j in model.single_joints if not any(_says(log, j) for log in logs)]
+    _check_sides(model, logs, silent)
     if not silent or len(silent) == len(model.joints):
         return model
     places = {joint: _place(model, logs, joint) for joint in silent}
@@ -74,6 +75,21 @@ def _with_followers(log: JointLog, model: RobotModel) -> JointLog:
             efforts[:, own] += ratio * np.nan_to_num(log.effort[:, at])
             notes.append(f"the effort of {joint} is added to that of {leader}, which it follows")
     return log if efforts is log.effort else replace(log, effort=efforts, notes=tuple(notes))
+
+
+def _check_sides(model: RobotModel, logs: Sequence[JointLog], silent: Sequence[str]) -> None:
+    """Refuses logs of joints where the model has actuators in their place."""
+    for drive in model.transmission:
+        for log in logs:
+            missing = [name for name in drive.actuators if name in silent]
+            there = [joint for joint in drive.joints if joint in (*log.joints, *log.standing)]
+            if missing and there:
+                raise LogError(
+                    f"Log {log.name!r} has {', '.join(there)}; the model's transmission has "
+                    f"{', '.join(drive.actuators)} in their place, of which the log says nothing.",
+                    advice="Log the actuators, name them as the log does in the transmission, or "
+                    "leave it out: --transmission none.",
+                )
 
 
 def _says(log: JointLog, joint: str) -> bool:

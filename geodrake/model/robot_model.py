@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Joint
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geodrake.boundary.arguments import (
@@ -21,16 +22,17 @@ from geodrake.boundary.arguments import (
     real_array,
 )
 from geodrake.boundary.showing import Short
-from geodrake.effects import RobotMotion, Role, catalogue
+from geodrake.effects import RobotMotion, Role
 from geodrake.effects.body_motion import RobotBodies
 from geodrake.effects.delays import delays_of
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.effects.robot_effect import RobotEffect
+from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
-from geodrake.model.file_terms import Spring
+from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
 from geodrake.model.simulation.robot_in_diagram import (
     DiagramOptions,
     FittedRobot,
@@ -38,6 +40,8 @@ from geodrake.model.simulation.robot_in_diagram import (
     add_robot,
     add_robot_to_scene,
 )
+from geodrake.model.stated_terms import stated_effects
+from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
 from geodrake.robot.files import Given
 from geodrake.robot.followers import Follower, OwnCoordinates
 from geodrake.robot.holding import moving_joints
@@ -54,6 +58,14 @@ from geodrake.robot.plant import (
 from geodrake.robot.regressor import body_regressor, inverse_dynamics
 from geodrake.robot.robot_instance import RobotInstance
 from geodrake.robot.several_robots import scoped
+from geodrake.robot.transmission.actuation import Actuation
+from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.limits import (
+    actuator_effort_limits,
+    actuator_positions_between,
+    actuator_rates,
+)
 
 Array = NDArray[np.float64]
 
@@ -85,6 +97,8 @@ class RobotModel(Short):
         held: Joint of the file that is held, and none of the model -> where, rad or m.
         given: How the file was to be read.
         followers: Joints of the plant that follow others, and are none of the model.
+        transmission: What moves joints of the plant in their place; joints without a drive move
+            by themselves. All that is the model's, q, v, efforts and effects, is at the actuators.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
     """
@@ -104,51 +118,170 @@ class RobotModel(Short):
     given: Given = field(default_factory=Given)
     followers: tuple[Follower, ...] = ()
     known_joints: tuple[str, ...] = ()
+    transmission: tuple[Drive, ...] = ()
 
     @cached_property
-    def tree(self) -> KinematicTree:
-        """The plant's kinematics, read once."""
+    def tree(self) -> RobotTree:
+        """The plant's kinematics for the model's motion, read once."""
+        if self.actuation is None:
+            return self.joint_tree
+        return DrivenTree(self.joint_tree, self.actuation)
+
+    @cached_property
+    def joint_tree(self) -> KinematicTree:
+        """The plant's kinematics for the motion of its joints, without the transmission."""
         return KinematicTree.from_plant(self.plant, self.followers)
 
     @cached_property
     def coordinates(self) -> OwnCoordinates:
-        """Which positions and velocities of the plant are the model's."""
+        """Which positions and velocities of the plant are those of `joint_tree`."""
         return OwnCoordinates(self.plant, self.followers)
 
     @cached_property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the nv velocities."""
+    def actuation(self) -> Actuation | None:
+        """How those follow from the model's, if there is a transmission.
+
+        Raises:
+            ModelError: It does not fit the robot.
+        """
+        if not self.transmission:
+            return None
+        places = dict(zip(*self._single_of_tree, strict=True))
+        count = len(self.coordinates.own_positions)
+        return Actuation.of(self.tree_joints, places, count, self.transmission)
+
+    @cached_property
+    def tree_joints(self) -> tuple[str, ...]:
+        """Names of the velocities of `joint_tree`."""
         names = joint_names(self.plant)
         return tuple(names[k] for k in self.coordinates.own_velocities)
 
     @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the nv velocities: the joints', or those of the actuators in their place."""
+        return self.tree_joints if self.actuation is None else self.actuation.names
+
+    def plant_positions(self, q: Array) -> Array:
+        """(N, nq of the plant) positions, of those of the model (N, nq)."""
+        return self.coordinates.plant_positions(joint_positions(self.tree, q))
+
+    def plant_velocities(self, q: Array, v: Array) -> Array:
+        """(N, nv of the plant) velocities, of positions (N, nq) and velocities of the model.
+
+        Args:
+            q: (N, nq) positions of the model.
+            v: (N, nv) its velocities.
+        """
+        if self.actuation is not None:
+            v = times(self.actuation.jacobian(q), v)
+        return self.coordinates.plant_velocities(v)
+
+    def driving(self, sign_width: Array, log: str | None = None) -> Driving | None:
+        """How a plant of the model moves, if that has other coordinates than the model.
+
+        Args:
+            sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
+            log: Name of the log that is simulated, in which the model's contacts act.
+
+        Raises:
+            ModelError: An effect has hidden states, or makes a joint soft.
+        """
+        if not (self.followers or self.transmission):
+            return None
+        gain = np.ones(len(self.joints))
+        for fitted in self.effects:
+            effect = fitted.effect
+            if effect.role is Role.DEFLECTION or effect.state_count:
+                raise ModelError(
+                    f"{effect.name} of {effect.place} cannot be simulated where joints follow "
+                    "others or are behind a transmission.",
+                    advice="Leave it out of the model there.",
+                )
+            if effect.role is Role.SCALE:
+                gain[self.joints.index(effect.where[0])] *= 1.0 + fitted.parameters[0]
+        number = 0 if log is None else log_number(log)
+
+        def needed(q: Array, v: Array, vd: Array, time: float) -> Array:
+            seen = self.motion(Motion(q, v, vd), sign_width=sign_width)
+            return self._unscaled_effort(replace(seen, time=np.full(len(q), time), log=number))
+
+        return Driving(self.tree, self.coordinates, self.total_phi, self.joints, needed, gain)
+
+    def robot_gradient(self, q: Array, gradient: Array) -> Array:
+        """(N, nq) gradient with the model's positions q, of that with the plant's (N, ·).
+
+        Args:
+            q: (N, nq) positions of the model.
+            gradient: (N, nq of the plant) gradient.
+        """
+        gradient = self.coordinates.robot_gradient(gradient)
+        return gradient if self.actuation is None else self.actuation.robot_gradient(q, gradient)
+
+    def refuse_transmission(self, what: str, advice: str) -> None:
+        """Refuses what only works at joints.
+
+        Args:
+            what: What cannot be done, as the beginning of a sentence.
+            advice: What the user can do.
+
+        Raises:
+            ModelError: The model has a transmission.
+        """
+        if self.transmission:
+            actuators = ", ".join(name for drive in self.transmission for name in drive.actuators)
+            raise ModelError(f"{what} {actuators}, behind a transmission.", advice=advice)
+
+    def place_of(self, joint: Joint) -> int | None:
+        """Which velocity of the model a joint of the plant has; None if it has none of its own."""
+        if scoped(joint) in self.coordinates.leaders:
+            return None
+        at = self.coordinates.velocity_of(joint)
+        return at if self.actuation is None else self.actuation.stands_at(at)
+
+    @cached_property
     def led(self) -> Mapping[str, tuple[str, float]]:
         """Joint that follows another one -> its name, and how far it moves when that moves by 1."""
-        names = joint_names(self.plant)
-        return {names[to]: (names[of], ratio) for to, of, ratio in self.coordinates.followed}
+        names, driven = joint_names(self.plant), {j for d in self.transmission for j in d.joints}
+        return {
+            names[to]: (names[of], ratio)
+            for to, of, ratio in self.coordinates.followed
+            if names[of] not in driven
+        }
 
     @cached_property
     def position_limits(self) -> tuple[Array, Array]:
         """Lower and upper limits (nq,) of the positions, rad or m."""
-        return self.coordinates.position_limits()
+        limits = self.coordinates.position_limits()
+        if self.actuation is None:
+            return limits
+        return actuator_positions_between(self.actuation, *limits)
 
     @cached_property
     def velocity_limits(self) -> Array:
         """Largest speeds (nv,), rad/s or m/s; infinite where there is no limit."""
-        return self.coordinates.rate_limits(velocity_limits(self.plant))
+        return self._rates(velocity_limits(self.plant))
 
     @cached_property
     def acceleration_limits(self) -> Array:
         """Largest accelerations (nv,), rad/s² or m/s²; infinite where there is no limit."""
         plant = self.plant
-        return self.coordinates.rate_limits(
+        return self._rates(
             np.minimum(plant.GetAccelerationUpperLimits(), -plant.GetAccelerationLowerLimits())
         )
+
+    def _rates(self, limits: Array) -> Array:
+        limits = self.coordinates.rate_limits(limits)
+        if self.actuation is None:
+            return limits
+        return actuator_rates(self.actuation, limits, self.position_limits)
 
     @cached_property
     def effort_limits(self) -> Array:
         """Largest efforts (nv,), N·m or N; infinite where there is no limit."""
-        return effort_limits(self.plant)[self.coordinates.own_velocities]
+        limits = effort_limits(self.plant)[self.coordinates.own_velocities]
+        if self.actuation is None:
+            return limits
+        return actuator_effort_limits(self.actuation, limits, self.position_limits)
 
     @cached_property
     def bodies(self) -> tuple[str, ...]:
@@ -158,7 +291,7 @@ class RobotModel(Short):
     @cached_property
     def last_bodies(self) -> tuple[str, ...]:
         """Names of the bodies that carry no other one: hands, feet."""
-        mobilizers, carrying = self.tree.mobilizers, set[int]()
+        mobilizers, carrying = self.joint_tree.mobilizers, set[int]()
         for index in range(len(mobilizers) - 1, -1, -1):  # outboard first
             mobilizer = mobilizers[index]
             if mobilizer.parent >= 0 and (mobilizer.body >= 0 or index in carrying):
@@ -174,14 +307,21 @@ class RobotModel(Short):
         """Pairs of single-degree joints of one type that follow each other along the tree."""
         single = set(self.single_places[0])
         pairs = []
-        for mobilizer in self.tree.mobilizers:
+        mobilizers = self.joint_tree.mobilizers
+        for mobilizer in mobilizers:
             if mobilizer.parent >= 0:
-                parent = self.tree.mobilizers[mobilizer.parent]
-                pair = (parent.velocities.start, mobilizer.velocities.start)
+                parent = mobilizers[mobilizer.parent]
+                pair = self.standing(parent.velocities), self.standing(mobilizer.velocities)
                 alike = single.issuperset(pair) and len({self._types[at] for at in pair}) == 1
                 if alike and pair[0] != pair[1]:
                     pairs.append((self.joints[pair[0]], self.joints[pair[1]]))
         return tuple(pairs)
+
+    def standing(self, velocities: slice) -> int:
+        """The model's velocity in the place of the first of some of `joint_tree`; -1 for none."""
+        at = velocities.start
+        found = at if self.actuation is None else self.actuation.stands_at(at)
+        return -1 if found is None else found
 
     @property
     def delays(self) -> Array:
@@ -293,17 +433,21 @@ class RobotModel(Short):
     @cached_property
     def _types(self) -> dict[int, str]:
         """Drake's names for the types of the joints, by where their velocities begin."""
-        coordinates = self.coordinates
-        return {
-            coordinates.velocity_of(joint): joint.type_name()
-            for joint in moving_joints(self.plant)
-            if scoped(joint) not in coordinates.leaders
-        }
+        types = {self.place_of(joint): joint.type_name() for joint in moving_joints(self.plant)}
+        found = {at: name for at, name in types.items() if at is not None}
+        for place in () if self.actuation is None else self.actuation.places:
+            slides = place.drive.slides
+            for at, sliding in zip(place.actuator_v.tolist(), slides or (), strict=False):
+                found[at] = "prismatic" if sliding else "revolute"
+        return found
 
     def default_position(self, joint: str) -> float:
         """Where the model file puts a joint of one degree of freedom, rad or m."""
         q = self.plant.GetPositions(self.plant.CreateDefaultContext())
-        return float(q[self.coordinates.own_positions][self._at(joint)])
+        own = q[self.coordinates.own_positions]
+        if self.actuation is not None:
+            (own,) = self.actuation.nearest(own[None])
+        return float(own[self._at(joint)])
 
     def limits_of(self, joint: str) -> tuple[float, float]:
         """The positions between which a joint of one degree of freedom stays, rad or m."""
@@ -340,6 +484,13 @@ class RobotModel(Short):
     @cached_property
     def single_places(self) -> tuple[list[int], list[int]]:
         """Where the joints of one degree of freedom are in v and in q."""
+        if self.actuation is not None:
+            return self.actuation.single_places(dict(zip(*self._single_of_tree, strict=True)))
+        return self._single_of_tree
+
+    @cached_property
+    def _single_of_tree(self) -> tuple[list[int], list[int]]:
+        """The same in the velocities and positions of `joint_tree`."""
         coordinates = self.coordinates
         single = [
             (coordinates.velocity_of(j), coordinates.position_of(j))
@@ -382,6 +533,10 @@ class RobotModel(Short):
         motors. Parameters are those of the Context (`RobotInDiagram.set_parameters`), and the
         diagram can be cloned, converted to AutoDiffXd and linearized; see `EffectForce`.
 
+        Behind a transmission, and where joints follow others, state and efforts are the model's:
+        those of actuators and leaders. Such a diagram is for simulation with doubles, parameters
+        are those that the model has, and effects with hidden states and soft joints are refused.
+
         Args:
             builder: The diagram's builder.
             time_step: That of the plant, s; 0 for a continuous one.
@@ -394,8 +549,7 @@ class RobotModel(Short):
 
         Raises:
             ArgumentError: An argument is none of these.
-            ModelError: The model's file is gone, Drake refuses its inertial parameters, or joints
-                follow others.
+            ModelError: The model's file is gone, or Drake refuses its inertial parameters.
         """
         instance(builder, "builder", DiagramBuilder)
         if scene_graph is not None:
@@ -407,6 +561,9 @@ class RobotModel(Short):
             self.sign_widths(sign_width),
             log,
         )
+        driving = self.driving(self.sign_widths(sign_width), log)
+        if driving is not None:
+            return add_driven_robot(builder, self._as_fitted(), options, driving)
         return add_robot(builder, self._as_fitted(), options)
 
     def add_to_scene(
@@ -437,11 +594,19 @@ class RobotModel(Short):
         Raises:
             ArgumentError: The robot is another one, its base leans otherwise than the model's, or
                 the plant has damping or rotor inertia at its joints, which are effects.
-            ModelError: Joints of the model follow others.
+            ModelError: Joints of the model follow others, or are behind a transmission.
         """
         instance(builder, "builder", DiagramBuilder)
+        if self.followers or self.transmission:
+            aside = [follower.joint.rpartition("::")[2] for follower in self.followers]
+            aside += [name for drive in self.transmission for name in drive.joints]
+            raise ModelError(
+                "A plant that holds more cannot have joints that follow others or are behind a "
+                f"transmission, as {', '.join(aside)} are.",
+                advice="Use model.add_to_builder, or hold them: geodrake.model.holding.",
+            )
         place = instance(robot, "robot", RobotInstance)
-        place.check_base(self.tree, self.joints, turned=self._sees_world)
+        place.check_base(self.joint_tree, self.joints, turned=self._sees_world)
         name = "plant" if place.name is None else place.name
         options = DiagramOptions(0.0, None, name, self.sign_widths(sign_width), log)
         return add_robot_to_scene(builder, self._as_fitted(), place, options)
@@ -452,18 +617,7 @@ class RobotModel(Short):
         return any(isinstance(fitted.effect, RobotEffect) for fitted in self.effects)
 
     def _as_fitted(self) -> FittedRobot:
-        """What a diagram needs to know.
-
-        Raises:
-            ModelError: Joints follow others.
-        """
-        if self.followers:
-            names = ", ".join(follower.joint.rpartition("::")[2] for follower in self.followers)
-            raise ModelError(
-                f"A diagram cannot have joints that follow others, as {names} do: the plant has no "
-                "constraint for them.",
-                advice="Hold their leaders: geodrake.model.holding(model, {joint: position}).",
-            )
+        """What a diagram needs to know."""
         return FittedRobot(
             self.path,
             self.floating,
@@ -509,46 +663,71 @@ class RobotModel(Short):
         )
 
 
-def from_loaded_plant(loaded: LoadedPlant, *, floating: bool) -> RobotModel:
+def from_loaded_plant(
+    loaded: LoadedPlant, *, floating: bool, transmission: Sequence[Drive] = ()
+) -> RobotModel:
     """The model of a plant: damping, friction and rotor inertia of the file become effects.
 
     Args:
         loaded: The plant of a model file, and what the file says of friction, damping and rotors.
         floating: Whether free roots float instead of being welded to the world.
+        transmission: What moves its joints in their place.
+
+    Raises:
+        ModelError: The transmission does not fit.
     """
-    coordinates = OwnCoordinates(loaded.plant, loaded.followers)
-    names = joint_names(loaded.plant)
-    joints = [names[k] for k in coordinates.own_velocities]
-    effects: list[FittedEffect] = []
-    notes = [*map(str, loaded.repairs), *loaded.notes]
-    for kind in catalogue():
-        values = loaded.stated.get(kind.stated_as, np.zeros(len(joints)))
-        stated = [(joint, value) for joint, value in zip(joints, values, strict=True) if value]
-        for joint, value in stated:
-            effects += [FittedEffect(each, np.array([value])) for each in kind.shaped(joint)]
-        if stated:
-            listed = ", ".join(f"{joint} {value:g}" for joint, value in stated)
-            notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
-    for joint, stiffness, rest in zip(joints, *loaded.file_springs, strict=True):
-        if stiffness:
-            spring = Spring(joint, center=float(rest))
-            effects.append(FittedEffect(spring, np.array([stiffness, 0.0])))
-            notes.append(
-                f"The spring in the file ({joint} {stiffness:g}) is kept as {spring.name}."
-            )
-    phi = inertial_parameters(loaded.plant)
-    return RobotModel(
+    drives = instances(transmission, "transmission", Drive)
+    bent, notes = _bent_drives(loaded, drives)
+    drives = (*drives, *bent)
+    bare = RobotModel(
         loaded.plant,
         loaded.path,
         floating,
-        phi,
-        tuple(effects),
-        notes=tuple(notes),
+        inertial_parameters(loaded.plant),
         held=loaded.held,
         given=loaded.given,
         followers=loaded.followers,
+        transmission=drives,
         known_joints=loaded.joints,
     )
+    effects, own_notes = stated_effects(loaded, bare.tree_joints, bare.joints, bare.actuation)
+    notes += own_notes
+    if loaded.geared and not transmission:
+        notes.append(
+            f"The file states how motors move {', '.join(loaded.geared)}; positions and efforts of "
+            "logs are taken to be those of joints (--transmission file: of the motors)."
+        )
+    if drives:
+        words = "; ".join(f"{', '.join(d.actuators)} for {', '.join(d.joints)}" for d in drives)
+        notes.append(f"Logs, efforts and effects are those of the actuators: {words}.")
+    return replace(
+        bare,
+        effects=tuple(effects),
+        notes=(*map(str, loaded.repairs), *loaded.notes, *notes),
+        known_joints=tuple(dict.fromkeys((*loaded.joints, *bare.joints))),
+    )
+
+
+def _bent_drives(
+    loaded: LoadedPlant, given: Sequence[Drive]
+) -> tuple[tuple[Drive, ...], list[str]]:
+    """Drives of joints that the file has follow others by a ratio that changes, and notes."""
+    known = [drive.statement for drive in given]
+    moving = [name for name in joint_names(loaded.plant) if name in loaded.joints]
+    following = {f.joint.rpartition("::")[2] for f in loaded.followers}
+    drives, notes = list[Drive](), list[str]()
+    for part in loaded.bent:
+        names = part.joint_names()
+        if part in known or set(names) <= set(loaded.held):
+            continue
+        if set(names) <= set(moving) and following.isdisjoint(names):
+            drives.append(Drive.of(part))
+        else:
+            notes.append(
+                f"<equality> is ignored, as there is no joint to follow: {', '.join(part.joints)} "
+                "count as joints of their own."
+            )
+    return tuple(drives), notes
 
 
 def load_description(
@@ -557,7 +736,16 @@ def load_description(
     floating: bool = False,
     held: Mapping[str, float] | None = None,
     given: Given | None = None,
+    transmission: Sequence[Drive] = (),
 ) -> RobotModel:
-    """The model of a URDF, SDF, MJCF or Drake directives file; see `geodrake.robot.load_plant`."""
+    """The model of a URDF, SDF, MJCF or Drake directives file.
+
+    Args:
+        path: The file.
+        floating: As in `geodrake.robot.load_plant`.
+        held: Likewise.
+        given: Likewise.
+        transmission: What moves its joints in their place.
+    """
     loaded = load_plant(path, floating=floating, held=held, given=given)
-    return from_loaded_plant(loaded, floating=floating)
+    return from_loaded_plant(loaded, floating=floating, transmission=transmission)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Optional, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,17 @@ from geodrake.model.admissible import check_model
 from geodrake.model.base_file import digest, existing_base, find_base, is_file
 from geodrake.model.holding import held_notes, holding
 from geodrake.model.robot_model import RobotModel, load_description
-from geodrake.robot.files import Given
+from geodrake.model.transmission_file import (
+    NONE,
+    OF_FILE,
+    drives_of,
+    file_beside,
+    read_transmission,
+    stated_of,
+)
+from geodrake.robot.files import Given, read_description
+from geodrake.robot.transmission.drive import Drive
+from geodrake.robot.transmission.statements import Stated
 
 T = TypeVar("T")
 FORMAT = "geodrake model 1"
@@ -67,6 +77,7 @@ class SavedModel:
         held: Joint that is held -> where, rad or m.
         xacro: Arguments of a xacro file.
         packages: Package of ROS -> its folder, relative to this file, for those that were given.
+        transmission: What moves joints in their place, if anything does.
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
         effects: The effects.
         information: Information matrix of the inertial parameters, then of the effects'.
@@ -85,6 +96,7 @@ class SavedModel:
     held: dict[str, float] = dc.field(default_factory=dict)
     xacro: dict[str, str] = dc.field(default_factory=dict)
     packages: dict[str, str] = dc.field(default_factory=dict)
+    transmission: Optional[Stated] = None  # noqa: UP045 - Drake reads no other spelling
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
     effects: list[SavedEffect] = dc.field(default_factory=list)
     effort_noise: dict[str, float] = dc.field(default_factory=dict)
@@ -101,6 +113,7 @@ def load_model(
     extra: Sequence[type[Effect]] = (),
     lock: Mapping[str, float] | None = None,
     given: Given | None = None,
+    transmission: str | Path | Sequence[Drive] | None = None,
 ) -> RobotModel:
     """Load a robot model: a URDF, SDF, MJCF or Drake directives file, or a saved model.
 
@@ -112,18 +125,60 @@ def load_model(
         lock: Joint -> where it is held, rad or m, as in `geodrake.model.holding`.
         given: Which of several robots, folders of ROS packages, arguments of a xacro file (a saved
             model remembers).
+        transmission: What moves joints in their place (a saved model remembers): a transmission
+            file, its parts, `file` for what the model file itself states of motors, or `none`. If
+            None, the file beside the model file, arm.transmission.yaml beside arm.urdf, if there is
+            one.
 
     Raises:
         ModelError: The file cannot be read or does not describe a robot; the file that a saved
-            model is based on is gone or has other joints or bodies; or a joint cannot be held.
+            model is based on is gone or has other joints or bodies; a joint cannot be held; or the
+            transmission does not fit.
     """
     instances(extra, "extra", type)
     given = instance(given or Given(), "given", Given)
     path = regular_file(file_path(path), "model file", ModelError)
     if is_saved_model(path):
+        if transmission is not None:
+            raise ModelError(
+                f"{path} is a saved model, which cannot take a transmission: it was made with its "
+                "own, or with none.",
+                advice="Give it with the model file.",
+                path=path,
+            )
         return holding(_read(path, extra, given), lock or {})
-    model = load_description(path, floating=floating, held=lock, given=given)
-    return replace(model, notes=(*model.notes, *held_notes(model.held)))
+    drives, notes = _transmission(path, transmission, given)
+    model = load_description(path, floating=floating, given=given, transmission=drives)
+    if lock and not model.transmission:
+        model = load_description(path, floating=floating, held=lock, given=given)
+        return replace(model, notes=(*model.notes, *notes, *held_notes(model.held)))
+    return holding(replace(model, notes=(*model.notes, *notes)), lock or {})
+
+
+def _transmission(
+    path: Path, given: str | Path | Sequence[Drive] | None, how: Given
+) -> tuple[tuple[Drive, ...], list[str]]:
+    """The drives that a model file is to have, and notes on where they come from."""
+    if given == OF_FILE:
+        parts = read_description(path, how).motors()
+        if not parts:
+            raise ModelError(
+                f"{path} states no transmissions of motors.",
+                advice="Write a transmission file: --transmission FILE.yaml.",
+                path=path,
+            )
+        return drives_of([(f"part {k} of {path}", part) for k, part in enumerate(parts)]), []
+    if given is None:
+        beside = file_beside(path)
+        if not beside.is_file() or beside == path:
+            return (), []
+        return read_transmission(beside), [
+            f"The transmission is that of {beside.name} beside the model file; --transmission "
+            f"{NONE} leaves it out."
+        ]
+    if isinstance(given, (str, Path)):
+        return (() if given == NONE else read_transmission(given)), []
+    return instances(given, "transmission", Drive), []
 
 
 def is_saved_model(path: Path) -> bool:
@@ -173,6 +228,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         packages={
             name: os.path.relpath(place, folder) for name, place in model.given.packages.items()
         },
+        transmission=stated_of(model.transmission) if model.transmission else None,
         inertial_parameters={
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
@@ -232,6 +288,11 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
     given = _given_with(path, saved, given)
     model = load_description(base, floating=saved.floating, held=saved.held, given=given)
     try:
+        if saved.transmission is not None:
+            drives = drives_of(list(saved.transmission.parts()))
+            model = load_description(
+                base, floating=saved.floating, held=saved.held, given=given, transmission=drives
+            )
         loaded = _with_parameters(model, saved, base, extra)
         check_model(loaded)
     except GeodrakeError as error:

@@ -19,7 +19,6 @@ from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS, placed
 from geodrake.report.robot_shapes import GRAY, LinkShape, RobotShapes, robot_shapes
-from geodrake.robot.several_robots import scoped
 
 FRAMES = 30.0
 """Frames a second of recordings."""
@@ -128,7 +127,7 @@ class RobotScene:
             time: Time in MeshCat's recording, s; None to move it now.
         """
         plant = self._model.plant
-        (whole,) = self._model.coordinates.plant_positions(np.atleast_2d(q))
+        (whole,) = self._model.plant_positions(np.atleast_2d(q))
         plant.SetPositions(self._context, whole)
         for body in self._moving:
             X_WB = plant.EvalBodyPoseInWorld(self._context, body)
@@ -136,11 +135,11 @@ class RobotScene:
 
     def joint_places(self) -> tuple[JointPlace, ...]:
         """The joints of one degree of freedom, in the model's order."""
-        plant, coordinates, places = self._model.plant, self._model.coordinates, {}
+        plant, places = self._model.plant, {}
         for index in plant.GetJointIndices():
             joint = plant.get_joint(JointIndex(index))
-            if joint.num_velocities() == 1 and scoped(joint) not in coordinates.leaders:
-                at = coordinates.velocity_of(joint)
+            at = self._model.place_of(joint) if joint.num_velocities() == 1 else None
+            if at is not None:
                 places[at] = self._place(joint, self._model.joints[at])
         return tuple(places[i] for i in sorted(places))
 
@@ -247,7 +246,7 @@ class Extent:
         """
         plant, context, points = model.plant, model.plant.CreateDefaultContext(), []
         bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
-        for posture in model.coordinates.plant_positions(q[:: max(1, len(q) // 60)]):
+        for posture in model.plant_positions(q[:: max(1, len(q) // 60)]):
             plant.SetPositions(context, posture)
             origins = [plant.EvalBodyPoseInWorld(context, b).translation() for b in bodies]
             if not shapes.links:

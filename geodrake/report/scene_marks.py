@@ -137,7 +137,7 @@ class EffectMarks:
             frame: Number of the frame.
             q: (nq,) positions of the model.
         """
-        (whole,) = self._model.coordinates.plant_positions(np.atleast_2d(q))
+        (whole,) = self._model.plant_positions(np.atleast_2d(q))
         for effect, path in self._contacts:
             if not effect.turning:
                 plant = self._model.plant

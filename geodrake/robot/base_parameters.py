@@ -23,7 +23,7 @@ from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY, Array
 from geodrake.manifolds import PhysicalInertia
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.driven_tree import RobotTree, inside
 from geodrake.robot.reduction import triangular_factor
 from geodrake.robot.regressor import checked_tree, inverse_dynamics_regressor
 
@@ -163,7 +163,7 @@ def base_parameters(
 
 
 def structural_base_parameters(
-    plant: MultibodyPlant | KinematicTree, *, seed: int = 0, tolerance: float = 1e-9
+    plant: MultibodyPlant | RobotTree, *, seed: int = 0, tolerance: float = 1e-9
 ) -> BaseParameters:
     """Base parameters that efforts identify with the best of motions, from random ones.
 
@@ -183,7 +183,8 @@ def structural_base_parameters(
     count = 3 * PARAMETERS_PER_BODY * len(tree.bodies) // max(nv, 1) + 10
     sizes = (tree.num_positions, nv, nv)
     q, v, vd = (random.uniform(-np.pi, np.pi, (count, size)) for size in sizes)
-    return base_parameters(inverse_dynamics_regressor(tree, q, v, vd), tolerance=tolerance)
+    Y = inverse_dynamics_regressor(tree, inside(tree, q), v, vd)
+    return base_parameters(Y, tolerance=tolerance)
 
 
 def pushforward_metric(

@@ -27,18 +27,22 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.compiling import compiled, contiguous, inlined
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.logs.motion import Motion
+from geodrake.robot.driven_tree import DrivenTree, RobotTree
 from geodrake.robot.recursion import (
     MOTION,
     Record,
     Samples,
     TreeRecords,
+    calc_inverse_dynamics,
     find_subspaces,
     move,
     subspace_room,
     wrench_of,
 )
-from geodrake.robot.regressor import checked_samples
+from geodrake.robot.regressor import checked_samples, checked_tree
+from geodrake.robot.transmission.actuation import Actuation
+from geodrake.robot.transmission.base import times
 from geodrake.robot.vectors import (
     Vector,
     add,
@@ -72,7 +76,7 @@ class EffortSlopes:
 
 
 def effort_slopes(
-    plant: MultibodyPlant | KinematicTree,
+    plant: MultibodyPlant | RobotTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -90,18 +94,58 @@ def effort_slopes(
     Raises:
         ArgumentError: A shape does not fit the plant, or a value is not finite.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    robot = checked_tree(plant)
+    tree, samples, J = checked_samples(robot, q, v, vd)
     phi, expected = np.asarray(phi, float), (len(tree.bodies), PARAMETERS_PER_BODY)
     if phi.shape != expected:
         raise ArgumentError(f"phi has the shape {phi.shape}, but the plant needs {expected}.")
     count, nv = len(samples[0]), tree.num_velocities
     slopes = np.zeros((3, count, nv, nv))
     calc_effort_slopes(tree.records, samples, contiguous(phi), slopes)
-    for mobilizer in tree.mobilizers:
-        own = mobilizer.velocities
-        if own.stop - own.start > 1:
-            slopes[..., own] = np.nan
-    return EffortSlopes(*slopes)
+    found = EffortSlopes(*slopes)
+    several = [m.velocities for m in tree.mobilizers if m.velocities.stop - m.velocities.start > 1]
+    columns = [at for own in several for at in range(own.start, own.stop)]
+    if J is not None and isinstance(robot, DrivenTree):
+        efforts = np.zeros((count, nv))
+        calc_inverse_dynamics(tree.records, samples, contiguous(phi), efforts)
+        found = _at_actuators(
+            found, robot.actuation, J, efforts, Motion(*(np.asarray(x, float) for x in (q, v, vd)))
+        )
+        columns = [at for at in map(robot.actuation.stands_at, columns) if at is not None]
+    for slope in (found.position, found.velocity, found.acceleration):
+        slope[..., columns] = np.nan
+    return found
+
+
+def _at_actuators(
+    slopes: EffortSlopes,
+    actuation: Actuation,
+    J: Array,
+    efforts: Array,
+    motion: Motion,
+) -> EffortSlopes:
+    """Slopes of τ_q = Jᵀ τ_θ(T(q), J q̇, J q̈ + J̇ q̇) with q, q̇ and q̈ by the chain rule.
+
+    With H the second derivatives of T, ∂(J w)/∂q = H w, which is J̇ where q̇ = w; so
+
+        ∂θ̈/∂q̇ = 2 J̇,   ∂θ̇/∂q = J̇,   ∂θ̈/∂q = H q̈ + ∂(J̇ q̇)/∂q,   ∂(Jᵀ τ)/∂q = Hᵀ τ.
+    """
+    JT, q, v, vd = np.swapaxes(J, 1, 2), motion.q, motion.v, motion.vd
+    M = JT @ slopes.acceleration
+    position, velocity = JT @ slopes.position @ J, JT @ slopes.velocity @ J
+    if actuation.constant is None:
+        rate = actuation.jacobian_rate(q, v)
+        velocity = velocity + M @ (2.0 * rate)
+        position = position + JT @ slopes.velocity @ rate
+        position = position + M @ (
+            actuation.jacobian_rate(q, vd) + actuation.jacobian_rate_slope(q, v)
+        )
+        for at_v in actuation.driven:
+            unit = np.zeros_like(v)
+            unit[:, at_v] = 1.0
+            bend = actuation.jacobian_rate(q, unit)
+            position[:, :, at_v] += times(np.swapaxes(bend, 1, 2), efforts)
+    return EffortSlopes(position, velocity, M @ J)
 
 
 @compiled

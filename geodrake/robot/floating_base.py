@@ -22,6 +22,7 @@ from geodrake.boundary.arguments import integer, number, real_array
 from geodrake.compiling import contiguous
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.driven_tree import RobotTree, joint_positions, joint_tree
 from geodrake.robot.joints import Features, FrameMotion
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 from geodrake.robot.recursion import calc_kinematics, calc_regressor
@@ -32,7 +33,7 @@ _SKEWNESS = 1e-6  # of a rotation, beyond rounding
 
 
 def base_wrench_regressor(
-    plant: MultibodyPlant | KinematicTree,
+    plant: MultibodyPlant | RobotTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -60,7 +61,7 @@ def base_wrench_regressor(
         ArgumentError: A shape does not fit, a value is not finite, or X_WP is no pose.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, (q, v, _, vd) = checked_samples(plant, q, v, vd)
+    tree, (q, v, _, vd), _ = checked_samples(plant, q, v, vd)
     resting = np.zeros((len(q), 6))
     v = np.hstack([v, resting])
     samples = (q, v, v, np.hstack([vd, resting]))
@@ -127,7 +128,7 @@ def zero_moment_point(wrench: ArrayLike, *, height: float = 0.0) -> Array:
     return np.stack([(height * fx - ny) / normal, (height * fy + nx) / normal], -1)
 
 
-def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
+def body_poses(plant: MultibodyPlant | RobotTree, q: ArrayLike) -> Array:
     """Poses X_WB of every lumped body.
 
     Args:
@@ -141,7 +142,7 @@ def body_poses(plant: MultibodyPlant | KinematicTree, q: ArrayLike) -> Array:
     q = contiguous(real_array(q, "q", ("N", tree.num_positions)))
     poses = np.zeros((len(q), len(tree.bodies), 4, 4))
     none = np.empty((0, 0, 3, 0))
-    calc_kinematics(tree.records, q, poses, none, none)
+    calc_kinematics(joint_tree(tree).records, joint_positions(tree, q), poses, none, none)
     return poses
 
 

@@ -40,6 +40,7 @@ from geodrake.robot.followers import Follower, OwnCoordinates, resolved
 from geodrake.robot.holding import Arrangement, checked_held, poses_of, weld_joints, welds_of
 from geodrake.robot.repairs import Repair, repair_inertias
 from geodrake.robot.several_robots import chosen_robot, robots_of, scoped
+from geodrake.robot.transmission.statements import Followers, Gear
 
 _SAME = 1e-9  # of the largest of a body's parameters: what text and Drake may change
 
@@ -64,6 +65,8 @@ class LoadedPlant:
         followers: Joints of the plant that follow others.
         joints: Names of all joints of one degree of freedom that the robot has in the file, held
             ones and followers included.
+        bent: Joints that follow others by a ratio that changes, and are among the plant's own.
+        geared: Joints of which the file states motors that move otherwise than they do.
     """
 
     plant: MultibodyPlant
@@ -78,6 +81,8 @@ class LoadedPlant:
     given: Given
     followers: tuple[Follower, ...] = ()
     joints: tuple[str, ...] = ()
+    bent: tuple[Followers, ...] = ()
+    geared: tuple[str, ...] = ()
 
     @property
     def stated(self) -> Mapping[str, Array]:
@@ -150,7 +155,26 @@ def load_plant(
         given,
         arrangement.followers,
         arrangement.joints,
+        description.bent,
+        _geared(description),
     )
+
+
+def _geared(description: ModelDescription) -> tuple[str, ...]:
+    """Joints of which the file states motors that move otherwise than they do.
+
+    Gears of MJCF's actuators do not count: most scale efforts and are no gears.
+    """
+    found = list[str]()
+    for text in description.texts:
+        try:
+            parts = text.motors()
+        except ModelError:  # which matters only where it is asked for
+            continue
+        for part in parts:
+            alike = isinstance(part, Gear) and (text.kind == "xml" or part.is_direct)
+            found += () if alike else part.joint_names()
+    return tuple(found)
 
 
 def _draft(

@@ -18,6 +18,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from geodrake.boundary.arguments import Sizes, integer, real_array
 from geodrake.compiling import contiguous
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.driven_tree import RobotTree, actuator_rows, joint_samples
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     Samples,
@@ -31,7 +32,7 @@ _PIECE = 1 << 18  # numbers of a piece: two megabytes stay in a core's cache
 
 
 def inverse_dynamics_regressor(
-    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Array:
     """Regressor of the effort that a motion needs, without friction and joint damping.
 
@@ -51,16 +52,16 @@ def inverse_dynamics_regressor(
         ArgumentError: A shape does not fit the plant, or a value is not finite.
         ModelError: The plant has a joint that is not supported.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    tree, samples, J = checked_samples(plant, q, v, vd)
     regressor = np.zeros(
         (len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY * len(tree.bodies))
     )
     put_regressor(tree, samples, regressor)
-    return regressor
+    return actuator_rows(J, regressor)
 
 
 def body_regressor(
-    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
+    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike, body: int
 ) -> Array:
     """The columns (N, nv, 10) of `inverse_dynamics_regressor` for one body, without the others.
 
@@ -71,7 +72,7 @@ def body_regressor(
         vd: (N, nv) accelerations v̇ in Drake's order.
         body: Index of the body in the order of `geodrake.inertia.bodies.lumped_bodies`.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    tree, samples, J = checked_samples(plant, q, v, vd)
     integer(body, "body", lower=0, upper=len(tree.bodies) - 1)
     regressor = np.zeros((len(samples[0]), tree.num_velocities, PARAMETERS_PER_BODY))
     branch = tree.branch(body)
@@ -79,11 +80,11 @@ def body_regressor(
         calc_repeated_regressor(branch.records, samples, body, regressor)
     else:
         calc_body_regressor(branch.records, samples, body, regressor)
-    return regressor
+    return actuator_rows(J, regressor)
 
 
 def inverse_dynamics(
-    plant: MultibodyPlant | KinematicTree,
+    plant: MultibodyPlant | RobotTree,
     q: ArrayLike,
     v: ArrayLike,
     vd: ArrayLike,
@@ -98,15 +99,15 @@ def inverse_dynamics(
         vd: (N, nv) accelerations v̇.
         phi: (nb, 10) inertial parameters.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    tree, samples, J = checked_samples(plant, q, v, vd)
     phi = contiguous(real_array(phi, "phi", (len(tree.bodies), PARAMETERS_PER_BODY)))
     effort = np.zeros((len(samples[0]), tree.num_velocities))
     calc_inverse_dynamics(tree.records, samples, phi, effort)
-    return effort
+    return actuator_rows(J, effort[:, :, None])[:, :, 0]
 
 
 def regressor_pieces(
-    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
 ) -> Iterator[tuple[slice, Array]]:
     """The regressor in pieces that a core's cache holds, for reductions over long logs.
 
@@ -119,7 +120,7 @@ def regressor_pieces(
     Yields:
         The samples, as a slice, and their Y (n, nv, 10 nb). The next piece overwrites the array.
     """
-    tree, samples = checked_samples(plant, q, v, vd)
+    tree, samples, J = checked_samples(plant, q, v, vd)
     columns = PARAMETERS_PER_BODY * len(tree.bodies)
     most = max(1, _PIECE // max(1, tree.num_velocities * columns))
     room = np.zeros((min(most, len(samples[0])), tree.num_velocities, columns))
@@ -130,7 +131,7 @@ def regressor_pieces(
             piece[:] = 0.0
         q, qd, v, vd = (x[part] for x in samples)
         put_regressor(tree, (q, qd, v, vd), piece)
-        yield part, piece
+        yield part, piece if J is None else actuator_rows(J[part], piece)
 
 
 def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
@@ -148,9 +149,9 @@ def put_regressor(tree: KinematicTree, samples: Samples, out: Array) -> None:
 
 
 def checked_samples(
-    plant: MultibodyPlant | KinematicTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
-) -> tuple[KinematicTree, Samples]:
-    """The tree, and samples of a motion itself as arrays that fit it.
+    plant: MultibodyPlant | RobotTree, q: ArrayLike, v: ArrayLike, vd: ArrayLike
+) -> tuple[KinematicTree, Samples, Array | None]:
+    """What `joint_samples` gives, of arrays that fit the plant.
 
     Args:
         plant: A finalized plant, or its tree.
@@ -166,15 +167,14 @@ def checked_samples(
     nq, nv = tree.num_positions, tree.num_velocities
     q = real_array(q, "q", ("N", nq), sizes)
     v, vd = real_array(v, "v", ("N", nv), sizes), real_array(vd, "vd", ("N", nv), sizes)
-    q, v, vd = contiguous(q), contiguous(v), contiguous(vd)
-    return tree, (q, v, v, vd)
+    return joint_samples(tree, q, v, vd)
 
 
-def checked_tree(plant: MultibodyPlant | KinematicTree) -> KinematicTree:
+def checked_tree(plant: MultibodyPlant | RobotTree) -> RobotTree:
     """The tree of a plant, or the tree that it is.
 
     Raises:
         ArgumentError: It is something else.
         ModelError: The plant is not finalized, or has a joint that is not supported.
     """
-    return plant if isinstance(plant, KinematicTree) else KinematicTree.from_plant(plant)
+    return plant if isinstance(plant, RobotTree) else KinematicTree.from_plant(plant)

@@ -83,6 +83,11 @@ def export_with_proof(
         ModelError: The model's file cannot take what is to be written.
         LogError: A log cannot be used.
     """
+    if not form.at_actuators:
+        model.refuse_transmission(
+            f"The format {form.name} has efforts and friction at joints, and the model at",
+            "Export to python or cpp, or the inertias alone: geodrake identify --export.",
+        )
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth) if logs else None
     tried = len(model.single_joints) == len(model.joints)
     if case is not None:

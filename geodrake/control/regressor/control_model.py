@@ -20,7 +20,7 @@ from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
 from geodrake.logs.motion import Motion
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.driven_tree import RobotTree, inside
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,7 +38,7 @@ class ControlModel:
         measured_friction: Whether effects see the measured velocity q̇ instead of the reference v.
     """
 
-    tree: KinematicTree
+    tree: RobotTree
     effects: tuple[Effect, ...]
     bodies: tuple[str, ...]
     joints: tuple[str, ...]
@@ -79,10 +79,8 @@ class ControlModel:
         """
         joints, bodies = instance(model, "model", RobotModel).joints, model.bodies
         positions, single = np.zeros(len(joints), int), np.zeros(len(joints), bool)
-        for mobilizer in model.tree.mobilizers:
-            for velocity in range(mobilizer.velocities.start, mobilizer.velocities.stop):
-                single[velocity] = joints[velocity] in model.single_joints
-                positions[velocity] = mobilizer.positions.start if single[velocity] else 0
+        for velocity, position in model.position_places.items():
+            single[velocity], positions[velocity] = True, position
         sign_width = model.sign_widths(one_or_each(sign_width, "sign_width", len(joints)))
         effects = tuple(fitted.effect for fitted in model.effects)
         turning = tuple(effect for effect in effects if effect.role is not Role.BODY)
@@ -174,6 +172,7 @@ def _trial(model: RobotModel, sign_width: Array) -> Trial:
 
     def seen(v: Array, vd: Array, load: Array) -> RobotMotion:
         q = np.random.default_rng(0).normal(size=(len(v), model.tree.num_positions))
+        q = inside(model.tree, q)
         return model.motion(Motion(q, v, vd), sign_width=sign_width, load=load)
 
     return seen

@@ -13,6 +13,7 @@ import numpy as np
 
 from geodrake.compiling import compiled, inlined
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.robot.driven_tree import DrivenTree, RobotTree
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import (
     MOTION,
@@ -43,16 +44,21 @@ from geodrake.robot.vectors import (
 class RigidSample:
     """The bodies at one (q, q̇, v, a), ready for any inertial parameters and any r.
 
+    Behind a transmission the four are those of the actuators, and the joints have θ̇ = J q̇, J v and
+    J a + J̇ v, so that C = Jᵀ (C_θ J + M_θ J̇) and Ṁ − 2 C stays skew symmetric.
+
     Attributes:
-        tree: What is constant.
-        motion: The sample, with one row in each array.
+        tree: What is constant: the tree of the joints.
+        motion: The sample of the joints, with one row in each array.
+        jacobian: (nv of the tree, nv) J and J̇ of a transmission; None without.
     """
 
     tree: KinematicTree
     motion: Samples
+    jacobian: tuple[Array, Array] | None = None
 
     @classmethod
-    def at(cls, tree: KinematicTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
+    def at(cls, tree: RobotTree, q: Array, qd: Array, v: Array, a: Array) -> RigidSample:
         """The bodies at positions q (nq,), velocities q̇ and v (nv,), and accelerations a (nv,).
 
         Args:
@@ -65,13 +71,18 @@ class RigidSample:
         # (Copies: compiled code knows contiguous arrays that it may write to.)
         motion = (np.array(q, float, ndmin=2), np.array(qd, float, ndmin=2))
         reference = (np.array(v, float, ndmin=2), np.array(a, float, ndmin=2))
-        return cls(tree, (*motion, *reference))
+        if not isinstance(tree, DrivenTree):
+            return cls(tree, (*motion, *reference))
+        at, (v, a) = tree.actuation, reference
+        J, rate = at.jacobian(motion[0])[0], at.jacobian_rate(*motion)[0]
+        moved = motion[1] @ J.T, v @ J.T, a @ J.T + v @ rate.T
+        return cls(tree.joint_tree, (at.tree_positions(motion[0]), *moved), (J, rate))
 
     def effort(self, phi: Array) -> Array:
         """Y φ (nv,) for φ (nb, 10), in a number of operations that grows with nb, not nb nv."""
         effort = np.zeros_like(self.motion[1])
         calc_inverse_dynamics(self.tree.records, self.motion, np.array(phi, float), effort)
-        return np.asarray(effort[0])
+        return self._at_actuators(effort[0])
 
     def regressor(self, columns: int) -> Array:
         """Y (nv, columns).
@@ -81,10 +92,12 @@ class RigidSample:
         """
         Y = np.zeros((1, self.motion[1].shape[1], columns))
         put_regressor(self.tree, self.motion, Y)
-        return np.asarray(Y[0])
+        return self._at_actuators(Y[0])
 
     def momentum_regressors(self, columns: int) -> Array:
         """Regressors (2, nv, columns) of M q̇ = Σ Jᵀ G V and of Cᵀ q̇ + τ_g = Σ J̇ᵀ G V + τ_g.
+
+        Behind a transmission d/dt (Jᵀ p) has J̇ᵀ p as well, which the second one takes in.
 
         Args:
             columns: 10 nb or more, of which those beyond are zero.
@@ -92,7 +105,10 @@ class RigidSample:
         q, qd, _, _ = self.motion
         both = np.zeros((2, 1, qd.shape[1], columns))
         calc_momentum_regressors(self.tree.records, (q, qd, qd, qd), both[0], both[1])
-        return np.asarray(both[:, 0])
+        if self.jacobian is None:
+            return np.asarray(both[:, 0])
+        (momentum, drift), (J, rate) = both[:, 0], self.jacobian
+        return np.stack([J.T @ momentum, J.T @ drift + rate.T @ momentum])
 
     def mass_matrix(self, phi: Array) -> Array:
         """M (nv, nv) for φ (nb, 10): the efforts of unit accelerations less those of none."""
@@ -103,7 +119,12 @@ class RigidSample:
         efforts = np.zeros((nv + 1, nv))
         calc_inverse_dynamics(self.tree.records, samples, np.array(phi, float), efforts)
         M = efforts[:-1] - efforts[-1]
-        return np.asarray(0.5 * (M + M.T))
+        M = 0.5 * (M + M.T)
+        return np.asarray(M if self.jacobian is None else self.jacobian[0].T @ M @ self.jacobian[0])
+
+    def _at_actuators(self, rows: Array) -> Array:
+        """Jᵀ times rows (nv of the tree, ...)."""
+        return np.asarray(rows if self.jacobian is None else self.jacobian[0].T @ rows)
 
 
 @compiled

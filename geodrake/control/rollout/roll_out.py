@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geodrake.boundary.arguments import function, integer, real_array
+from geodrake.control.rollout.driven_simulation import DrivenSimulation
 from geodrake.control.rollout.passages import moving_passages
 from geodrake.control.rollout.results import JointDeparture, Rollout, Window
 from geodrake.control.rollout.simulation import Simulation, allowed_steps
@@ -80,9 +81,14 @@ def roll_out(
     fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
     least = _SIGN_WIDTH * fastest
     width, carried = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
-    simulation = cache(
-        lambda log: Simulation(carrying(model, carried[log]), width, log, fastest, steps)
-    )
+
+    @cache
+    def simulation(log: str) -> Simulation | DrivenSimulation:
+        loaded = carrying(model, carried[log])
+        if loaded.transmission and (driving := loaded.driving(width, log)) is not None:
+            return DrivenSimulation(loaded, driving, fastest, steps)
+        return Simulation(loaded, width, log, fastest, steps)
+
     windows, notes = list[Window](), dict[str, None]()
     for count, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment

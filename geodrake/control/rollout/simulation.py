@@ -23,13 +23,13 @@ from geodrake.robot.plant import load_plant, set_inertial_parameters
 
 Array = NDArray[np.float64]
 
-_LARGEST_STEP = 5e-3  # of the integrator, s
-_ACCURACY = 1e-3
+LARGEST_STEP = 5e-3  # of the integrator, s
+ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
 _AT_START = 9  # samples of the rate at which soft joints bend when a passage begins
 _BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
-_FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
-_STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
+FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
+STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
 
 
 def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
@@ -40,7 +40,7 @@ def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
     256 times in the demo, some 74,000 for its twelve windows.
     """
     calm = sum(
-        max(len(passage.time), (passage.time[-1] - passage.time[0]) / _LARGEST_STEP)
+        max(len(passage.time), (passage.time[-1] - passage.time[0]) / LARGEST_STEP)
         for passage in passages
     )
     return iter(range(_STEPS + round(_TIMES * calm)))
@@ -127,10 +127,10 @@ class Simulation:
         if self._force.soft_joints:
             self._deflect(passage, root, (q, v))
         self._plant.SetPositions(context, q)
-        scheme = "radau3" if self._decay(root) > _STIFF else "runge_kutta3"
+        scheme = "radau3" if self._decay(root) > STIFF else "runge_kutta3"
         self._plant.SetVelocities(context, v)
-        ResetIntegratorFromFlags(simulator, scheme, _LARGEST_STEP)
-        simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
+        ResetIntegratorFromFlags(simulator, scheme, LARGEST_STEP)
+        simulator.get_mutable_integrator().set_target_accuracy(ACCURACY)
         simulator.Initialize()
         simulator.set_monitor(self._limit)
         simulated = np.full(segment.position.shape, np.nan)
@@ -216,7 +216,7 @@ class Simulation:
         """Ends a simulation that has no steps left, or whose robot is too fast for any."""
         velocity = self._plant.GetVelocities(self._plant.GetMyContextFromRoot(root))
         velocity = velocity[self._model.coordinates.own_velocities]
-        inside = bool((np.abs(velocity) < _FASTEST * self._fastest).all())
+        inside = bool((np.abs(velocity) < FASTEST * self._fastest).all())
         if inside and next(self._steps, None) is not None:
             return EventStatus.DidNothing()
         return EventStatus.ReachedTermination(self._diagram, "beyond all reason")

@@ -41,9 +41,11 @@ class ExportFormat:
             payloads they always hold.
         write: Makes the files.
         engines: Names of the simulators in which the files are tried.
+        at_actuators: Whether the files have the efforts of actuators behind a transmission, too.
     """
 
     name: str
     holding: Holding
     write: Write
     engines: tuple[str, ...] = ()
+    at_actuators: bool = False

@@ -86,8 +86,8 @@ FORMATS = {
         ExportFormat("mjcf", _and(_joints("xml"), Tilt), _file("xml"), ("mujoco",)),
         ExportFormat("drake", _and(_joints(*KINDS), Tilt, stands_free), drake_files, ("drake",)),
         ExportFormat("isaac", _and(_joints("urdf"), Delay), isaac_files, _URDF_ENGINES),
-        ExportFormat("python", _written, _source("python"), ("python",)),
-        ExportFormat("cpp", _written, _source("cpp")),
+        ExportFormat("python", _written, _source("python"), ("python",), True),
+        ExportFormat("cpp", _written, _source("cpp"), at_actuators=True),
     )
 }
 """By name; a further format is one more entry."""

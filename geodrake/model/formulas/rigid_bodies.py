@@ -6,25 +6,55 @@ the motion itself, in arrays of symbols (Newton and Euler).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from geodrake.effects.body_motion import BodyMotion, RobotBodies
+from geodrake.errors import ModelError
 from geodrake.inertia import Array
 from geodrake.model.formulas.symbols import Formulas, Symbols
+from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_tree
 from geodrake.robot.joints import Features
 from geodrake.robot.kinematics import KinematicTree, Mobilizer
 
 _DIGITS = 15  # of a rotation, whose zeros and ones come out with rounding errors
 
 
+def joint_formulas(tree: RobotTree, q: Formulas) -> Formulas:
+    """Positions (nq of the tree of joints) as formulas of the robot's (nq).
+
+    Args:
+        tree: The robot's kinematics.
+        q: (nq,) positions.
+
+    Raises:
+        ModelError: Ratios of the transmission change with the position.
+    """
+    if not isinstance(tree, DrivenTree):
+        return q
+    actuation = tree.actuation
+    if actuation.constant is None:
+        raise ModelError(
+            "Source code cannot have a transmission whose ratios change with the position.",
+            advice="Write the formula of the joints, and map it in your own code.",
+        )
+    whole = Symbols.of(np.zeros(actuation.sizes[0]))
+    own, joints = actuation.kept_q
+    whole[joints] = q[own]
+    for place in actuation.places:
+        J, still = place.drive.map.constant_jacobian, np.zeros((1, len(place.actuator_q)))
+        shift = place.drive.map.joint_positions(still)[0]
+        whole[place.joint_q] = J @ q[place.actuator_q] + shift
+    return whole
+
+
 def inverse_dynamics_formula(
-    tree: KinematicTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
+    tree: RobotTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
 ) -> Formulas:
-    """Effort (nv,) that the rigid bodies need.
+    """Effort (nv,) that the rigid bodies need, at the actuators if there is a transmission.
 
     Args:
         tree: The robot's kinematics.
@@ -32,7 +62,20 @@ def inverse_dynamics_formula(
         v: (nv,) velocities.
         vd: (nv,) accelerations.
         phi: (nb, 10) inertial parameters.
+
+    Raises:
+        ModelError: Ratios of the transmission change with the position.
     """
+    if not isinstance(tree, DrivenTree):
+        return _joint_efforts(tree, q, v, vd, phi)
+    theta, J = joint_formulas(tree, q), tree.actuation.jacobian(np.zeros((1, len(q))))[0]
+    return Symbols.of(J.T @ _joint_efforts(tree.joint_tree, theta, J @ v, J @ vd, phi))
+
+
+def _joint_efforts(
+    tree: KinematicTree, q: Formulas, v: Formulas, vd: Formulas, phi: Array
+) -> Formulas:
+    """Effort (nv,) of the joints."""
     motions: list[_MovedBody] = []
     for mobilizer in tree.mobilizers:
         inboard = motions[mobilizer.parent] if mobilizer.parent >= 0 else _world(tree, mobilizer)
@@ -156,15 +199,27 @@ class BodyFormulas(RobotBodies):
     def _motions(self) -> dict[str, BodyMotion]:
         """Poses and Jacobians from the world outwards."""
         found: list[BodyMotion] = []
-        for mobilizer in self.tree.mobilizers:
-            inboard = found[mobilizer.parent] if mobilizer.parent >= 0 else self._world()
-            found.append(_carried(mobilizer, inboard, Symbols.of(self.q)[0]))
-        bodies = self.tree.bodies
-        both = zip(self.tree.mobilizers, found, strict=True)
-        return {bodies[m.body]: motion for m, motion in both if m.body >= 0}
+        tree, q = joint_tree(self.tree), joint_formulas(self.tree, Symbols.of(self.q)[0])
+        for mobilizer in tree.mobilizers:
+            inboard = found[mobilizer.parent] if mobilizer.parent >= 0 else self._world(tree)
+            found.append(_carried(mobilizer, inboard, q))
+        both = zip(tree.mobilizers, found, strict=True)
+        return {tree.bodies[m.body]: self._driven(motion) for m, motion in both if m.body >= 0}
 
-    def _world(self) -> BodyMotion:
-        zero = Symbols.of(np.zeros((1, 3, self.tree.num_velocities)))
+    def _driven(self, motion: BodyMotion) -> BodyMotion:
+        """The Jacobians with the velocities of actuators."""
+        if not isinstance(self.tree, DrivenTree):
+            return motion
+        J = self.tree.actuation.jacobian(np.zeros(self.q.shape))[0]
+        return replace(
+            motion,
+            angular=Symbols.of([motion.angular[0] @ J]),
+            linear=Symbols.of([motion.linear[0] @ J]),
+            dofs=self.tree.actuation.moved_by(motion.dofs),
+        )
+
+    def _world(self, tree: KinematicTree) -> BodyMotion:
+        zero = Symbols.of(np.zeros((1, 3, tree.num_velocities)))
         rotation, position = Symbols.of(np.eye(3)[None]), Symbols.of(np.zeros((1, 3)))
         return BodyMotion(rotation, position, zero, zero, ())
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -54,6 +55,24 @@ class FittedRobot:
     joints: tuple[str, ...]
 
 
+class Driven(abc.ABC):
+    """How a plant moves with a model whose coordinates are others."""
+
+    @property
+    @abc.abstractmethod
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Nq and nv of the plant, then of the model."""
+
+    @abc.abstractmethod
+    def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Positions and velocities of the plant, of those of the model.
+
+        Args:
+            q: (nq,) positions of the model.
+            v: (nv,) velocities of the model.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class RobotInDiagram:
     """A model that was added to a builder: its systems and its ports.
@@ -72,6 +91,7 @@ class RobotInDiagram:
         logged_effort: Output (nv): the efforts as a log has them beside the state, late by the
             model's delays.
         notes: What cannot be shown, and what was assumed.
+        driving: How the plant moves with the model, if their coordinates differ.
     """
 
     robot: RobotInstance
@@ -83,6 +103,7 @@ class RobotInDiagram:
     state: OutputPort
     logged_effort: OutputPort
     notes: tuple[str, ...] = ()
+    driving: Driven | None = None
 
     @property
     def plant(self) -> MultibodyPlant:
@@ -99,7 +120,8 @@ class RobotInDiagram:
         Args:
             root: Context of the whole diagram.
         """
-        self.set_parameters(root, phi=self.total_phi)
+        if self.driving is None:  # else the plant has them by default
+            self.set_parameters(root, phi=self.total_phi)
 
     def set_state(self, root: Context, q: ArrayLike, v: ArrayLike | None = None) -> None:
         """Sets where the robot starts, as it is measured.
@@ -113,7 +135,13 @@ class RobotInDiagram:
         """
         plant = self.plant
         context = plant.GetMyMutableContextFromRoot(root)
-        if self.robot.name is not None:
+        if self.driving is not None:
+            _, _, nq, nv = self.driving.sizes
+            q = real_array(q, "q", (nq,))
+            v = real_array(np.zeros(nv) if v is None else v, "v", (nv,))
+            state = self.driving.plant_state(q, v)
+            plant.SetPositionsAndVelocities(context, np.concatenate(state))
+        elif self.robot.name is not None:
             q = real_array(q, "q", (len(self.joints),))
             v = np.zeros(len(q)) if v is None else real_array(v, "v", (len(q),))
             self.robot.set_state(context, self.joints, np.concatenate([q, v]))
@@ -143,6 +171,12 @@ class RobotInDiagram:
                 parameters.
         """
         force = self.effect_force
+        if self.driving is not None:
+            raise ArgumentError(
+                "Parameters cannot be changed in a diagram where joints follow others or are "
+                "behind a transmission.",
+                advice="Add the model with the other parameters.",
+            )
         if effects and force is None:
             raise ArgumentError("The robot in the diagram has no effects.")
         if force is not None and effects:
@@ -176,6 +210,21 @@ def add_robot(
         robot: The model.
         options: How.
     """
+    plant, scene_graph, notes = add_plant(builder, robot, options)
+    added = _acting(builder, RobotInstance(plant), robot, options)
+    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
+
+
+def add_plant(
+    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions
+) -> tuple[MultibodyPlant, SceneGraph | None, tuple[str, ...]]:
+    """Adds the plant of a model alone, its SceneGraph if there is one, and what cannot be shown.
+
+    Args:
+        builder: The diagram's builder.
+        robot: The model.
+        options: How.
+    """
     name = options.name
     plant = MultibodyPlant(options.time_step)
     plant.set_name(name)
@@ -195,9 +244,7 @@ def add_robot(
     if scene_graph is not None:
         notes = add_visuals(plant, scene_graph, robot.path, robot.given)
         _show(builder, plant, scene_graph)
-
-    added = _acting(builder, RobotInstance(plant), robot, options)
-    return replace(added, scene_graph=scene_graph, notes=(*notes, *added.notes))
+    return plant, scene_graph, notes
 
 
 def add_robot_to_scene(
@@ -231,8 +278,8 @@ def _acting(
     name, plant, joints = options.name, place.plant, robot.joints
     effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(joints))))
     delays = delays_of([fitted.effect for fitted in robot.effects], joints)
-    logged = _late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
-    acting = _late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
+    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
+    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
     state = plant.get_state_output_port()
     if place.name is not None:
         state = place.state_port(builder, joints)
@@ -265,8 +312,15 @@ def _acting(
     )
 
 
-def _late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
-    """An effort, late by those of some delays (nv,), s, that are positive."""
+def late(builder: DiagramBuilder, name: str, effort: OutputPort, delays: Array) -> OutputPort:
+    """An effort, late by those of some delays that are positive.
+
+    Args:
+        builder: The diagram's builder.
+        name: Name of what makes it late.
+        effort: Port of the effort (nv,).
+        delays: (nv,) delays, s.
+    """
     delays = np.maximum(delays, 0.0)
     if not delays.any():
         return effort

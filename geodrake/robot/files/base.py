@@ -19,6 +19,7 @@ from geodrake.robot.files.checks import (
 from geodrake.robot.files.values import drop, numbers
 from geodrake.robot.files.xml_text import numbered_text
 from geodrake.robot.followers import Follower
+from geodrake.robot.transmission.statements import Followers, Statement
 
 _LOOPS = ("ball_constraint", "linear_bushing_rpy", "distance_constraint", "weld_constraint")
 
@@ -37,6 +38,7 @@ class ModelText(abc.ABC):
         rest: Scoped joint names with the position at which that spring is at rest, rad or m.
         effort: Scoped joint names with their largest effort, N or N·m.
         followers: Joints that the file has follow others; whether they can is seen in the plant.
+        bent: Joints that the file has follow others by a ratio that changes.
         packages: Names of packages whose files are left for Drake to include.
         folders: Package -> folder, which come before those that are found.
     """
@@ -56,6 +58,7 @@ class ModelText(abc.ABC):
         self.effort: dict[str, float] = {}
         self.packages: set[str] = set()
         self.followers: list[Follower] = []
+        self.bent: list[Followers] = []
         self._links: dict[str, Element] = {}
         self._read()
         check_numbers(self.root, self.numeric, path)
@@ -80,6 +83,14 @@ class ModelText(abc.ABC):
         if link in self.set_aside or link not in self._links:
             return self.set_aside.get(link)
         return self._inertia(self._links[link])
+
+    def motors(self) -> tuple[Statement, ...]:
+        """What the file states of motors behind transmissions; see `geodrake.robot.files.motors`.
+
+        Raises:
+            ModelError: It cannot be read.
+        """
+        return ()
 
     def set_inertia(self, link: str, phi: Array | None) -> bool:
         """Gives a link inertial parameters (10,), or none; False if the link is not in the text.

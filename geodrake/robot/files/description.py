@@ -33,6 +33,7 @@ from geodrake.robot.files.reading import read_model_text
 from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.files.xml_text import LARGEST_FILE, SUPPORTED_FORMATS
 from geodrake.robot.followers import Follower
+from geodrake.robot.transmission.statements import Followers, Statement
 
 _MOST_LINKS = 2000  # as the time grows with their square, to 3 s
 _LINE = re.compile(r"(?:<literal-string>|\S*?/(\d+))\.\w+:(\d+): ")
@@ -68,6 +69,19 @@ class ModelDescription:
     def followers(self) -> tuple[Follower, ...]:
         """Joints that the texts have follow others."""
         return tuple(follower for text in self.texts for follower in text.followers)
+
+    @property
+    def bent(self) -> tuple[Followers, ...]:
+        """Joints that the texts have follow others by a ratio that changes."""
+        return tuple(part for text in self.texts for part in text.bent)
+
+    def motors(self) -> tuple[Statement, ...]:
+        """What the texts state of motors behind transmissions.
+
+        Raises:
+            ModelError: It cannot be read.
+        """
+        return tuple(part for text in self.texts for part in text.motors())
 
     def joint_values(self, name: str) -> Mapping[str, float]:
         """`friction`, `armature` or `effort` of the file, by scoped joint name."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import deepcopy
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -11,6 +12,7 @@ from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import MJCF_NUMBERS
 from geodrake.robot.files.includes import Includes
+from geodrake.robot.files.motors import mjcf_motors
 from geodrake.robot.files.values import (
     UPPER,
     drop,
@@ -21,8 +23,10 @@ from geodrake.robot.files.values import (
     words,
 )
 from geodrake.robot.followers import Follower
+from geodrake.robot.transmission.statements import Followers, Statement
 
 _POSE = ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
+_OF_MOTORS = ("actuator", "tendon", "default")
 _IGNORED = ("tendon", "sensor", "keyframe", "visual", "statistic", "contact", "camera", "light")
 
 
@@ -38,6 +42,8 @@ class MjcfText(ModelText):
 
     def _read(self) -> None:
         Includes(self.path, self.folders).insert_elements(self.root)
+        self._motors = Element("mujoco")
+        self._motors.extend(deepcopy(e) for e in self.root if e.tag in _OF_MOTORS)
         drop(self.root, *_IGNORED)
         scope = self.scope or self.root.get("model") or self.path.stem
         self._take_equalities(scope)
@@ -57,20 +63,28 @@ class MjcfText(ModelText):
         self._read_springs(scope)
         self.effort = {f"{scope}::{name}": value for name, value in self._efforts()}
 
+    def motors(self) -> tuple[Statement, ...]:
+        """Gears of actuators, and fixed tendons."""
+        return mjcf_motors(self._motors, self.path)
+
     def _take_equalities(self, scope: str) -> None:
-        """Joints that follow others by a constant ratio; other constraints are left out."""
-        others = False
+        """Joints that follow others by polynomials; other constraints are left out."""
+        others, bent = False, dict[str, dict[str, list[float]]]()
         for equality in (e for group in self.root.findall("equality") for e in group):
             if equality.get("active", "true") == "false":
                 continue
             joints = [equality.get(key) for key in ("joint1", "joint2")]
             factors = [*equality.get("polycoef", "0 1").split(), *"0000"]
             offset, ratio, *higher = numbers(" ".join(factors[:5]), 5).tolist()
-            if equality.tag == "joint" and all(joints) and not any(higher):
+            if equality.tag == "joint" and all(joints) and any(higher):
+                coefficients = [offset, ratio, *higher]
+                bent.setdefault(str(joints[1]), {})[str(joints[0])] = coefficients
+            elif equality.tag == "joint" and all(joints):
                 own, leader = (f"{scope}::{joint}" for joint in joints)
                 self.followers.append(Follower(own, leader, ratio, offset))
             else:
                 others = True
+        self.bent = [Followers(leader, own) for leader, own in bent.items()]
         drop(self.root, "equality")
         if others:
             self.notes.append("<equality> is ignored: the robot is read as an open tree.")

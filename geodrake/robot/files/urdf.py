@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from xml.etree.ElementTree import Element, SubElement
 
 from geodrake.inertia import Array, to_mass_com_inertia
 from geodrake.robot.files.base import ModelText
 from geodrake.robot.files.checks import URDF_NUMBERS
+from geodrake.robot.files.motors import urdf_motors
 from geodrake.robot.files.values import (
     TENSOR,
     drop,
@@ -18,6 +20,7 @@ from geodrake.robot.files.values import (
     tensor_words,
     words,
 )
+from geodrake.robot.transmission.statements import Statement
 
 
 class UrdfText(ModelText):
@@ -28,6 +31,7 @@ class UrdfText(ModelText):
 
     def _read(self) -> None:
         drop(self.root, "visual", "collision", "gazebo", "drake:collision_filter_group")
+        self._transmissions = [deepcopy(e) for e in self.root.iter("transmission")]
         for transmission in self.root.findall("transmission"):
             # Only Drake's own rotor inertia and gear ratio matter; joints state their efforts.
             if not any(element.tag.startswith("drake:") for element in transmission.iter()):
@@ -43,6 +47,10 @@ class UrdfText(ModelText):
             self.effort[name] = number(joint, "limit", "effort")
             if (limit := joint.find("limit")) is not None and self.effort[name] == 0.0:
                 limit.attrib.pop("effort", None)  # with 0, Drake ignores the rotor, too
+
+    def motors(self) -> tuple[Statement, ...]:
+        """The transmissions of ros_control."""
+        return urdf_motors(self._transmissions, self.path)
 
     def _inertia(self, link: Element) -> Array | None:
         inertial = link.find("inertial")

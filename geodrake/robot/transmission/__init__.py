@@ -10,16 +10,32 @@ rotors. Friction and inertia *on the actuator's side* are effects in q, q̇, q̈
 """
 
 from geodrake.robot.transmission.base import Transmission
+from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.function import FunctionTransmission
 from geodrake.robot.transmission.linear import LinearTransmission
 from geodrake.robot.transmission.parts import InSequence, SideBySide, gears, rolling_joint
+from geodrake.robot.transmission.scalar import (
+    Cylinder,
+    FourBar,
+    PolynomialTransmission,
+    TableTransmission,
+    polynomial,
+    table,
+)
 
 __all__ = [
+    "Cylinder",
+    "Drive",
+    "FourBar",
     "FunctionTransmission",
     "InSequence",
     "LinearTransmission",
+    "PolynomialTransmission",
     "SideBySide",
+    "TableTransmission",
     "Transmission",
     "gears",
+    "polynomial",
     "rolling_joint",
+    "table",
 ]

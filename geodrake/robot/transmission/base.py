@@ -38,6 +38,10 @@ class Transmission(abc.ABC):
     def jacobian(self, q: Array) -> Array:
         """J = ∂T/∂q, (N, k, n), of q (N, n)."""
 
+    def inside(self, q: Array) -> Array:
+        """Actuator coordinates (N, n) moved to where the map is known; themselves by default."""
+        return q
+
     def jacobian_rate(self, q: Array, v: Array) -> Array:
         """J̇ (N, k, n) at q (N, n) and q̇ = v (N, n); fourth order differences unless overridden.
 
@@ -51,12 +55,17 @@ class Transmission(abc.ABC):
         far = self.jacobian(q + 2 * step) - self.jacobian(q - 2 * step)
         return (8 * near - far) / (12 * _STEP) * speed[:, :, None]
 
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """J (k, n) where it is the same everywhere; None where it depends on q."""
+        return None
+
     def joint_motion(self, motion: Motion) -> Motion:
         """The joints' motion, of a motion of the actuators."""
         q, v, vd = self._motion(motion, self.num_actuators)
         J = self.jacobian(q)
-        acceleration = _times(J, vd) + _times(self.jacobian_rate(q, v), v)
-        return Motion(self.joint_positions(q), _times(J, v), acceleration, motion.time)
+        acceleration = times(J, vd) + times(self.jacobian_rate(q, v), v)
+        return Motion(self.joint_positions(q), times(J, v), acceleration, motion.time)
 
     def actuator_motion(self, motion: Motion, *, start: ArrayLike = 0.0) -> Motion:
         """The actuators' motion, of a motion of the joints that fits the transmission.
@@ -72,10 +81,10 @@ class Transmission(abc.ABC):
                 is singular there.
         """
         theta, w, wd = self._motion(motion, self.num_joints)
-        q = self._actuator_positions(theta, start)
+        q = self.actuator_positions(theta, start=start)
         inverse = np.asarray(np.linalg.pinv(self._regular_jacobian(q)), float)
-        v = _times(inverse, w)
-        vd = _times(inverse, wd - _times(self.jacobian_rate(q, v), v))
+        v = times(inverse, w)
+        vd = times(inverse, wd - times(self.jacobian_rate(q, v), v))
         return Motion(q, v, vd, motion.time)
 
     def actuator_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
@@ -91,7 +100,7 @@ class Transmission(abc.ABC):
         sizes: Sizes = {}
         q = self._checked(q, "q", self.num_actuators, sizes)
         efforts = self._checked(efforts, "efforts", self.num_joints, sizes)
-        return _times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
+        return times(np.swapaxes(self.jacobian(q), 1, 2), efforts)
 
     def joint_efforts(self, q: ArrayLike, efforts: ArrayLike) -> Array:
         """τ_θ = J⁻ᵀ τ_q (N, k), of the actuators' efforts (N, n) at q (N, n).
@@ -158,17 +167,25 @@ class Transmission(abc.ABC):
             )
         return J
 
-    def _actuator_positions(self, theta: Array, start: ArrayLike) -> Array:
-        """Gauss-Newton on T(q) = θ, all samples together."""
+    def actuator_positions(self, theta: Array, *, start: ArrayLike = 0.0) -> Array:
+        """Q (N, n) with T(q) = θ (N, k), by Gauss-Newton on all samples together.
+
+        Args:
+            theta: (N, k) joint positions.
+            start: (n,) or (N, n) actuator positions near the solution, for maps with several.
+
+        Raises:
+            ArgumentError: No actuator position reaches the joints' positions.
+        """
         q, wanted = real_array(start, "start"), (len(theta), self.num_actuators)
         if q.shape not in ((), wanted[1:], wanted):
             raise ArgumentError(f"A start has the shape {wanted[1:]} or {wanted}; got {q.shape}.")
-        q = np.broadcast_to(q, wanted).copy()
+        q = self.inside(np.broadcast_to(q, wanted).copy())
         size = 1.0 + np.abs(theta).max(initial=0.0)
         for _ in range(_MOST_ITERATIONS):
             inverse = np.asarray(np.linalg.pinv(self.jacobian(q)), float)
-            step = _times(inverse, theta - self.joint_positions(q))
-            q += step
+            step = times(inverse, theta - self.joint_positions(q))
+            q = self.inside(q + step)
             if np.abs(step).max(initial=0.0) < 1e-13 * size:
                 break
         error = np.abs(theta - self.joint_positions(q)).max(initial=0.0)
@@ -180,6 +197,11 @@ class Transmission(abc.ABC):
         return q
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
-    """Products (N, m) of matrices (N, m, n) and vectors (N, n)."""
+def times(matrices: Array, vectors: Array) -> Array:
+    """Products (N, m) of matrices and vectors.
+
+    Args:
+        matrices: (N, m, n) matrices.
+        vectors: (N, n) vectors.
+    """
     return np.einsum("nij,nj->ni", matrices, vectors)

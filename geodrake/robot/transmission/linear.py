@@ -96,6 +96,11 @@ class LinearTransmission(Transmission, Short):
         """Number k of joint positions θ."""
         return self.matrix.shape[0]
 
+    @property
+    def constant_jacobian(self) -> Array:
+        """J."""
+        return self.matrix
+
     def joint_positions(self, q: Array) -> Array:
         """θ = J q + θ₀."""
         return self._checked(q, "q", self.num_actuators) @ self.matrix.T + self.offset

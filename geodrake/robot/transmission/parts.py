@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from geodrake.boundary.arguments import instances, number, real_array
 from geodrake.errors import ArgumentError
@@ -72,6 +73,13 @@ class SideBySide(Transmission):
         """Sum over the parts."""
         return sum(part.num_joints for part in self.parts)
 
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """The parts' Jacobians as blocks, where all are constant."""
+        blocks = [part.constant_jacobian for part in self.parts]
+        given = [block for block in blocks if block is not None]
+        return np.asarray(block_diag(*given)) if len(given) == len(blocks) else None
+
     def joint_positions(self, q: Array) -> Array:
         """The parts' positions, one after another."""
         inputs = self._split(q)
@@ -86,6 +94,10 @@ class SideBySide(Transmission):
         """The parts' rates as blocks."""
         inputs = zip(self.parts, self._split(q), self._split(v), strict=True)
         return self._blocks([part.jacobian_rate(x, xd) for part, x, xd in inputs])
+
+    def inside(self, q: Array) -> Array:
+        """The parts' own."""
+        return np.hstack([p.inside(x) for p, x in zip(self.parts, self._split(q), strict=True)])
 
     def _split(self, q: Array) -> list[Array]:
         ends = np.cumsum([part.num_actuators for part in self.parts])
@@ -131,6 +143,20 @@ class InSequence(Transmission):
     def num_joints(self) -> int:
         """That of the last stage."""
         return self.stages[-1].num_joints
+
+    def inside(self, q: Array) -> Array:
+        """Where the first stage is known."""
+        return self.stages[0].inside(q)
+
+    @property
+    def constant_jacobian(self) -> Array | None:
+        """The product of the stages' Jacobians, where all are constant."""
+        product: Array = np.eye(self.num_actuators)
+        for stage in self.stages:
+            if (J := stage.constant_jacobian) is None:
+                return None
+            product = J @ product
+        return product
 
     def joint_positions(self, q: Array) -> Array:
         """The stages' maps in turn."""

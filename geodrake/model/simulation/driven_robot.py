@@ -1,0 +1,267 @@
+"""A Drake plant that is moved by actuators, and whose joints follow others.
+
+A plant knows its joints alone. Systems here stand between it and a model whose coordinates are
+those of actuators, or lack joints that follow others: one makes the model's state of the plant's,
+the other the plant's generalized forces of the efforts τ at the actuators. There the robot
+accelerates so that it needs just these efforts, M q̈ + h = τ with all effects in M and h, and what
+the plant needs for that at θ̈ = J q̈ + J̇ q̇ is its inverse dynamics. Where there are more joints than
+actuators, what drifts from θ = T(q) is drawn back to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import PassThrough
+
+from geodrake.effects.delays import delays_of
+from geodrake.errors import ModelError
+from geodrake.inertia import Array
+from geodrake.model.simulation.robot_in_diagram import (
+    DiagramOptions,
+    Driven,
+    FittedRobot,
+    RobotInDiagram,
+    add_plant,
+    late,
+)
+from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
+from geodrake.robot.followers import OwnCoordinates
+from geodrake.robot.kinematics import KinematicTree
+from geodrake.robot.regressor import inverse_dynamics
+from geodrake.robot.robot_instance import RobotInstance
+
+_RETURN = 50.0  # rate at which joints come back to where their actuators have them, 1/s
+_MOST_ITERATIONS = 100
+_TOLERANCE = 1e-10
+
+Needed = Callable[[Array, Array, Array, float], Array]
+"""Effort (N, nv) that a motion q, v, v̇ (N, ·) needs at a time, effects included."""
+
+
+@dataclass(frozen=True, eq=False)
+class Driving(Driven):
+    """How a plant moves with a model.
+
+    Attributes:
+        tree: The model's tree.
+        coordinates: Which positions and velocities of the plant are those of its joints.
+        phi: (nb, 10) inertial parameters, payloads included.
+        names: Names of the model's velocities.
+        needed: What effort a motion needs.
+        gain: (nv,) measured effort over the one that acts.
+    """
+
+    tree: RobotTree
+    coordinates: OwnCoordinates
+    phi: Array
+    names: tuple[str, ...]
+    needed: Needed
+    gain: Array
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Nq and nv of the plant, then of the model."""
+        plant, tree = self.coordinates.plant, self.tree
+        own = tree.num_positions, tree.num_velocities
+        return plant.num_positions(), plant.num_velocities(), *own
+
+    def in_plant(self, plant: MultibodyPlant) -> Driving:
+        """The same with another plant of the same robot."""
+        return replace(self, coordinates=replace(self.coordinates, plant=plant))
+
+    def model_state(self, state: Array) -> tuple[Array, Array]:
+        """Q (nq,) and v (nv,) of the model, of a state of the plant."""
+        nq, ways = self.sizes[0], self.coordinates
+        theta, rate = state[:nq][ways.own_positions], state[nq:][ways.own_velocities]
+        if not isinstance(self.tree, DrivenTree):
+            return theta, rate
+        q = self.tree.actuation.nearest(theta[None])
+        J = self.tree.actuation.jacobian(q)[0]
+        return q[0], np.asarray(np.linalg.pinv(J) @ rate)
+
+    def plant_state(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Positions and velocities of the plant, of those of the model.
+
+        Args:
+            q: (nq,) positions of the model.
+            v: (nv,) velocities of the model.
+        """
+        J, _ = self._jacobians(q, v)
+        theta = joint_positions(self.tree, q[None])
+        return self.coordinates.plant_positions(theta)[0], J @ v
+
+    def plant_force(self, state: Array, effort: Array, time: float) -> Array:
+        """Generalized forces (nv of the plant,) of efforts of the actuators and of all effects.
+
+        Args:
+            state: Positions and velocities of the plant.
+            effort: (nv,) efforts of the model, N·m or N.
+            time: Time since the log began, s.
+
+        Raises:
+            ModelError: Load-dependent friction does not settle.
+        """
+        q, v = self.model_state(state)
+        (J, rate), (whole, rates) = self._jacobians(q, v), self.plant_state(q, v)
+        acceleration = J @ self.acceleration(q, v, effort / self.gain, time) + rate @ v
+        nq, nv, _, own = self.sizes
+        if own < nv:
+            off = self.coordinates.plant.MapQDotToVelocity(self._context, state[:nq] - whole)
+            acceleration -= 2.0 * _RETURN * (state[nq:] - rates) + _RETURN**2 * off
+        sample = state[None, :nq], state[None, nq:], acceleration[None]
+        return inverse_dynamics(self._plant_tree, *sample, self.phi)[0]
+
+    def acceleration(self, q: Array, v: Array, effort: Array, time: float) -> Array:
+        """q̈ (nv,) under efforts that act at the actuators.
+
+        What is needed is affine in q̈, but for friction that depends on the load.
+
+        Args:
+            q: (nq,) positions.
+            v: (nv,) velocities.
+            effort: (nv,) efforts, N·m or N.
+            time: Time since the log began, s.
+
+        Raises:
+            ModelError: Load-dependent friction does not settle.
+        """
+        M, needed = self.mass_and_drift(q, v, time)
+        size = 1.0 + np.abs(effort).max()
+        found = np.linalg.solve(M, effort - needed)
+        for _ in range(_MOST_ITERATIONS):
+            rest = effort - self.needed(q[None], v[None], found[None], time)[0]
+            if np.abs(rest).max() <= _TOLERANCE * size:
+                return found
+            found = found + np.linalg.solve(M, rest)
+        raise ModelError(
+            f"Load-dependent friction does not settle; {np.abs(rest).max():.3g} N·m are left.",
+            advice="Give it a load factor well below 1; above, a gear locks itself.",
+        )
+
+    def mass_and_drift(self, q: Array, v: Array, time: float) -> tuple[Array, Array]:
+        """M (nv, nv), and the effort (nv,) that is needed without acceleration.
+
+        Args:
+            q: (nq,) positions.
+            v: (nv,) velocities.
+            time: Time since the log began, s.
+        """
+        count = len(v)
+        places, rates = (np.repeat(x[None], count + 1, axis=0) for x in (q, v))
+        efforts = self.needed(places, rates, np.eye(count + 1, count), time)
+        return (efforts[:count] - efforts[count]).T, efforts[count]
+
+    def _jacobians(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """J and J̇ (nv of the plant, nv)."""
+        ways = self.coordinates
+        F = ways.plant_velocities(np.eye(len(ways.own_velocities))).T
+        if not isinstance(self.tree, DrivenTree):
+            return F, np.zeros_like(F)
+        at = self.tree.actuation
+        return F @ at.jacobian(q[None])[0], F @ at.jacobian_rate(q[None], v[None])[0]
+
+    @cached_property
+    def _plant_tree(self) -> KinematicTree:
+        return KinematicTree.from_plant(self.coordinates.plant)
+
+    @cached_property
+    def _context(self) -> Context:
+        return self.coordinates.plant.CreateDefaultContext()
+
+
+class ActuatorState(LeafSystem):
+    """The state of a model, of that of its plant.
+
+    .. pydrake_system::
+
+        name: ActuatorState
+        input_ports:
+        - plant_state
+        output_ports:
+        - state
+    """
+
+    def __init__(self, driving: Driving) -> None:
+        """Constructs the system for a plant and how it moves."""
+        LeafSystem.__init__(self)
+        self._driving = driving
+        nq, nv, own_nq, own_nv = driving.sizes
+        self._port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
+        size, known = own_nq + own_nv, {self._port.ticket()}
+        self.DeclareVectorOutputPort("state", BasicVector(size), self._calc_state, known)
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.concatenate(self._driving.model_state(self._port.Eval(context))))
+
+
+class JointEffort(LeafSystem):
+    """Generalized forces of a plant, of the efforts of its actuators, effects included.
+
+    .. pydrake_system::
+
+        name: JointEffort
+        input_ports:
+        - plant_state
+        - effort
+        output_ports:
+        - generalized_force
+    """
+
+    def __init__(self, driving: Driving) -> None:
+        """Constructs the system for a plant and how it moves."""
+        LeafSystem.__init__(self)
+        self._driving = driving
+        nq, nv, _, own = driving.sizes
+        self._state_port = self.DeclareVectorInputPort("plant_state", BasicVector(nq + nv))
+        self._effort_port = self.DeclareVectorInputPort("effort", BasicVector(own))
+        ports = self._state_port, self._effort_port
+        known = {self.time_ticket(), *(port.ticket() for port in ports)}
+        self.DeclareVectorOutputPort("generalized_force", BasicVector(nv), self._calc_force, known)
+
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        state, effort = self._state_port.Eval(context), self._effort_port.Eval(context)
+        output.SetFromVector(self._driving.plant_force(state, effort, context.get_time()))
+
+
+def add_driven_robot(
+    builder: DiagramBuilder, robot: FittedRobot, options: DiagramOptions, driving: Driving
+) -> RobotInDiagram:
+    """Adds a model whose plant has other coordinates; see `RobotModel.add_to_builder`.
+
+    Args:
+        builder: The diagram's builder.
+        robot: The model.
+        options: How.
+        driving: How its plant moves.
+    """
+    name = options.name
+    plant, scene_graph, notes = add_plant(builder, robot, options)
+    driving = driving.in_plant(plant)
+    seen = builder.AddNamedSystem(f"{name}_state", ActuatorState(driving))
+    force = builder.AddNamedSystem(f"{name}_joint_effort", JointEffort(driving))
+    for system in (seen, force):
+        builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
+    effort = builder.AddNamedSystem(f"{name}_effort", PassThrough(np.zeros(len(driving.names))))
+    delays = delays_of([fitted.effect for fitted in robot.effects], driving.names)
+    logged = late(builder, f"{name}_logged_effort", effort.get_output_port(), delays)
+    acting = late(builder, f"{name}_acting_effort", effort.get_output_port(), -delays)
+    builder.Connect(acting, force.GetInputPort("effort"))
+    builder.Connect(force.get_output_port(), plant.get_applied_generalized_force_input_port())
+    return RobotInDiagram(
+        RobotInstance(plant),
+        scene_graph,
+        None,
+        driving.names,
+        robot.total_phi,
+        effort.get_input_port(),
+        seen.get_output_port(),
+        logged,
+        notes,
+        driving,
+    )

@@ -1,0 +1,72 @@
+"""Damping, dry friction, rotors and springs that a model file states, as effects of a model.
+
+Files state them at joints; effects act at actuators. Where one actuator moves a joint by a constant
+ratio J, damping, rotor inertia and stiffness are J² there, and dry friction |J|. Where several do,
+or the ratio changes, no effect at an actuator is the same: the term is left out, which a note says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from geodrake.effects import catalogue
+from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.inertia import Array
+from geodrake.model.file_terms import Spring
+from geodrake.robot.plant import LoadedPlant
+from geodrake.robot.transmission.actuation import Actuation
+
+_WEIGHTS: dict[str, Callable[[Array], Array]] = {"dry friction": np.abs}
+
+
+def stated_effects(
+    loaded: LoadedPlant, joints: Sequence[str], names: Sequence[str], actuation: Actuation | None
+) -> tuple[list[FittedEffect], list[str]]:
+    """The effects, and notes on them.
+
+    Args:
+        loaded: The plant of a model file, and what the file says of friction, damping and rotors.
+        joints: Names of the velocities of its tree, without followers.
+        names: Names of the model's velocities.
+        actuation: How the former follow from the latter; None if they are the same.
+    """
+    effects, notes = list[FittedEffect](), list[str]()
+    for kind in catalogue():
+        stated = loaded.stated.get(kind.stated_as, np.zeros(len(joints)))
+        values, lost = _at_actuators(stated, actuation, _WEIGHTS.get(kind.stated_as, np.square))
+        notes += _lost_notes(kind.stated_as, [joints[at] for at in lost])
+        found = [(name, value) for name, value in zip(names, values, strict=True) if value]
+        for name, value in found:
+            effects += [FittedEffect(each, np.array([value])) for each in kind.shaped(name)]
+        if found:
+            listed = ", ".join(f"{name} {value:g}" for name, value in found)
+            notes.append(f"The {kind.stated_as} in the file ({listed}) is kept as {kind.name}.")
+    stiffness, rest = loaded.file_springs
+    values, lost = _at_actuators(stiffness, actuation, np.square)
+    if actuation is not None:  # Σ J² k (q − c)² / 2 of several springs is one about their mean
+        moments, _ = actuation.joined(stiffness * (rest - actuation.offsets), lambda J: J)
+        rest = moments / np.where(values > 0.0, values, 1.0)
+    notes += _lost_notes("spring", [joints[at] for at in lost])
+    for name, value, center in zip(names, values.tolist(), rest.tolist(), strict=True):
+        if value:
+            spring = Spring(name, center=center)
+            effects.append(FittedEffect(spring, np.array([value, 0.0])))
+            notes.append(f"The spring in the file ({name} {value:g}) is kept as {spring.name}.")
+    return effects, notes
+
+
+def _at_actuators(
+    values: Array, actuation: Actuation | None, weight: Callable[[Array], Array]
+) -> tuple[Array, list[int]]:
+    return (values, []) if actuation is None else actuation.joined(values, weight)
+
+
+def _lost_notes(what: str, joints: Sequence[str]) -> list[str]:
+    if not joints:
+        return []
+    return [
+        f"The {what} in the file of {', '.join(joints)} is left out: behind the transmission, no "
+        "effect at an actuator is the same."
+    ]

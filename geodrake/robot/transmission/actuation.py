@@ -1,0 +1,381 @@
+"""How all positions and velocities of a tree follow from those of a robot with drives.
+
+Joints that a drive moves give their places to its actuators, the i-th joint to the i-th actuator;
+other joints are their own actuators, a floating base among them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.compiling import contiguous
+from geodrake.errors import ModelError
+from geodrake.inertia import Array
+from geodrake.robot.transmission.base import times
+from geodrake.robot.transmission.drive import Drive
+
+Indices = NDArray[np.intp]
+
+_STEP = 1e-4  # rad or m
+
+_Seat = tuple[int, int]  # number of a drive, and of its actuator
+_KEPT = -1, -1  # where no drive is
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where a drive's actuators are in the robot's q and v, and its joints in those of the tree."""
+
+    drive: Drive
+    actuator_q: Indices
+    actuator_v: Indices
+    joint_q: Indices
+    joint_v: Indices
+
+
+@dataclass(frozen=True, eq=False)
+class Actuation:
+    """A map from a robot's q, v and v̇ to those of its tree.
+
+    Attributes:
+        names: Names of the robot's nv velocities.
+        places: The drives and where they are.
+        kept_q: (2, ·) where positions of joints without a drive are in the robot's q, and in the
+            tree's.
+        kept_v: (2, ·) the same of velocities.
+        sizes: Numbers of the tree's positions and velocities.
+    """
+
+    names: tuple[str, ...]
+    places: tuple[Places, ...]
+    kept_q: Indices
+    kept_v: Indices
+    sizes: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls,
+        joints: Sequence[str],
+        positions: Mapping[int, int],
+        num_positions: int,
+        drives: Sequence[Drive],
+    ) -> Actuation:
+        """Finds the places.
+
+        Args:
+            joints: Names of the tree's velocities.
+            positions: Velocity of a joint of one degree of freedom -> where its position is.
+            num_positions: Number of the tree's positions.
+            drives: The drives.
+
+        Raises:
+            ModelError: A drive names a joint that is none of one degree of freedom, two of them
+                name the same, or an actuator has the name of a joint that moves by itself.
+        """
+        by_name = {joints[at]: at for at in positions}
+        _check(drives, by_name)
+        seats: dict[int, _Seat | None] = dict.fromkeys(range(len(joints)), _KEPT)
+        for number, drive in enumerate(drives):
+            own = sorted(by_name[joint] for joint in drive.joints)
+            seats |= dict.fromkeys(own, None)  # of joints that have no actuator of their own
+            seats |= {at: (number, i) for i, at in enumerate(own[: len(drive.actuators)])}
+        names = [
+            joints[at] if seat is _KEPT else drives[seat[0]].actuators[seat[1]]
+            for at, seat in seats.items()
+            if seat is not None
+        ]
+        velocity_at = {position: at for at, position in positions.items()}
+        of_positions = {  # positions of joints of several degrees are none of a drive
+            place: seats[velocity_at[place]] if place in velocity_at else _KEPT
+            for place in range(num_positions)
+        }
+        (kept_v, at_v), (kept_q, at_q) = _seated(seats), _seated(of_positions)
+        places = []
+        for number, drive in enumerate(drives):
+            keys = [(number, i) for i in range(len(drive.actuators))]
+            joint_v = [by_name[joint] for joint in drive.joints]
+            joint_q = [positions[at] for at in joint_v]
+            indices = [at_q[key] for key in keys], [at_v[key] for key in keys], joint_q, joint_v
+            places.append(Places(drive, *(np.array(x, np.intp) for x in indices)))
+        return cls(tuple(names), tuple(places), kept_q, kept_v, (num_positions, len(joints)))
+
+    @property
+    def num_positions(self) -> int:
+        """Number nq of the robot's positions."""
+        return self.kept_q.shape[1] + sum(len(place.actuator_q) for place in self.places)
+
+    @property
+    def num_velocities(self) -> int:
+        """Number nv of the robot's velocities."""
+        return len(self.names)
+
+    @cached_property
+    def constant(self) -> Array | None:
+        """J (nv of the tree, nv) where no ratio changes with the position; else None."""
+        if any(place.drive.map.constant_jacobian is None for place in self.places):
+            return None
+        return self._jacobian(np.zeros((1, self.num_positions)))[0]
+
+    @property
+    def offsets(self) -> Array:
+        """(nv of the tree,) θ₀ of joints with constant ratios, where their actuators are at 0."""
+        found = np.zeros(self.sizes[1])
+        for place in self.places:
+            if place.drive.map.constant_jacobian is not None:
+                still = np.zeros((1, len(place.actuator_q)))
+                found[place.joint_v] = place.drive.map.joint_positions(still)[0]
+        return found
+
+    def tree_positions(self, q: Array) -> Array:
+        """(N, nq of the tree) positions, of those of the robot (N, nq)."""
+        whole = np.zeros((len(q), self.sizes[0]))
+        own, tree = self.kept_q
+        whole[:, tree] = q[:, own]
+        for place in self.places:
+            whole[:, place.joint_q] = place.drive.map.joint_positions(q[:, place.actuator_q])
+        return whole
+
+    def jacobian(self, q: Array) -> Array:
+        """J (N, nv of the tree, nv) with the tree's velocities J v."""
+        if self.constant is not None:
+            return np.broadcast_to(self.constant, (len(q), *self.constant.shape))
+        return self._jacobian(q)
+
+    def jacobian_rate(self, q: Array, v: Array) -> Array:
+        """J̇ (N, nv of the tree, nv).
+
+        Args:
+            q: (N, nq) positions.
+            v: (N, nv) velocities.
+        """
+        rate = np.zeros((len(q), self.sizes[1], self.num_velocities))
+        for place in self.places:
+            block = np.ix_(range(len(q)), place.joint_v, place.actuator_v)
+            motion = q[:, place.actuator_q], v[:, place.actuator_v]
+            rate[block] = place.drive.map.jacobian_rate(*motion)
+        return rate
+
+    def jacobian_rate_slope(self, q: Array, v: Array) -> Array:
+        """∂(J̇ v)/∂q (N, nv of the tree, nv), by differences of J̇ along v.
+
+        J̇ v has all v twice, so that its slope is the rate of J̇ itself.
+
+        Args:
+            q: (N, nq) positions.
+            v: (N, nv) velocities.
+        """
+        if self.constant is not None:
+            return np.zeros((len(q), self.sizes[1], self.num_velocities))
+        speed = np.abs(v).max(axis=1, initial=0.0)[:, None]
+        step = np.zeros_like(q)
+        at_q = np.concatenate([place.actuator_q for place in self.places])
+        step[:, at_q] = _STEP * (v / np.where(speed > 0, speed, 1.0))[:, self.driven]
+        ahead, behind = self.jacobian_rate(q + step, v), self.jacobian_rate(q - step, v)
+        return np.asarray((ahead - behind) / (2.0 * _STEP) * speed[:, :, None])
+
+    def bend(self, q: Array, products: Array) -> Array:
+        """(N, nq) Σ_ij ∂J_ij/∂q_l P_ij: how a weighted sum of J changes with the positions.
+
+        Args:
+            q: (N, nq) positions.
+            products: (N, nv of the tree, nv) weights P.
+        """
+        found = np.zeros_like(q)
+        for place in self.places:
+            for at_q, at_v in zip(place.actuator_q, place.actuator_v, strict=True):
+                unit = np.zeros((len(q), self.num_velocities))
+                unit[:, at_v] = 1.0
+                # ∂J/∂q_l is the rate of J where only q_l moves, with speed one.
+                found[:, at_q] = (self.jacobian_rate(q, unit) * products).sum((1, 2))
+        return found
+
+    @cached_property
+    def driven(self) -> Indices:
+        """Velocities of the robot that are those of actuators of drives."""
+        return np.concatenate([place.actuator_v for place in self.places])
+
+    def tree_samples(self, q: Array, v: Array, vd: Array) -> tuple[Array, Array, Array, Array]:
+        """Positions, velocities and accelerations of the tree, and J, along a motion (N, ·).
+
+        Args:
+            q: (N, nq) positions.
+            v: (N, nv) velocities.
+            vd: (N, nv) accelerations.
+        """
+        J = self.jacobian(q)
+        accelerations = times(J, vd)
+        if self.constant is None:
+            accelerations += times(self.jacobian_rate(q, v), v)
+        samples = self.tree_positions(q), times(J, v), accelerations
+        theta, rates, accelerations = (contiguous(x) for x in samples)
+        return theta, rates, accelerations, J
+
+    def inside(self, q: Array) -> Array:
+        """Positions (N, nq) of the robot with its actuators where their maps are known."""
+        q = q.copy()
+        for place in self.places:
+            low, high = place.drive.limits
+            own = np.clip(q[:, place.actuator_q], low, high)
+            q[:, place.actuator_q] = place.drive.map.inside(own)
+        return q
+
+    def nearest(self, theta: Array) -> Array:
+        """(N, nq) positions of the robot whose joints are nearest to those of the tree (N, ·).
+
+        Raises:
+            ArgumentError: Ratios change with the position, and no positions of actuators fit.
+        """
+        q = np.zeros((len(theta), self.num_positions))
+        own, tree = self.kept_q
+        q[:, own] = theta[:, tree]
+        for place in self.places:
+            J, at = place.drive.map.constant_jacobian, theta[:, place.joint_q]
+            if J is None:
+                start = middle(*place.drive.limits)
+                q[:, place.actuator_q] = place.drive.map.actuator_positions(at, start=start)
+            else:
+                shift = place.drive.map.joint_positions(np.zeros((1, J.shape[1])))
+                q[:, place.actuator_q] = (at - shift) @ np.linalg.pinv(J).T
+        return q
+
+    def robot_gradient(self, q: Array, gradient: Array) -> Array:
+        """(N, nq) gradient with the robot's positions q (N, nq), of that with the tree's.
+
+        Args:
+            q: (N, nq) positions.
+            gradient: (N, nq of the tree) gradient.
+        """
+        found = np.zeros_like(q)
+        own, tree = self.kept_q
+        found[:, own] = gradient[:, tree]
+        for place in self.places:
+            J = place.drive.map.jacobian(q[:, place.actuator_q])
+            found[:, place.actuator_q] = times(np.swapaxes(J, 1, 2), gradient[:, place.joint_q])
+        return found
+
+    def single_places(self, tree: Mapping[int, int]) -> tuple[list[int], list[int]]:
+        """Where joints of one degree of freedom, and actuators, are in the robot's v and q.
+
+        Args:
+            tree: Velocity of each joint of one degree of freedom of the tree -> its position.
+        """
+        kept_q = dict(zip(self.kept_q[1].tolist(), self.kept_q[0].tolist(), strict=True))
+        kept = zip(*self.kept_v.tolist(), strict=True)
+        found = {own: kept_q[tree[at]] for own, at in kept if at in tree}
+        for place in self.places:
+            found |= dict(zip(place.actuator_v.tolist(), place.actuator_q.tolist(), strict=True))
+        return sorted(found), [found[at] for at in sorted(found)]
+
+    def moved_by(self, velocities: Sequence[int]) -> tuple[int, ...]:
+        """The robot's velocities that move some velocities of the tree."""
+        return tuple(np.flatnonzero(self._moves[list(velocities)].any(axis=0)).tolist())
+
+    def joined(self, values: Array, weight: Callable[[Array], Array]) -> tuple[Array, list[int]]:
+        """Coefficients (nv,) at the actuators, of those of the joints, and what has none.
+
+        Args:
+            values: (nv of the tree,) coefficients of efforts of the joints, such as damping.
+            weight: What J makes of them, such as J² of damping.
+
+        Returns:
+            The coefficients, and velocities of the tree whose own are left out: they follow several
+            actuators, or by a ratio that changes with the position, so that no coefficient at an
+            actuator does the same.
+        """
+        found, lost = np.zeros(self.num_velocities), list[int]()
+        own, tree = self.kept_v
+        found[own] = values[tree]
+        for place in self.places:
+            J = place.drive.map.constant_jacobian
+            for k, at in enumerate(place.joint_v.tolist()):
+                row = None if J is None else J[k]
+                if row is None or np.count_nonzero(row) != 1:
+                    lost += [at] if values[at] else []
+                    continue
+                (i,) = np.flatnonzero(row)
+                found[place.actuator_v[i]] += float(weight(row[i])) * values[at]
+        return found, lost
+
+    def stands_at(self, velocity: int) -> int | None:
+        """Which velocity of the robot has the place of one of the tree; None for none."""
+        return self._standing.get(velocity)
+
+    @cached_property
+    def _standing(self) -> dict[int, int]:
+        found = dict(zip(self.kept_v[1].tolist(), self.kept_v[0].tolist(), strict=True))
+        for place in self.places:
+            own = sorted(place.joint_v.tolist())[: len(place.actuator_v)]
+            found |= dict(zip(own, place.actuator_v.tolist(), strict=True))
+        return found
+
+    @cached_property
+    def _moves(self) -> NDArray[np.bool_]:
+        """(nv of the tree, nv) which velocity of the robot can move which of the tree."""
+        moves = np.zeros((self.sizes[1], self.num_velocities), bool)
+        own, tree = self.kept_v
+        moves[tree, own] = True
+        for place in self.places:
+            J = place.drive.map.constant_jacobian
+            block = np.ix_(place.joint_v, place.actuator_v)
+            moves[block] = True if J is None else J != 0.0
+        return moves
+
+    def _jacobian(self, q: Array) -> Array:
+        J = np.zeros((len(q), self.sizes[1], self.num_velocities))
+        own, tree = self.kept_v
+        J[:, tree, own] = 1.0
+        for place in self.places:
+            block = np.ix_(range(len(q)), place.joint_v, place.actuator_v)
+            J[block] = place.drive.map.jacobian(q[:, place.actuator_q])
+        return J
+
+
+def _seated(seats: Mapping[int, _Seat | None]) -> tuple[Indices, dict[_Seat, int]]:
+    """Where in the robot, and in the tree, what is kept stands (2, ·); and where actuators do."""
+    places = {at: number for number, at in enumerate(a for a, s in seats.items() if s is not None)}
+    kept = [(number, at) for at, number in places.items() if seats[at] is _KEPT]
+    found = {seat: places[at] for at, seat in seats.items() if seat is not None}
+    return np.array(kept, np.intp).reshape(-1, 2).T, found
+
+
+def _check(drives: Sequence[Drive], by_name: Mapping[str, int]) -> None:
+    """Refuses names that do not fit, of joints and actuators."""
+    joints = [joint for drive in drives for joint in drive.joints]
+    actuators = [name for drive in drives for name in drive.actuators]
+    for joint in joints:
+        if joint not in by_name:
+            raise ModelError(
+                f"The transmission has the joint {joint!r}, which the robot does not have as one "
+                "that moves by itself.",
+                advice=f"Such joints are: {', '.join(by_name)}.",
+                joint=joint,
+            )
+    for what, names in (("joint", joints), ("actuator", actuators)):
+        for name in names:
+            if names.count(name) > 1:
+                raise ModelError(
+                    f"The transmission has the {what} {name!r} in two of its parts.",
+                    advice="Put all that moves together into one part, such as `coupled`.",
+                )
+    for name in set(actuators).intersection(by_name).difference(joints):
+        raise ModelError(
+            f"The transmission has an actuator {name!r}, and the robot a joint of this name that "
+            "no part of the transmission moves.",
+            advice="Name the actuator as its column in logs, and say what moves the joint.",
+        )
+
+
+def middle(low: Array, high: Array) -> Array:
+    """(n,) positions in the middle of a range; 0 where there is none.
+
+    Args:
+        low: (n,) least positions.
+        high: (n,) greatest positions.
+    """
+    bounded = np.isfinite(low) & np.isfinite(high)
+    return np.asarray(0.5 * (np.where(bounded, low, 0.0) + np.where(bounded, high, 0.0)))

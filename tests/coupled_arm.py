@@ -1,0 +1,83 @@
+"""An arm whose wrist two motors move together, as a model file and transmissions for it."""
+
+import numpy as np
+
+from geodrake import load_model
+from geodrake.logs import JointLog, Motion
+
+ARM = """<robot name="coupled"><link name="base"/>{links}{joints}</robot>"""
+LINK = (
+    '<link name="{0}"><inertial><origin xyz="{1}"/><mass value="{2}"/><inertia ixx="{3}" iyy="{4}"'
+    ' izz="{5}" ixy="0.001" ixz="0.002" iyz="-0.001"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{0}" type="{3}"><parent link="{1}"/><child link="{2}"/><origin xyz="{4}" '
+    'rpy="0.1 0 0.2"/><axis xyz="{5}"/><limit lower="-2" upper="2" effort="40" velocity="3"/>'
+    "{6}</joint>"
+)
+
+WRIST = """
+gears:
+- {actuator: m1, joint: shoulder, ratio: -8}
+coupled:
+- joints:
+    pitch: {m2: 0.5, m3: 0.5}
+    roll: {m2: 0.4, m3: -0.4}
+  offsets: {roll: 0.1}
+"""
+"""A gear, and a differential with unequal ratios."""
+
+CURVED = """
+four_bars:
+- {actuator: crank, joint: shoulder, ground: 0.1, crank: 0.04, coupler: 0.09, rocker: 0.06,
+   crank_angle: 1.2, rocker_angle: 1.5}
+polynomials:
+- {actuator: knob, joint: pitch, coefficients: [0.1, 0.9, 0.2, -0.1]}
+linear_actuators:
+- {actuator: screw, joint: roll, base: 0.5, lever: 0.4, length: 0.5, angle: 1.16, reversed: true}
+"""
+"""Ratios that change with the position."""
+
+
+def text(extra=""):
+    """The model file; `extra` goes into the joint `roll`."""
+    links = (
+        LINK.format("upper", "0.2 0.02 0.01", 3.0, 0.03, 0.05, 0.04),
+        LINK.format("hand", "0.1 -0.02 0.03", 1.2, 0.01, 0.02, 0.015),
+        LINK.format("tool", "0.02 0.05 0.1", 0.8, 0.008, 0.01, 0.006),
+    )
+    joints = (
+        JOINT.format("shoulder", "base", "upper", "revolute", "0 0 0.3", "0 1 0", ""),
+        JOINT.format("pitch", "upper", "hand", "revolute", "0.4 0 0", "0 1 0", ""),
+        JOINT.format("roll", "hand", "tool", "revolute", "0.1 0 0", "1 0 0", extra),
+    )
+    return ARM.format(links="".join(links), joints="".join(joints))
+
+
+def arm(folder, beside=WRIST, *, extra="", **options):
+    """The model of the arm with a transmission file beside it; none if it is empty."""
+    folder.joinpath("arm.urdf").write_text(text(extra))
+    if beside:
+        folder.joinpath("arm.transmission.yaml").write_text(beside)
+    return load_model(folder / "arm.urdf", **options)
+
+
+def motion_of(model, count=6, seed=0, reach=0.05):
+    """Random samples, small enough for every linkage."""
+    rng, nv = np.random.default_rng(seed), len(model.joints)
+    q = rng.uniform(-reach, reach, (count, nv))
+    return Motion(q, *rng.uniform(-1.0, 1.0, (2, count, nv)))
+
+
+def log_of(model, seed, hidden=None, *, seconds=20.0, scale=1.0):
+    """A log of the model's actuators on a multisine, with noise and hidden efforts."""
+    rng, nv = np.random.default_rng(seed), len(model.joints)
+    time = np.arange(round(seconds * 200.0)) / 200.0
+    rate = 0.2 * np.pi * np.arange(1, 9)[:, None]
+    angle = rate[None] * time[:, None, None] + rng.uniform(0, 2 * np.pi, (8, nv))
+    swing = scale * rng.uniform(0.1, 0.4, (8, nv))
+    q, v = (swing * np.sin(angle)).sum(1), (swing * rate * np.cos(angle)).sum(1)
+    load = model.motion(Motion(q, v, -(swing * rate**2 * np.sin(angle)).sum(1))).load
+    effort = load if hidden is None else load + hidden(v)
+    effort = effort + 0.02 * load.std(0) * rng.normal(size=effort.shape)
+    return JointLog(f"log_{seed}", model.joints, time, q, effort)

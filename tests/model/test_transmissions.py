@@ -1,0 +1,361 @@
+"""Transmissions of models against Drake by hand, MuJoCo's tendons, and differences."""
+
+import re
+
+import numpy as np
+import pytest
+from chain_logs import inverse_dynamics as drakes_efforts
+from coupled_arm import CURVED, WRIST, arm, log_of, motion_of, text
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from known_robots import assert_close
+from pydrake.systems.framework import DiagramBuilder
+
+from geodrake import load_model, save_model
+from geodrake.control.regressor import ControlModel
+from geodrake.diagnosis import add, explain
+from geodrake.effects import CoulombFriction, RotorInertia
+from geodrake.effects.fitted_effect import FittedEffect
+from geodrake.errors import LogError, ModelError
+from geodrake.excitation.regressor_gradient import (
+    base_wrench_regressor_gradient,
+    inverse_dynamics_regressor_gradient,
+)
+from geodrake.identification.logs.compare import compare
+from geodrake.logs import JointLog, Motion
+from geodrake.model import holding, python_source
+from geodrake.model.logged_joints import model_of_logs
+from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor
+from geodrake.robot.effort_slopes import effort_slopes
+from geodrake.robot.regressor import inverse_dynamics
+from geodrake.robot.transmission import Drive, FunctionTransmission
+
+STEP = 1e-5
+J = np.array([[-1 / 8, 0, 0], [0, 0.5, 0.5], [0, 0.4, -0.4]])
+
+
+@pytest.fixture(scope="module")
+def wrist(tmp_path_factory):
+    return arm(tmp_path_factory.mktemp("wrist"))
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory):
+    return arm(tmp_path_factory.mktemp("curved"), CURVED)
+
+
+def slopes_of(function, x):
+    """Central differences [..., j] of a function of x (N, n)."""
+    units = STEP * np.eye(x.shape[1])
+    return np.stack([(function(x + u) - function(x - u)) / (2 * STEP) for u in units], -1)
+
+
+def test_efforts_are_those_of_drake_through_the_matrix(wrist):
+    motion = motion_of(wrist, reach=1.0)
+    assert wrist.joints == ("m1", "m2", "m3")
+    at_joints = drakes_efforts(
+        wrist.plant, motion.q @ J.T + [0.0, 0.0, 0.1], motion.v @ J.T, motion.vd @ J.T
+    )
+    seen = wrist.motion(motion)
+    assert_close(seen.load, at_joints @ J)
+    Y = inverse_dynamics_regressor(wrist.tree, motion.q, motion.v, motion.vd)
+    assert_close(Y @ wrist.phi.ravel(), seen.load)
+    assert_close(seen.body_columns("tool"), Y[:, :, 20:30])
+    assert wrist.joint_pairs == (("m1", "m2"), ("m2", "m3")) and wrist.sliding_joints == ()
+
+
+def test_efforts_of_curved_maps_are_those_of_drake_along_the_same_path(curved):
+    """θ(t), θ̇ and θ̈ by differences of a path q(t); efforts by virtual work, Jᵀ from differences."""
+    motion = motion_of(curved)
+    path = lambda t: motion.q + t * motion.v + 0.5 * t**2 * motion.vd  # noqa: E731
+    positions = curved.plant_positions
+    h = 1e-4
+    before, here, after = (positions(path(t)) for t in (-h, 0.0, h))
+    rates, accelerations = (after - before) / (2 * h), (after - 2 * here + before) / h**2
+    expected = np.einsum(
+        "nji,nj->ni",
+        slopes_of(positions, motion.q),
+        drakes_efforts(curved.plant, here, rates, accelerations),
+    )
+    np.testing.assert_allclose(curved.motion(motion).load, expected, rtol=2e-4, atol=2e-5)
+    assert curved.sliding_joints == ("screw",)
+
+
+@pytest.mark.parametrize("name", ["wrist", "curved"])
+def test_slopes_and_jacobians_are_differences(name, request):
+    model = request.getfixturevalue(name)
+    q, v, vd = (x for x in (motion_of(model).q, motion_of(model).v, motion_of(model).vd))
+    phi, tree = model.total_phi, model.tree
+    slopes = effort_slopes(tree, q, v, vd, phi)
+    for found, function, x in (
+        (slopes.position, lambda x: inverse_dynamics(tree, x, v, vd, phi), q),
+        (slopes.velocity, lambda x: inverse_dynamics(tree, q, x, vd, phi), v),
+        (slopes.acceleration, lambda x: inverse_dynamics(tree, q, v, x, phi), vd),
+    ):
+        np.testing.assert_allclose(found, slopes_of(function, x), rtol=1e-5, atol=1e-5)
+    place = lambda x: model.motion(Motion(x, v, vd)).bodies.motion("tool").position  # noqa: E731
+    tool = model.motion(Motion(q, v, vd)).bodies.motion("tool")
+    np.testing.assert_allclose(tool.linear, slopes_of(place, q), atol=1e-8)
+    assert tool.dofs == (0, 1, 2)
+
+
+def test_mujoco_moves_so_under_motors_on_tendons(wrist):
+    """MuJoCo's fixed tendons have the length J⁻¹ θ of the motors; their forces are our efforts."""
+    mujoco = pytest.importorskip("mujoco")
+    spec = mujoco.MjSpec.from_string(text())
+    for motor, row in zip(wrist.joints, np.linalg.inv(J), strict=True):
+        tendon = spec.add_tendon(name=motor)
+        for joint, share in zip(("shoulder", "pitch", "roll"), row, strict=True):
+            tendon.wrap_joint(joint, share)
+        actuator = spec.add_actuator(name=motor, target=motor)
+        actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
+    theirs = spec.compile()
+    data, motion = mujoco.MjData(theirs), motion_of(wrist, reach=1.0)
+    efforts = wrist.motion(motion).load
+    theirs.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    for k, effort in enumerate(efforts):
+        data.qpos[:], data.qvel[:] = J @ motion.q[k] + [0.0, 0.0, 0.1], J @ motion.v[k]
+        data.ctrl[:] = effort
+        mujoco.mj_forward(theirs, data)
+        np.testing.assert_allclose(data.qacc, J @ motion.vd[k], rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["wrist", "curved"])
+def test_a_controllers_regressor_is_skew_and_conserves_momentum(name, request):
+    model = request.getfixturevalue(name)
+    control, h = ControlModel.of(model), 1e-5
+    q, v, a = (x[0] for x in (motion_of(model).q, motion_of(model).v, motion_of(model).vd))
+    p, zero = control.prior, np.zeros(3)
+    own = control.at(q, v, v, a)
+    assert_close(own.effort(p), model.effort(Motion(q[None], v[None], a[None]))[0])
+    M = lambda t: control.at(q + t * v, v, v, zero).mass_matrix(p)  # noqa: E731
+    gravity = control.at(q, zero, zero, zero).effort(p)
+    C = np.array([control.at(q, v, u, zero).effort(p) - gravity for u in np.eye(3)]).T
+    rate = (M(h) - M(-h)) / (2 * h)
+    np.testing.assert_allclose(rate - 2 * C, -(rate - 2 * C).T, atol=1e-6)
+    momentum, drift = own.momentum_regressors
+    assert_close(momentum @ p, M(0.0) @ v)
+    np.testing.assert_allclose(drift @ p, C.T @ v - gravity, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["wrist", "curved", "geared", "followed"])
+def test_a_plant_in_a_diagram_moves_as_the_model_does(name, request, tmp_path):
+    """q̈ of the model under some efforts, rotor inertia and friction at the actuators included."""
+    if name in ("geared", "followed"):
+        mimic = '<mimic joint="pitch" multiplier="-0.5" offset="0.1"/>'
+        rotor = "gears:\n- {actuator: m, joint: pitch, ratio: 9, rotor: roll}\n"
+        model = arm(tmp_path, "" if name == "followed" else rotor, extra=mimic * (name != "geared"))
+    else:
+        model = request.getfixturevalue(name)
+    first, last = model.joints[0], model.joints[-1]
+    effects = (
+        FittedEffect(RotorInertia(last), np.array([0.02])),
+        FittedEffect(CoulombFriction(first), np.array([0.3])),
+    )
+    model = model.with_fit(
+        model.phi,
+        effects,
+        information=np.eye(model.phi.size + 2),
+        effort_noise=np.ones(3)[: len(model.joints)],
+    )
+    motion = motion_of(model, count=1)
+    effort = model.effort(motion, sign_width=1e-2)[0]
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    robot.set_state(root, motion.q[0], motion.v[0])
+    system = robot.effort.get_system()
+    robot.effort.FixValue(system.GetMyMutableContextFromRoot(root), effort)
+    context = robot.plant.GetMyContextFromRoot(root)
+    state = robot.state.Eval(robot.state.get_system().GetMyContextFromRoot(root))
+    assert_close(state, np.concatenate([motion.q[0], motion.v[0]]))
+    found = robot.plant.get_generalized_acceleration_output_port().Eval(context)
+    h = 1e-4
+    places = [
+        model.plant_positions(motion.q + t * motion.v + 0.5 * t**2 * motion.vd)[0]
+        for t in (-h, 0.0, h)
+    ]
+    expected = (places[2] - 2 * places[1] + places[0]) / h**2
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+
+
+def test_friction_is_found_at_the_motor_that_has_it(wrist):
+    """Dry friction of the motor m2, which moves two joints."""
+    rub = lambda v: np.tanh(v / 1e-3) * [0.0, 0.8, 0.0]  # noqa: E731
+    found = explain(wrist, [log_of(wrist, seed, rub) for seed in (0, 1)])
+    (step,) = found.steps
+    (fitted,) = [f for f in found.model.effects if f.effect.name == "coulomb_friction"]
+    assert fitted.effect.where == ("m2",) == tuple(step.where)
+    np.testing.assert_allclose(fitted.parameters, 0.8, rtol=0.03)
+
+
+def test_a_saved_model_has_its_transmission(wrist, curved, tmp_path):
+    for model in (wrist, curved):
+        fitted = model.with_fit(
+            1.1 * model.phi,
+            [FittedEffect(CoulombFriction(model.joints[1]), np.array([0.4]))],
+            information=np.eye(model.phi.size + 1),
+            effort_noise=np.full(3, 0.1),
+        )
+        save_model(fitted, tmp_path / "model.yaml")
+        again = load_model(tmp_path / "model.yaml")
+        assert again.joints == model.joints and again.effort_noise is not None
+        assert_close(again.effort(motion_of(model)), fitted.effort(motion_of(model)))
+    with pytest.raises(ModelError, match=r"model\.yaml is a saved model, which cannot take a tran"):
+        load_model(tmp_path / "model.yaml", transmission="none")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "problem"),
+    [
+        ("joint: shoulder", "joint: knee", "joint 'knee', which the robot does not have"),
+        ("m3: 0.5", "m3: -0.5", "must be of rank n = 2; its rank is 1"),
+        ("ratio: -8", "ratoi: -8", r"gears\[0\] has unknown|ratoi"),
+    ],
+)
+def test_a_saved_transmission_that_does_not_fit_is_refused(wrist, old, new, problem, tmp_path):
+    path = tmp_path / "model.yaml"
+    save_model(wrist, path)
+    lines = path.read_text()
+    assert old.split(":")[0] in lines
+    if "m3" in old:
+        lines = lines.replace("m3: -0.4", "m3: 0.4")
+    else:
+        lines = re.sub(rf"{old}\b.*", new, lines, count=1)
+    path.write_text(lines)
+    with pytest.raises(ModelError, match=problem):
+        load_model(path)
+
+
+def test_actuators_are_held_together_where_their_joints_then_stand(wrist, tmp_path):
+    held = holding(wrist, {"m2": 0.4, "m3": 0.2})
+    assert held.joints == ("m1",)
+    assert held.held == pytest.approx({"pitch": 0.3, "roll": 0.18})
+    motion = motion_of(held)
+    whole = Motion(
+        *(np.hstack([x, np.zeros((len(x), 2))]) for x in (motion.q, motion.v, motion.vd))
+    )
+    whole.q[:, 1:] = [0.4, 0.2]
+    assert_close(held.motion(motion).load, wrist.motion(whole).load[:, :1])
+    save_model(held, tmp_path / "held.yaml")
+    assert_close(load_model(tmp_path / "held.yaml").motion(motion).load, held.motion(motion).load)
+    with pytest.raises(ModelError, match="'m2' cannot be held without m3: they move pitch, roll"):
+        holding(wrist, {"m2": 0.4})
+
+
+def test_logs_of_joints_are_not_taken_for_logs_of_motors(wrist):
+    log = log_of(wrist, 0, seconds=2.0)
+    for names in (("m1", "pitch", "roll"), ("shoulder", "pitch", "roll")):
+        other = JointLog("joints", names, log.time, log.position, log.effort)
+        with pytest.raises(LogError, match=r"shoulder|pitch"):
+            compare(model_of_logs(wrist, [other]), [other])
+
+
+def test_damping_and_limits_of_the_file_are_the_actuators(tmp_path):
+    rub = '<dynamics damping="0.3" friction="0.2"/>'
+    geared = "gears:\n- {actuator: m, joint: roll, ratio: 5}\n"
+    model = arm(tmp_path, geared, extra=rub)
+    values = {f.effect.name: (f.effect.where, f.parameters[0]) for f in model.effects}
+    assert values == {
+        "viscous_friction": (("m",), pytest.approx(0.3 / 25)),
+        "coulomb_friction": (("m",), pytest.approx(0.2 / 5)),
+    }
+    np.testing.assert_allclose(model.position_limits[1], [2.0, 2.0, 10.0])
+    np.testing.assert_allclose(model.velocity_limits, [3.0, 3.0, 15.0])
+    np.testing.assert_allclose(model.effort_limits, [40.0, 40.0, 8.0])
+    model = arm(tmp_path, WRIST, extra=rub)
+    assert not model.effects
+    assert any("damping in the file of roll is left out" in note for note in model.notes)
+
+
+@pytest.mark.parametrize("name", ["wrist", "curved"])
+def test_within_the_limits_of_actuators_joints_keep_theirs(name, request):
+    model = request.getfixturevalue(name)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(*np.clip(model.position_limits, -4.0, 4.0), (200, 3))  # a crank goes around
+    v = rng.uniform(-1.0, 1.0, (200, 3)) * model.velocity_limits
+    assert np.abs(model.plant_positions(q)).max() <= 2.0 + 1e-9
+    assert np.abs(model.plant_velocities(q, v)).max() <= 3.0 + 1e-9
+    efforts = rng.uniform(-1.0, 1.0, (200, 3)) * model.effort_limits
+    jacobian = model.actuation.jacobian(q)
+    at_joints = np.linalg.solve(np.swapaxes(jacobian, 1, 2), efforts[:, :, None])
+    assert np.abs(at_joints[:, 2]).max() <= 40.0 + 1e-9  # (At a crank's dead point nothing holds.)
+    if name == "wrist":
+        assert np.abs(at_joints).max() <= 40.0 + 1e-9
+
+
+@settings(max_examples=3, deadline=None)
+@given(
+    st.lists(
+        st.floats(2.0, 50.0).flatmap(lambda x: st.sampled_from([x, -x])), min_size=3, max_size=3
+    )
+)
+def test_gears_leave_the_error_of_the_bodies_as_it_is(tmp_path_factory, ratios):
+    """A log of joints, and the same at motors: efforts N times smaller, errors as well."""
+    folder = tmp_path_factory.mktemp("gears")
+    bare, names = arm(folder, ""), ("shoulder", "pitch", "roll")
+    parts = [
+        f"- {{actuator: m{j}, joint: {j}, ratio: {r!r}}}"
+        for j, r in zip(names, ratios, strict=True)
+    ]
+    geared = arm(folder, "gears:\n" + "\n".join(parts))
+    log = log_of(bare, 0, lambda v: 0.5 * np.sign(v), seconds=6.0)
+    at_motors = JointLog(
+        "log_0", geared.joints, log.time, log.position * ratios, log.effort / ratios
+    )
+    before, after = (
+        compare(m, [at], bandwidth=8.0).errors for m, at in ((bare, log), (geared, at_motors))
+    )
+    np.testing.assert_allclose(after.nrms, before.nrms, rtol=1e-3)
+    for motor, joint, ratio in zip(after.joints, before.joints, ratios, strict=True):
+        np.testing.assert_allclose(motor.rms * abs(ratio), joint.rms, rtol=1e-3)
+
+
+def test_a_function_of_ones_own_serves_and_is_not_saved(wrist, tmp_path):
+    square = FunctionTransmission(
+        (3, 3), lambda q: q @ J.T + [0.0, 0.0, 0.1], lambda q: np.broadcast_to(J, (len(q), 3, 3))
+    )
+    drive = Drive(wrist.joints, ("shoulder", "pitch", "roll"), square)
+    own = arm(tmp_path, "", transmission=[drive])
+    assert_close(own.motion(motion_of(wrist)).load, wrist.motion(motion_of(wrist)).load)
+    with pytest.raises(ModelError, match="m1, m2, m3 is a function of your own, which cannot be"):
+        save_model(own, tmp_path / "model.yaml")
+
+
+def test_a_held_out_error_after_adding_an_effect_at_a_motor(wrist):
+    log = log_of(wrist, 0, lambda v: 0.3 * v * [0.0, 0.0, 1.0], seconds=12.0)
+    found = add("viscous_friction", wrist, [log], where=["m3"])
+    (fitted,) = found.model.effects
+    np.testing.assert_allclose(fitted.parameters, 0.3, rtol=0.05)
+
+
+def test_source_code_has_the_transmission(wrist, curved):
+    names = {}
+    exec(python_source(wrist), names)
+    motion = motion_of(wrist)
+    rows = zip(motion.q.tolist(), motion.v.tolist(), motion.vd.tolist(), strict=True)
+    assert_close(np.array([names["effort"](*row) for row in rows]), wrist.effort(motion))
+    with pytest.raises(ModelError, match="whose ratios change with the position"):
+        python_source(curved)
+
+
+@pytest.mark.parametrize("name", ["wrist", "curved"])
+def test_gradients_for_excitation_are_differences(name, request):
+    model = request.getfixturevalue(name)
+    motion, tree = motion_of(model), model.tree
+    W = np.random.default_rng(1).normal(size=(6, 3, 30))
+    V = np.random.default_rng(2).normal(size=(6, 6, 30))
+    for gradient, regressor, weights in (
+        (inverse_dynamics_regressor_gradient, inverse_dynamics_regressor, W),
+        (base_wrench_regressor_gradient, base_wrench_regressor, V),
+    ):
+        found = gradient(tree, motion.q, motion.v, motion.vd, weights)
+
+        def value(weights=weights, regressor=regressor, **moved):
+            at = {"q": motion.q, "v": motion.v, "vd": motion.vd} | moved
+            return np.einsum("nij,nij->n", weights, regressor(tree, at["q"], at["v"], at["vd"]))
+
+        for key in ("q", "v", "vd"):
+            expected = slopes_of(lambda x, key=key: value(**{key: x}), getattr(motion, key))
+            np.testing.assert_allclose(getattr(found, key), expected, rtol=1e-5, atol=1e-5)
