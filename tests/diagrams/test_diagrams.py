@@ -20,6 +20,8 @@ APART = "wam_payload"
 ELSEWHERE = {  # run by tests of their own, with --quick, too
     "ambidex_arm",
     "body_distances",
+    "cheetah_gallop",
+    "cheetah_leg",
     "human_identification",
     "identification_speed",
     "run_scenario",
