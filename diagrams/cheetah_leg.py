@@ -169,7 +169,8 @@ def body_figure(study: Study) -> Figure:
     )
     for kind, found in study.example.items():
         at = [first // 10 for first in found.fit.active_blocks]
-        sets.append(EllipsoidSet.of(kind, found.phi, color=COLORS[kind], at_boundary=at))
+        name = kind.replace("_", " ")
+        sets.append(EllipsoidSet.of(name, found.phi, color=COLORS[kind], at_boundary=at))
     context = plant.CreateDefaultContext()
     plant.SetPositions(context, study.leg.transmission.joint_positions(np.array([[0, 0.5, -1]]))[0])
     return ellipsoid_figure(plant, sets, context=context)

@@ -116,5 +116,5 @@ def sweep_figure(rows: Sequence[Row]) -> Figure:
             style.log_scale(ax, "y")
         ax.set_title(label, fontsize=8, loc="left")
         ax.set_xlabel("α", fontsize=8)
-    figure.axes[1].legend(frameon=False, fontsize=8)
+    figure.axes[0].legend(frameon=False, fontsize=8, loc="upper left")
     return figure
