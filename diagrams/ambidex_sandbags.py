@@ -4,9 +4,9 @@ Sandbags of 500 g are on one to three links. The controller begins with what was
 them, as in `ambidex_arm.py`: bodies and friction of the motors are a little off, and friction is
 uneven, which no parameter explains. Its gains are small, λ = 3 1/s, it acts at 1 kHz, and friction
 adapts twice as fast as inertia. Fourteen random point-to-point motions of 1.5 s (figures 5.8, 5.9).
-The plant has ten joints, coupled in pairs by constraints. Adaptation speeds γ⁻¹ are chosen by one
-rule for all laws (`adaptive/gains.py`), with other motions and a sandbag at link 8, or are the
-source's; there is no V here to rule out any, as the truth is not among the parameters.
+The plant has ten joints, coupled in pairs by constraints. Adaptation speeds γ⁻¹ are the source's,
+or with `--gains rule` chosen by one rule for all laws (`adaptive/gains.py`), with other motions and
+a sandbag at link 8; there is no V here to rule out any, as the truth is not among the parameters.
 
     python diagrams/ambidex_sandbags.py --json sandbags.json --figures figures
 """
@@ -99,7 +99,7 @@ def all_draws(kind: str, *, quick: bool) -> list[Draw]:
 def main() -> None:
     """Run the study from the command line."""
     parser = make_parser(__doc__)
-    add_gains(parser)
+    add_gains(parser, "source")
     options = parser.parse_args()
     console = Console(width=160)
     form = {"law": "", "speed": "g", "lost": "d", "rms": ".2f", "unphysical": ".1%"}

@@ -13,12 +13,12 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from cheetah.fits import COLORS, Condensed, fit, fit_to_residual
+from cheetah.fits import COLORS, Condensed, fit, fit_points
 from cheetah.gallop import GEARS, PHASES, STRIDE, gallop, leg_motion, quantities, whole_robot
 from cheetah.leg import Array, Leg, load_leg
 from matplotlib.figure import Figure
@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from geodrake.identification import PointMasses
 from geodrake.inertia import is_realizable, perturb
 from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.report import style
@@ -35,7 +36,9 @@ ALPHA = 1e-11
 """The Euclidean γ over tr(AᵀA)."""
 DELTA, POINTS = 0.5, 10
 """Greatest share of the mass that is added or taken away, and by how many points."""
-KINDS = ("euclidean", "pullback", "entropic")
+SETS = {f"{number} point masses": number for number in (264, 687)}
+"""Of Eq. (3.6.78), and how many there are in each."""
+KINDS = ("euclidean", *SETS, "pullback", "entropic")
 
 
 @dataclass(frozen=True)
@@ -80,14 +83,18 @@ def true_legs(leg: Leg, count: int, rng: np.random.Generator) -> Array:
     return legs[:count]
 
 
-def identified(leg: Leg, A: Array, truth: Array) -> tuple[dict[str, Array], dict[str, float]]:
+def identified(
+    leg: Leg, points: Mapping[str, PointMasses], A: Array, truth: Array
+) -> tuple[dict[str, Array], dict[str, float]]:
     """Parameters and RMS training errors by regularizer, from torques without noise."""
     data = Condensed.of(A, A @ truth.ravel())
-    gamma = ALPHA * float(np.square(A).sum())
-    euclidean = fit(data, leg, "euclidean", gamma)
-    found = {"euclidean": euclidean}
+    euclidean = fit(data, leg, "euclidean", gamma=ALPHA * float(np.square(A).sum()))
+    bound, found = euclidean.residual, {"euclidean": euclidean}
     for kind in KINDS[1:]:
-        found[kind] = fit_to_residual(data, leg, kind, euclidean.residual, start=1e-2 * gamma)
+        if kind in points:
+            found[kind] = fit_points(data, leg, points[kind], bound)
+        else:
+            found[kind] = fit(data, leg, kind, residual_bound=bound)
     return (
         {kind: result.phi for kind, result in found.items()},
         {kind: data.rms(result) for kind, result in found.items()},
@@ -109,8 +116,9 @@ def run(*, seed: int, truths: int) -> tuple[list[Row], int]:
     errors = np.empty((truths, len(kinds), len(predicted)))
     train = np.empty((truths, len(kinds)))
     legs = true_legs(leg, truths, rng)
+    points = {kind: leg.point_masses(number) for kind, number in SETS.items()}
     for k, truth in enumerate(track(legs, "true legs", transient=True)):
-        found, fitted = identified(leg, A, truth)
+        found, fitted = identified(leg, points, A, truth)
         found["prior"] = leg.prior
         fitted["prior"] = float(np.sqrt(np.mean((A @ (truth - leg.prior).ravel()) ** 2)))
         for i, kind in enumerate(kinds):
@@ -135,7 +143,7 @@ def error_figure(rows: Sequence[Row]) -> Figure:
     for ax, name in zip(figure.subplots(1, len(names)), names, strict=True):
         *bars, prior = (row for row in rows if row.quantity == name)
         ax.bar(
-            [row.regularizer for row in bars],
+            [row.regularizer.replace(" ", "\n") for row in bars],
             [row.mean for row in bars],
             yerr=[[min(row.mean, row.deviation) for row in bars], [row.deviation for row in bars]],
             color=[COLORS[row.regularizer] for row in bars],

@@ -85,3 +85,54 @@ def test_every_effect_has_its_picture():
     for effect in catalogue():
         assert f"## `{effect.name}`" in page
         assert f"figures/effects/{effect.name}.png" in page
+
+
+ROWS = [
+    [cell.strip() for cell in line.strip("|").split("|")]
+    for line in text_of(ROOT / "docs" / "source.md").splitlines()
+    if re.match(r"\| [1-6AB]\.\d", line)
+]
+# How many subsections every section of a chapter has.
+SECTIONS = {
+    "1": [0, 0],
+    "2": [0, 2, 2],
+    "3": [0, 2, 4, 2, 1, 3, 0, 0],
+    "4": [0, 3, 3, 0, 2, 3, 0],
+    "5": [0, 1, 2, 2, 2, 0, 0],
+    "6": [0, 0, 0],
+    "A": [0] * 11,
+    "B": [0, 0, 2, 0],
+}
+
+
+class TestSource:
+    """The table of the source's sections names what there is, and every section."""
+
+    def test_every_section_is_there(self):
+        expected = []
+        for chapter, counts in SECTIONS.items():
+            for number, count in enumerate(counts, 1):
+                section = f"{chapter}.{number}"
+                expected += [section, *(f"{section}.{k}" for k in range(1, count + 1))]
+        expected += [f"{of}.{k}" for of in ("3.6.2", "5.2.1") for k in (1, 2)]
+        found = [row[0].split()[0] for row in ROWS]
+        assert sorted(found) == sorted(expected)
+
+    def test_modules_tests_and_studies_exist(self):
+        for section, modules, tests, studies, done in ROWS:
+            for name in re.findall(r"`([\w.]+)`", modules):
+                import_module(f"geodrake.{name}")
+            for folder, paths in (("tests", tests), ("diagrams", studies)):
+                for path in re.findall(r"`([\w./]+)`", paths):
+                    assert (ROOT / folder / path).is_file(), f"{section}: {path}"
+            nothing = not (modules or tests or studies)
+            assert not nothing or "nothing" in done or "our own" in done, section
+
+    def test_every_study_of_the_source_is_named(self):
+        named = {path for row in ROWS for path in re.findall(r"`([\w./]+)`", row[3])}
+        citing = {
+            path.name
+            for path in (ROOT / "diagrams").glob("*.py")
+            if "[Lee2019]" in path.read_text(encoding="utf-8")
+        }
+        assert citing <= named

@@ -47,13 +47,13 @@ def make_parser(doc: str) -> argparse.ArgumentParser:
     return parser
 
 
-def add_gains(parser: argparse.ArgumentParser) -> None:
+def add_gains(parser: argparse.ArgumentParser, default: str = "rule") -> None:
     """Options of how fast laws are."""
     parser.add_argument(
         "--gains",
         choices=("rule", "source"),
-        default="rule",
-        help="adaptation speeds: by one rule for all laws, or those of [Lee2019] §5.5",
+        default=default,
+        help="adaptation speeds: by one rule for all laws, or of [Lee2019] §5.5 (%(default)s)",
     )
     parser.add_argument(
         "--choose-gains", action="store_true", help="apply that rule, and say what it chooses"

@@ -6,22 +6,34 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from cheetah.leg import Array, Leg
-from geodrake.identification import IdentificationResult, identify
+from geodrake.errors import ArgumentError
+from geodrake.identification import (
+    IdentificationResult,
+    PointMasses,
+    PointMassEuclidean,
+    Regularizer,
+    Riemannian,
+    identify,
+)
 from geodrake.robot.reduction import triangular_factor
 
-REGULARIZERS = ("euclidean", "pullback", "entropic", "riemannian")
+REGULARIZERS = ("euclidean", "point_mass_euclidean", "pullback", "entropic", "riemannian")
 COLORS = {
     "prior": "#a9b4c0",
     "euclidean": "#e08a3c",
+    "point_mass_euclidean": "#c8a415",
+    "264 point masses": "#d9c25c",
+    "687 point masses": "#a8860b",
     "pullback": "#3f9c6b",
     "entropic": "#1b6ca8",
     "riemannian": "#8064a2",
 }
 GAMMA = 0.2
 """Weight of the entropic and the Riemannian regularizer, [Lee2019] §3.6.2.1."""
+NEAR = 1.001
+"""How far above the least residual of point masses their fit stays, if that is what they reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,49 +67,43 @@ class Condensed:
         return float(np.sqrt((found.residual + self.rest) / self.count))
 
 
-def fit(data: Condensed, leg: Leg, kind: str, gamma: float, **more: Any) -> IdentificationResult:
-    """The regularized fit, bodies inside their ellipsoids."""
-    solver = "newton" if kind == "entropic" else "clarabel"
-    return identify(
-        data.A,
-        data.b,
-        leg.prior,
-        regularizer=kind,
-        gamma=gamma,
-        ellipsoids=leg.ellipsoids,
-        solver=solver,
-        **more,
-    )
+def fit(data: Condensed, leg: Leg, kind: str | Regularizer, **more: Any) -> IdentificationResult:
+    """The fit with a regularizer and `gamma` or `residual_bound`, bodies in their ellipsoids."""
+    ellipsoids = None if isinstance(kind, PointMassEuclidean) else leg.ellipsoids
+    return identify(data.A, data.b, leg.prior, regularizer=kind, ellipsoids=ellipsoids, **more)
 
 
-def fit_to_residual(
-    data: Condensed, leg: Leg, kind: str, residual: float, *, start: float, **more: Any
+def fit_points(
+    data: Condensed, leg: Leg, points: PointMasses, residual: float, **more: Any
 ) -> IdentificationResult:
-    """The fit whose training residual, with `rest`, is a given one, by the root in log γ."""
-    tried: dict[float, IdentificationResult] = {}
-
-    def excess(log_gamma: float) -> float:
-        tried[log_gamma] = fit(data, leg, kind, float(np.exp(log_gamma)), **more)
-        return float(np.log((tried[log_gamma].residual + data.rest) / (residual + data.rest)))
-
-    low = high = float(np.log(start))
-    while excess(low) > 0 and low > -60:
-        high, low = low, low - 2.0
-    while excess(high) < 0 and high < 60:
-        low, high = high, high + 2.0
-    best = brentq(excess, low, high, xtol=1e-7) if high > low else low
-    return tried.get(best) or fit(data, leg, kind, float(np.exp(best)), **more)
+    """Point masses with a residual, or one that is a little higher, if no masses there have it."""
+    kind = PointMassEuclidean(points)
+    try:
+        return fit(data, leg, kind, residual_bound=residual, **more)
+    except ArgumentError as error:
+        if "minimum" not in error.evidence:
+            raise
+        bound = NEAR * error.evidence["minimum"]
+        return fit(data, leg, kind, residual_bound=bound, **more)
 
 
-def compare(data: Condensed, leg: Leg, **more: Any) -> dict[str, IdentificationResult]:
-    """Every regularizer: γ for the entropic and the Riemannian one, its residual for the others."""
-    entropic = fit(data, leg, "entropic", GAMMA, **more)
-    found = {
-        kind: fit_to_residual(data, leg, kind, entropic.residual, start=start, **more)
-        for kind, start in (("euclidean", 4.0), ("pullback", 0.1))
-    }
+def compare(
+    data: Condensed, leg: Leg, points: PointMasses, **more: Any
+) -> dict[str, IdentificationResult]:
+    """Every regularizer: γ for the entropic and the Riemannian one, its residual for the others.
+
+    Args:
+        data: What is fitted.
+        leg: The leg.
+        points: Point masses of its bodies.
+        **more: Further arguments of `identify`, the same for all.
+    """
+    entropic = fit(data, leg, "entropic", gamma=GAMMA, **more)
+    bound = entropic.residual
     return {
-        **found,
+        "euclidean": fit(data, leg, "euclidean", residual_bound=bound, **more),
+        "point_mass_euclidean": fit_points(data, leg, points, bound, **more),
+        "pullback": fit(data, leg, "pullback", residual_bound=bound, **more),
         "entropic": entropic,
-        "riemannian": fit(data, leg, "riemannian", GAMMA, **more),
+        "riemannian": fit(data, leg, Riemannian(starts=("entropic",)), gamma=GAMMA, **more),
     }

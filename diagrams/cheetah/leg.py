@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 
+from geodrake.identification import PointMasses
 from geodrake.inertia import Ellipsoid, inertial_parameters
+from geodrake.inertia.ellipsoids import ellipsoid_of_quadric
 from geodrake.logs import Motion
 from geodrake.robot import (
     KinematicTree,
@@ -66,6 +68,11 @@ class Leg:
         moved = self.transmission.joint_motion(motion)
         rows = inverse_dynamics_regressor(self.tree, moved.q, moved.v, moved.vd)
         return self.transmission.regressor(motion.q, rows)
+
+    def point_masses(self, number: int) -> PointMasses:
+        """Points all over the bodies' ellipsoids, so many in all, that amount to the prior."""
+        counts = [len(part) for part in np.array_split(np.arange(number), len(self.prior))]
+        return PointMasses.within(self.prior, ellipsoid_of_quadric(self.ellipsoids), counts)
 
 
 def load_leg(gears: Sequence[float] = (10.604,) * 3) -> Leg:

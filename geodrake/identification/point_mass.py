@@ -11,15 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, eigvalsh
 
-from geodrake.boundary.arguments import instances, integer, real_array
+from geodrake.boundary.arguments import instance, instances, integer, real_array
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.identification.problem import checked
 from geodrake.inertia import (
     PARAMETERS_PER_BODY,
     Array,
+    Ellipsoid,
     from_pseudo_inertia,
     is_physical,
     pseudo_inertia,
@@ -72,24 +73,49 @@ class PointMasses(Short):
         Raises:
             ArgumentError: A shape is wrong, a body is not physical, or there are too few points.
         """
-        phi = checked("phi", phi, (None, PARAMETERS_PER_BODY))
-        wrong = np.flatnonzero(~is_physical(phi)).tolist()
-        if wrong:
-            raise ArgumentError(
-                f"Bodies {wrong} are not physical, so no point masses amount to them.",
-                bodies=wrong,
-            )
-        if isinstance(counts, int | np.integer):
-            counts = (counts,) * len(phi)
-        elif real_array(counts, "counts").shape != (len(phi),):
-            raise ArgumentError(f"counts must have shape ({len(phi)},); got {np.shape(counts)}.")
-        numbers = [integer(n, "counts", lower=PARAMETERS_PER_BODY, upper=_MOST) for n in counts]
+        phi, numbers = _checked_bodies(phi, counts)
         positions = []
         for P, number in zip(pseudo_inertia(phi), numbers, strict=True):
             com = P[:3, 3] / P[3, 3]
             spread = np.linalg.cholesky(P[:3, :3] / P[3, 3] - np.outer(com, com))
             positions.append(com + _unit_ball(number) @ spread.T)
         masses = [np.full(n, body[0] / n) for n, body in zip(numbers, phi, strict=True)]
+        return cls(tuple(positions), tuple(masses))
+
+    @classmethod
+    def within(
+        cls, phi: ArrayLike, ellipsoids: Ellipsoid, counts: int | Sequence[int] = 85
+    ) -> PointMasses:
+        """Points all over the regions that bodies fit into, heavier where the bodies are.
+
+        Half of the points are spread evenly over the region, with equal masses, half of what the
+        body can have there. The other points are those of `of_bodies` for the rest of the body.
+
+        Args:
+            phi: (nb, 10) physical inertial parameters.
+            ellipsoids: The regions, of shape (nb,).
+            counts: Number of points of every body, or of each; at least 20.
+
+        Raises:
+            ArgumentError: A shape is wrong, a body is not physical, or there are too few points.
+        """
+        phi, numbers = _checked_bodies(phi, counts, least=2 * PARAMETERS_PER_BODY)
+        regions = instance(ellipsoids, "ellipsoids", Ellipsoid)
+        if regions.center.shape != (len(phi), 3):
+            raise ArgumentError(
+                f"Ellipsoids of shape ({len(phi)},) are needed, one a body; got those of shape "
+                f"{regions.center.shape[:-1]}."
+            )
+        positions, masses = [], []
+        for k, (body, number) in enumerate(zip(phi, numbers, strict=True)):
+            ball = _unit_ball(number // 2)
+            spread = regions.rotation[k] * regions.semi_axes[k]
+            far = regions.center[k] + ball / np.linalg.norm(ball, axis=1).max() @ spread.T
+            shape = _moments(far).mean(0)
+            given = 0.5 / float(eigvalsh(shape, pseudo_inertia(body))[-1])
+            near = cls.of_bodies([body - given * from_pseudo_inertia(shape)], number - len(far))
+            positions.append(np.vstack([*near.positions, far]))
+            masses.append(np.append(near.masses[0], np.full(len(far), given / len(far))))
         return cls(tuple(positions), tuple(masses))
 
     @property
@@ -99,16 +125,37 @@ class PointMasses(Short):
 
     def matrix(self) -> Array:
         """R (10·nb, N) with Φ = R μ."""
-        blocks = []
-        for places in self.positions:
-            homogeneous = np.column_stack([places, np.ones(len(places))])
-            blocks.append(from_pseudo_inertia(homogeneous[:, :, None] * homogeneous[:, None]).T)
+        blocks = [from_pseudo_inertia(_moments(places)).T for places in self.positions]
         return np.asarray(block_diag(*blocks))
 
     def parameters(self, masses: ArrayLike | None = None) -> Array:
         """Inertial parameters (nb, 10) of masses μ (N,), of the prior ones if None."""
         mu = self.prior if masses is None else checked("masses", masses, (len(self.prior),))
         return (self.matrix() @ mu).reshape(-1, PARAMETERS_PER_BODY)
+
+
+def _checked_bodies(
+    phi: ArrayLike, counts: int | Sequence[int], least: int = PARAMETERS_PER_BODY
+) -> tuple[Array, list[int]]:
+    """Physical bodies (nb, 10), and how many points each gets."""
+    phi = checked("phi", phi, (None, PARAMETERS_PER_BODY))
+    wrong = np.flatnonzero(~is_physical(phi)).tolist()
+    if wrong:
+        raise ArgumentError(
+            f"Bodies {wrong} are not physical, so no point masses amount to them.",
+            bodies=wrong,
+        )
+    if isinstance(counts, int | np.integer):
+        counts = (counts,) * len(phi)
+    elif real_array(counts, "counts").shape != (len(phi),):
+        raise ArgumentError(f"counts must have shape ({len(phi)},); got {np.shape(counts)}.")
+    return phi, [integer(n, "counts", lower=least, upper=_MOST) for n in counts]
+
+
+def _moments(places: Array) -> Array:
+    """[x;1][x;1]ᵀ (n, 4, 4) of places (n, 3): the pseudo inertias of unit masses."""
+    homogeneous = np.column_stack([places, np.ones(len(places))])
+    return np.asarray(homogeneous[:, :, None] * homogeneous[:, None])
 
 
 def _unit_ball(number: int) -> Array:

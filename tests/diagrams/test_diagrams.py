@@ -8,6 +8,7 @@ import hashlib
 import json
 from importlib.resources import files
 from pathlib import Path
+from statistics import mean
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ APART = "wam_payload"
 ELSEWHERE = {  # run by tests of their own, with --quick, too
     "ambidex_arm",
     "body_distances",
+    "cheetah_gallop",
+    "cheetah_leg",
     "human_identification",
     "identification_speed",
     "run_scenario",
@@ -65,7 +68,39 @@ def shows_what_friction_is_worth(table):
         assert 3.0 * fitted < rms["fitted bodies", joint] < rms["model file", joint]
 
 
+def orders_laws_as_the_source(table):
+    """Tracking: the natural law best, then the Euclidean one, then none."""
+    rows = table.get("summary", table["rows"])
+    for part in {row.get("part") for row in rows} - {"steps"}:
+        rms = {row["law"]: row["rms"] for row in rows if row.get("part") == part}
+        assert rms["natural"] < rms["euclidean"] < rms["none"], part
+        assert rms["pullback"] < rms["none"]
+
+
+def orders_normalizations_as_the_source(table):
+    """Means over frames or base representations, of which one may be lucky."""
+    errors = {}
+    for row in table["rows"]:
+        if row.get("criterion", "e_optimality") == "e_optimality":
+            errors.setdefault(row["normalization"], []).append(row["error"])
+    assert mean(errors["geometric"]) < mean(errors["diagonal"]) < mean(errors["none"])
+
+
+def identifies_less_but_better(table):
+    """What is reduced to what data tell is nearer to the truth than all parameters are."""
+    assert 0 < table["identifiable"] < table["base_parameters"]
+    rows = {row["way"]: row for row in table["rows"]}
+    assert rows["reduced"]["error"] < rows["prior"]["error"] < 1e-2 * rows["full"]["error"]
+    assert rows["reduced"]["moment"] < rows["full"]["moment"]
+
+
 SHOWS = {
+    "ambidex_sandbags": orders_laws_as_the_source,
+    "atlas_identification": identifies_less_but_better,
+    "iiwa_excitation": orders_normalizations_as_the_source,
+    "scara_excitation": orders_normalizations_as_the_source,
+    "wam_adaptation": orders_laws_as_the_source,
+    "wam_payload": orders_laws_as_the_source,
     "hidden_effects": reaches_its_bars,
     "long_log": takes_little_memory,
     "simulate_fitted": shows_what_friction_is_worth,

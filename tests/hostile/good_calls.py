@@ -1165,6 +1165,14 @@ def _identification(t):
             allows={"counts": ("two numbers",)},
         ),
     )
+    yield (
+        "identification.PointMasses.within",
+        Call(
+            m.PointMasses.within,
+            {"phi": t.phi, "ellipsoids": equivalent_ellipsoid(t.phi), "counts": 24},
+            allows={"counts": ("two numbers",)},
+        ),
+    )
     yield "identification.PointMassEuclidean", Call(m.PointMassEuclidean, {"points": t.points})
     yield "identification.PointMassKL", Call(m.PointMassKL, {"points": t.points})
     yield (

@@ -12,7 +12,13 @@ from geodrake.identification import (
     PointMassKL,
     identify,
 )
-from geodrake.inertia import from_mass_com_inertia, is_physical, pseudo_inertia
+from geodrake.inertia import (
+    Ellipsoid,
+    from_mass_com_inertia,
+    from_pseudo_inertia,
+    is_physical,
+    pseudo_inertia,
+)
 
 PRIOR = from_mass_com_inertia(
     np.array([4.0, 0.8]),
@@ -20,6 +26,7 @@ PRIOR = from_mass_com_inertia(
     np.array([np.diag([0.06, 0.05, 0.02]), 0.002 * np.eye(3)]),
 )
 POINTS = PointMasses.of_bodies(PRIOR, [40, 25])
+TURNED = [np.eye(3), np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])]
 KINDS = [PointMassEuclidean, PointMassKL]
 
 
@@ -139,3 +146,46 @@ def test_a_bound_that_no_masses_reach_says_what_they_reach(kind):
     assert caught.value.evidence["minimum"] == pytest.approx(least, rel=1e-4)
     reached = identify(A, b, PRIOR, regularizer=kind(POINTS), residual_bound=1.001 * least)
     assert reached.residual == pytest.approx(1.001 * least, rel=1e-5)
+
+
+def test_points_within_regions_have_the_bodies_parameters_and_fill_the_regions():
+    regions = Ellipsoid([[0.0, 0.0, 0.2], [0.0, 0.02, 0.0]], [[0.2, 0.3, 0.4], [0.15] * 3], TURNED)
+    points = PointMasses.within(PRIOR, regions, [60, 25])
+    np.testing.assert_allclose(points.parameters(), PRIOR, rtol=1e-10, atol=1e-14)
+    assert [len(mass) for mass in points.masses] == [60, 25]
+    for body, number in enumerate((30, 12)):
+        far, masses = points.positions[body][-number:], points.masses[body][-number:]
+        center, axes, turn = (
+            getattr(regions, n)[body] for n in ("center", "semi_axes", "rotation")
+        )
+        reach = np.linalg.norm((far - center) @ turn / axes, axis=1)
+        assert reach.max() == pytest.approx(1.0) and reach.min() < 0.6
+        np.testing.assert_allclose(masses, masses[0])
+        # Twice as much mass there, and what is left is flat.
+        given = masses.sum() * np.array([[*row, 1.0] for row in far])
+        shape = given.T @ np.array([[*row, 1.0] for row in far]) / number
+        rest = np.linalg.eigvalsh(pseudo_inertia(PRIOR[body]) - 2.0 * shape)
+        assert abs(rest[0]) < 1e-9 * rest[-1]
+
+
+def test_masses_far_from_the_body_are_found_where_those_of_the_body_do_not_reach():
+    """A part far out that the prior's own ellipsoid does not hold."""
+    rng = np.random.default_rng(7)
+    A = rng.normal(size=(40, PRIOR.size))
+    place = np.array([0.0, 0.24, 0.2, 1.0])
+    part = 2.0 * from_pseudo_inertia(np.outer(place, place))
+    b = A @ (PRIOR + np.outer([1.0, 0.0], part)).ravel()
+    regions = Ellipsoid([[0.0, 0.0, 0.2], [0.0, 0.02, 0.0]], [[0.3] * 3, [0.15] * 3], TURNED)
+    least = []
+    for points in (POINTS, PointMasses.within(PRIOR, regions, 60)):
+        fit = identify(A, b, PRIOR, regularizer=PointMassEuclidean(points), gamma=1e-6)
+        least.append(fit.residual)
+    assert least[1] < 1e-3 * least[0]
+
+
+def test_bad_regions_are_refused():
+    one = Ellipsoid([0.0, 0.0, 0.0], [0.3] * 3, np.eye(3))
+    with pytest.raises(ArgumentError, match=r"shape \(2,\) are needed, one a body; .* \(\)"):
+        PointMasses.within(PRIOR, one)
+    with pytest.raises(ArgumentError, match="counts must be a whole number from 20"):
+        PointMasses.within(PRIOR, Ellipsoid(np.zeros((2, 3)), [[0.3] * 3] * 2, np.eye(3)), 19)
