@@ -25,7 +25,10 @@ RNG = np.random.default_rng(3)
 STATE, DESIRED, ACCELERATION = RNG.normal(size=4), RNG.normal(size=4), RNG.normal(size=2)
 
 
-def passive(gains=VaryingGains(8.0), law="natural", **options):
+VARYING = VaryingGains(8.0)
+
+
+def passive(gains=VARYING, law="natural", **options):
     law = natural() if law == "natural" else law
     options = {"parameters": START, "truth": TRUTH, "time_step": 0.0, **options}
     return PassivityBasedAdaptiveController(CONTROL, law, gains=gains, **options)
@@ -97,7 +100,8 @@ def _without_input_slopes(system, context):
 @pytest.mark.parametrize("make", [passive, computed])
 @pytest.mark.parametrize("time_step", [0.0, 2e-3])
 def test_a_cloned_loop_does_the_same(make, time_step):
-    diagram, loop = closed_loop(make(time_step=time_step))
+    builder, loop = closed_loop(make(time_step=time_step))
+    diagram = builder.Build()
     clone = diagram.Clone()
     ends = []
     for each in (diagram, clone):
@@ -145,7 +149,7 @@ def test_poles_of_a_context_count():
 
 
 def test_a_projected_law_has_the_speed_of_the_context():
-    law = ProjectedLaw(natural(), mass_limits(CONTROL, {CONTROL.bodies[0]: (0.0, 50.0)}))
+    law = ProjectedLaw(natural(), mass_limits(len(START), 0, 0.1, 50.0))
     assert law.with_slowness(3.0).law.gamma == law.with_slowness(3.0).slowness == 3.0
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
 
 from geodrake.inertia import Array
@@ -52,14 +52,14 @@ def slopes_of(x: Scalars) -> Array:
     return found
 
 
-def with_slopes(value: Array, slopes: Array) -> Scalars:
+def with_slopes(value: ArrayLike, slopes: ArrayLike) -> Scalars:
     """Numbers of AutoDiffXd.
 
     Args:
         value: (n,) their values.
         slopes: (n, d) their derivatives.
     """
-    return InitializeAutoDiff(np.asarray(value, float), slopes).ravel()
+    return InitializeAutoDiff(np.asarray(value, float), np.asarray(slopes, float)).ravel()
 
 
 def solve(A: Scalars, b: Scalars) -> Scalars:
