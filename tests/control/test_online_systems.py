@@ -39,7 +39,7 @@ from geodrake.control.systems import (
     PassivityBasedAdaptiveController,
     PredictionError,
 )
-from geodrake.effects import ViscousFriction
+from geodrake.effects import JointElasticity
 from geodrake.errors import ArgumentError, LogError
 from geodrake.inertia import is_physical
 from geodrake.logs.motion import JointLog
@@ -366,7 +366,7 @@ MAKERS = {
         for filtered in (None, FilteredRegressor(CONTROL, 0.1))
     ],
     "LogSource": lambda: [LogSource(recorded(0.1))],
-    "EffectForce": lambda: [EffectForce(pendulum_plant(), [(ViscousFriction("elbow"), [0.1])])],
+    "EffectForce": lambda: [EffectForce(pendulum_plant(), [(JointElasticity("elbow"), [1e-3])])],
     "DelayedEffort": lambda: [DelayedEffort(0.01)],
 }
 """Systems of every class, which together have all of its ports."""

@@ -30,7 +30,8 @@ def differenced(made: System) -> System:
     Args:
         made: The class, with an `__init__` of its own.
     """
-    init = made.__init__
+    kind: Any = made
+    init = kind.__init__
 
     def construct(self: Any, *args: Any, converter: Any = None, **options: Any) -> None:
         self._made_of = args, options  # (before Drake's constructor, which `init` calls)
@@ -47,7 +48,7 @@ def differenced(made: System) -> System:
         copy.set_name(self.get_name())
         return copy
 
-    del made.__init__
+    del kind.__init__
     for name, method in (
         ("_construct", construct),
         ("_construct_copy", construct_copy),
@@ -56,7 +57,7 @@ def differenced(made: System) -> System:
         setattr(made, name, method)
     template = TemplateSystem(f"{made.__name__}_", [float, AutoDiffXd])
     template.add_instantiation((float,), made, skip_rename=True)
-    functools.update_wrapper(made.__init__, init)
+    functools.update_wrapper(kind.__init__, init)
     own = {name: _Differenced.__dict__[name] for name in ("_construct", "_construct_copy")}
     other = type(made.__name__, (_Differenced, LeafSystem_[AutoDiffXd]), own)
     template.add_instantiation((AutoDiffXd,), other)

@@ -118,7 +118,7 @@ class PlantMotion:
         return self._motion(self.of_joints(q), rates, columns, bodies, **known)
 
     def formulas(
-        self, q: Symbols, rates: tuple[Symbols, Symbols, Symbols], phi: Array, **known: Any
+        self, q: Formulas, rates: tuple[Formulas, Formulas, Formulas], phi: Array, **known: Any
     ) -> RobotMotion:
         """One sample in symbols as effects see it; see `seen`."""
         v, vd, _ = rates

@@ -12,7 +12,13 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geodrake.model.simulation.scalars import Scalars, scalars
 
-_Base = LeafSystem if TYPE_CHECKING else object
+if TYPE_CHECKING:
+
+    class _Base(LeafSystem):
+        """One of Drake's LeafSystems, of any scalar type."""
+
+else:
+    _Base = object
 
 
 class ScalarSystem(_Base):
