@@ -19,6 +19,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
+from geodrake.robot.transmission.base import times
 
 Array = NDArray[np.float64]
 States = tuple[Array, Array, Array]
@@ -95,7 +96,8 @@ def check_dynamics(model: RobotModel, *, samples: int = 100, seed: int = 0) -> D
 
     States are random within the limits of positions and speeds. Regressors are compared by the
     efforts of bodies that are random, others in every sample. Joints that follow others are moved
-    with their leaders in the plant, and their efforts count there. Effects take no part.
+    with their leaders in the plant, those behind a transmission with their actuators, and their
+    efforts count there. Effects take no part.
 
     Args:
         model: The model.
@@ -165,10 +167,11 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 
 
 def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
-    """The same by MultibodyPlant, whose joints that follow move with their leaders."""
-    plant, own = model.plant, model.coordinates
-    q, v, vd = own.plant_positions(states[0]), *map(own.plant_velocities, states[1:])
-    J = own.plant_velocities(np.eye(len(model.joints))).T
+    """The same by MultibodyPlant, whose joints move with their leaders and actuators."""
+    plant, jacobians, rates = model.plant, *_jacobians(model, states)
+    q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
+    along = times(rates, states[1])  # J̇ v
+    vd = times(jacobians, states[2]) + along
     context, other = model.create_context(), plant.CreateDefaultContext()
     none = MultibodyForces(plant)
     found: dict[str, list[Array]] = {name: [] for name in QUANTITIES}
@@ -179,16 +182,27 @@ def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
             plant.SetVelocities(at, v[k])
         gravity = -plant.CalcGravityGeneralizedForces(context)
         weight = -plant.CalcGravityGeneralizedForces(other)
+        J, M = jacobians[k], plant.CalcMassMatrix(context)
         values = (
             J.T @ (plant.CalcInverseDynamics(context, vd[k], none) + gravity),
             J.T @ (plant.CalcInverseDynamics(other, vd[k], none) + weight),
             J.T @ gravity,
-            J.T @ plant.CalcBiasTerm(context),
-            J.T @ plant.CalcMassMatrix(context) @ J,
+            J.T @ (plant.CalcBiasTerm(context) + M @ along[k]),
+            J.T @ M @ J,
         )
         for name, value in zip(QUANTITIES, values, strict=True):
             found[name].append(value)
     return {name: np.array(values) for name, values in found.items()}
+
+
+def _jacobians(model: RobotModel, states: States) -> tuple[Array, Array]:
+    """J and J̇ (N, nv of the plant, nv) along states."""
+    ways, (q, v, _) = model.coordinates, states
+    F = ways.plant_velocities(np.eye(len(ways.own_velocities))).T
+    if model.actuation is None:
+        J = np.repeat(F[None], len(q), axis=0)
+        return J, np.zeros_like(J)
+    return F @ model.actuation.jacobian(q), F @ model.actuation.jacobian_rate(q, v)
 
 
 def _agreement(name: str, error: Array, size: float, joints: Sequence[str]) -> Agreement:

@@ -151,8 +151,9 @@ def _typed(place: str, schema: type[Statement], fields: dict[str, Any]) -> State
 
 
 def _type_words(schema: type[Statement], name: str) -> str:
-    kind = next(field.type for field in dataclasses.fields(schema) if field.name == name)
-    words = {float: "number", str: "name", bool: "true or false"}
+    stated: Any = schema
+    kind: Any = next(field.type for field in dataclasses.fields(stated) if field.name == name)
+    words: dict[Any, str] = {float: "number", str: "name", bool: "true or false"}
     return words.get(kind, str(kind).replace("float", "number").replace("str", "name"))
 
 

@@ -13,8 +13,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geodrake import load_model, save_model
 from geodrake.control.regressor import ControlModel
+from geodrake.control.rollout import roll_out
 from geodrake.diagnosis import add, explain
-from geodrake.effects import CoulombFriction, RotorInertia
+from geodrake.effects import CoulombFriction, JointElasticity, RotorInertia, ViscousFriction
 from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.errors import LogError, ModelError
 from geodrake.excitation.regressor_gradient import (
@@ -23,7 +24,7 @@ from geodrake.excitation.regressor_gradient import (
 )
 from geodrake.identification.logs.compare import compare
 from geodrake.logs import JointLog, Motion
-from geodrake.model import holding, python_source
+from geodrake.model import check_dynamics, holding, python_source
 from geodrake.model.logged_joints import model_of_logs
 from geodrake.robot import base_wrench_regressor, inverse_dynamics_regressor
 from geodrake.robot.effort_slopes import effort_slopes
@@ -359,3 +360,34 @@ def test_gradients_for_excitation_are_differences(name, request):
         for key in ("q", "v", "vd"):
             expected = slopes_of(lambda x, key=key: value(**{key: x}), getattr(motion, key))
             np.testing.assert_allclose(getattr(found, key), expected, rtol=1e-5, atol=1e-5)
+
+
+def test_dynamics_are_checked_at_the_actuators(wrist, curved):
+    for model in (wrist, curved):
+        found = check_dynamics(model, samples=5)
+        assert found.holds and found.joints == model.joints
+
+
+def test_a_rollout_stays_with_the_motion_of_the_motors(wrist):
+    hidden = lambda v: 0.1 * v * [0.0, 1.0, 0.0]  # noqa: E731
+    log = log_of(wrist, 0, hidden, seconds=10.0)
+    damped = wrist.with_fit(
+        wrist.phi,
+        [FittedEffect(ViscousFriction("m2"), np.array([0.1]))],
+        information=np.eye(wrist.phi.size + 1),
+        effort_noise=np.full(3, 0.01),
+    )
+    before, after = (
+        roll_out(m, [log], most=2, horizon=0.3, bandwidth=8.0) for m in (wrist, damped)
+    )
+    assert after.relative < 0.05 < before.relative
+    soft = wrist.with_fit(
+        wrist.phi,
+        [FittedEffect(JointElasticity("m2"), np.array([1e-3]))],
+        information=np.eye(wrist.phi.size + 1),
+        effort_noise=np.full(3, 0.01),
+    )
+    with pytest.raises(ModelError, match="joint_elasticity of m2 cannot be simulated where"):
+        roll_out(soft, [log], most=1, horizon=0.3, bandwidth=8.0)
+    with pytest.raises(ModelError, match="cannot be simulated where joints follow"):
+        soft.add_to_builder(DiagramBuilder())

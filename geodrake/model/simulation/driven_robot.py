@@ -133,12 +133,12 @@ class Driving(Driven):
         """
         M, needed = self.mass_and_drift(q, v, time)
         size = 1.0 + np.abs(effort).max()
-        found = np.linalg.solve(M, effort - needed)
+        found: Array = np.asarray(np.linalg.solve(M, effort - needed), float)
         for _ in range(_MOST_ITERATIONS):
             rest = effort - self.needed(q[None], v[None], found[None], time)[0]
             if np.abs(rest).max() <= _TOLERANCE * size:
                 return found
-            found = found + np.linalg.solve(M, rest)
+            found = found + np.asarray(np.linalg.solve(M, rest), float)
         raise ModelError(
             f"Load-dependent friction does not settle; {np.abs(rest).max():.3g} N·m are left.",
             advice="Give it a load factor well below 1; above, a gear locks itself.",

@@ -88,23 +88,23 @@ def mjcf_motors(root: Element, path: Path) -> tuple[Statement, ...]:
         )
     what = f"{path}: an actuator"
     gears = [
-        Gear(e.get("name") or e.get("joint", ""), e.get("joint", ""), _gear(e, what))
+        Gear(e.get("name", "") or e.get("joint", ""), e.get("joint", ""), _gear(e, what))
         for e in motors
         if e.get("joint")
     ]
     tendons = {
-        e.get("name"): {
+        e.get("name", ""): {
             j.get("joint", ""): _number(j.get("coef", ""), f"{path}: a tendon") for j in e
         }
         for group in root.findall("tendon")
         for e in group.findall("fixed")
     }
     pulled = {
-        e.get("name") or e.get("tendon", ""): {
-            joint: _gear(e, what) * coef for joint, coef in tendons[e.get("tendon")].items()
+        e.get("name", "") or e.get("tendon", ""): {
+            joint: _gear(e, what) * coef for joint, coef in tendons[e.get("tendon", "")].items()
         }
         for e in motors
-        if e.get("tendon") in tendons
+        if e.get("tendon", "") in tendons
     }
     return (*gears, *_coupled(pulled, path))
 

@@ -155,7 +155,7 @@ class Actuation:
         """
         rate = np.zeros((len(q), self.sizes[1], self.num_velocities))
         for place in self.places:
-            block = np.ix_(range(len(q)), place.joint_v, place.actuator_v)
+            block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
             motion = q[:, place.actuator_q], v[:, place.actuator_v]
             rate[block] = place.drive.map.jacobian_rate(*motion)
         return rate
@@ -330,7 +330,7 @@ class Actuation:
         own, tree = self.kept_v
         J[:, tree, own] = 1.0
         for place in self.places:
-            block = np.ix_(range(len(q)), place.joint_v, place.actuator_v)
+            block = np.ix_(np.arange(len(q)), place.joint_v, place.actuator_v)
             J[block] = place.drive.map.jacobian(q[:, place.actuator_q])
         return J
 

@@ -8,7 +8,6 @@ actuator may go as far in proportion.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geodrake.inertia import Array
 from geodrake.robot.transmission.actuation import Actuation, Places, middle
@@ -128,11 +127,11 @@ def _of_curve(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
     low, high = drive.limits
     grid = _grid(low, high)
     theta = drive.map.joint_positions(grid)
-    inside: NDArray[np.bool_] = ((theta >= lower) & (theta <= upper)).all(axis=1)
+    inside = np.asarray(((theta >= lower) & (theta <= upper)).all(axis=1))
     if not inside.any():
         return low, high
-    start = np.flatnonzero(inside)
-    start = int(start[np.argmin(np.abs(grid[start, 0] - middle(low, high)[0]))])
+    there = np.flatnonzero(inside)
+    start = int(there[np.argmin(np.abs(grid[there, 0] - middle(low, high)[0]))])
     outside = np.flatnonzero(~inside)
     before, after = outside[outside < start], outside[outside > start]
     first = low if not len(before) else grid[before[-1] + 1]
