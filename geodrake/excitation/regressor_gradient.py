@@ -93,20 +93,20 @@ def base_wrench_regressor_gradient(
         ModelError: The plant has a joint that is not supported.
     """
     robot = checked_tree(plant)
-    moved = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
-    tree, (q, v, _, vd), J = checked_samples(robot, q, v, vd)
-    weights = _checked_weights(weights, (len(q), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
+    tree, (theta, rate, _, rated), J = checked_samples(robot, q, v, vd)
+    weights = _checked_weights(weights, (len(theta), 6, PARAMETERS_PER_BODY * len(tree.bodies)))
     if X_WP is not None:
-        weights = np.swapaxes(wrench_map(X_WP, len(q)), -1, -2) @ weights
-    nv, resting = tree.num_velocities, np.zeros((len(q), 6))
-    v = np.hstack([v, resting])
-    samples = (q, v, v, np.hstack([vd, resting]))
-    rows = np.concatenate([np.zeros((len(q), nv, weights.shape[-1])), weights], axis=1)
+        weights = np.swapaxes(wrench_map(X_WP, len(theta)), -1, -2) @ weights
+    nv, resting = tree.num_velocities, np.zeros((len(theta), 6))
+    rate = np.hstack([rate, resting])
+    samples = (theta, rate, rate, np.hstack([rated, resting]))
+    rows = np.concatenate([np.zeros((len(theta), nv, weights.shape[-1])), weights], axis=1)
     gradient = reverse_recursion(on_a_free_world(tree), samples, rows)
     own = MotionGradient(gradient.q, gradient.v[:, :nv], gradient.vd[:, :nv])
     if J is None or not isinstance(robot, DrivenTree):
         return own
-    return _at_actuators(robot.actuation, J, moved, own)
+    motion = Motion(*(np.asarray(x, float) for x in (q, v, vd)))
+    return _at_actuators(robot.actuation, J, motion, own)
 
 
 def regressor_jacobian(

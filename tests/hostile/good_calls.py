@@ -672,6 +672,30 @@ def _transmission(t):
     )
     yield "transmission.gears", Call(m.gears, {"ratios": np.array([2.0, -50.0])})
     yield "transmission.rolling_joint", Call(m.rolling_joint, {"share": 0.4})
+    yield (
+        "transmission.PolynomialTransmission",
+        Call(m.PolynomialTransmission, {"coefficients": np.array([0.1, 2.0, 0.3])}),
+    )
+    knots = np.linspace(-1.0, 1.0, 5)
+    yield (
+        "transmission.TableTransmission",
+        Call(
+            m.TableTransmission,
+            {"actuator_points": knots, "joint_points": np.sin(knots)},
+        ),
+    )
+    bars = {"ground": 0.3, "crank": 0.1, "coupler": 0.3, "rocker": 0.15}
+    angles = {"crank_angle": 1.2, "rocker_angle": 1.5, "crossed": False}
+    yield "transmission.FourBar", Call(m.FourBar, {**bars, **angles})
+    cylinder = {"base": 0.4, "lever": 0.2, "length": 0.45, "angle": 1.6, "reversed": True}
+    yield "transmission.Cylinder", Call(m.Cylinder, cylinder)
+    yield (
+        "transmission.Drive",
+        Call(
+            m.Drive,
+            {"actuators": ("a", "b"), "joints": ("c", "d"), "map": t.linear},
+        ),
+    )
     yield "transmission.SideBySide", Call(m.SideBySide, {"parts": (t.linear, own)})
     yield "transmission.InSequence", Call(m.InSequence, {"stages": (t.linear, own)})
     efforts = t.v
@@ -784,6 +808,18 @@ def _adaptation(t):
             infinite=True,
         ),
     )
+    yield (
+        "adaptation.adapted_parameters",
+        Call(m.adapted_parameters, {"model": t.model, "names": (t.model.bodies[0],)}),
+    )
+    adapted = m.adapted_parameters(t.model, [t.model.bodies[0]])
+    yield (
+        "adaptation.PartialLaw",
+        Call(
+            lambda law: m.PartialLaw(law, adapted),
+            {"law": AdaptationLaw(PhysicalInertia(), 2.0)},
+        ),
+    )
     Y = geodrake.robot.regressor.inverse_dynamics_regressor(t.plant, t.q, t.v, t.vd)
     yield (
         "adaptation.prediction_covector",
@@ -829,11 +865,25 @@ def _systems(t):
             allows={"law": ("nothing",)},
         ),
     )
+    error = m.PredictionError(1.0, alone=True)
+    yield (
+        "systems.PredictionError",
+        Call(
+            m.PredictionError,
+            {
+                "weight": np.ones(2),
+                "bandwidth": 10.0,
+                "tolerance": np.zeros(2),
+                "measured": True,
+                "alone": False,
+            },
+        ),
+    )
     yield (
         "systems.AdaptiveComputedTorqueController",
         Call(
             m.AdaptiveComputedTorqueController,
-            {"control": t.control, "law": t.law, "rate": np.ones(2), "bandwidth": 10.0, **both},
+            {"control": t.control, "law": t.law, "rate": np.ones(2), "prediction": error, **both},
             allows={"law": ("nothing",)},
         ),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -70,6 +71,7 @@ def add_scalar_types(made: type, generic: type, *, symbolic: bool) -> TemplateSy
     types = [float, AutoDiffXd, *([Expression] if symbolic else [])]
     template = TemplateSystem(f"{made.__name__}_", types)
     template.add_instantiation((float,), made, skip_rename=True)
+    made.__signature__ = _signature(made)  # type: ignore[attr-defined]
     for scalar in types[1:]:
         own = {
             "_construct": made.__dict__["_construct"],
@@ -80,3 +82,10 @@ def add_scalar_types(made: type, generic: type, *, symbolic: bool) -> TemplateSy
         other = type(made.__name__, (generic, LeafSystem_[scalar]), own)
         template.add_instantiation((scalar,), other)
     return template
+
+
+def _signature(made: type) -> inspect.Signature:
+    """That of the constructor, as `_construct` has it; pydrake's takes anything."""
+    of = inspect.signature(made.__dict__["_construct"])
+    own = [p for name, p in of.parameters.items() if name not in ("self", "converter")]
+    return of.replace(parameters=own)

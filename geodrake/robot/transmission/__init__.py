@@ -19,8 +19,6 @@ from geodrake.robot.transmission.scalar import (
     FourBar,
     PolynomialTransmission,
     TableTransmission,
-    polynomial,
-    table,
 )
 
 __all__ = [
@@ -35,7 +33,5 @@ __all__ = [
     "TableTransmission",
     "Transmission",
     "gears",
-    "polynomial",
     "rolling_joint",
-    "table",
 ]

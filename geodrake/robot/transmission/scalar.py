@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from geodrake.boundary.arguments import number, real_array
@@ -120,27 +119,31 @@ class TableTransmission(ScalarTransmission, Short):
     """θ between measured or computed pairs by a cubic spline, and straight on beyond its ends.
 
     Attributes:
-        pairs: (m, 2) q, increasing, and θ there.
+        actuator_points: (m,) q, increasing.
+        joint_points: (m,) θ at these.
 
     Raises:
         ArgumentError: There are fewer than three pairs, or q does not increase.
     """
 
-    pairs: Array
+    actuator_points: Array
+    joint_points: Array
 
     def __post_init__(self) -> None:
-        pairs = real_array(self.pairs, "pairs", ("m", 2))
-        if len(pairs) < _LEAST_POINTS or not (np.diff(pairs[:, 0]) > 0.0).all():
+        q = real_array(self.actuator_points, "actuator_points", ("m",))
+        if len(q) < _LEAST_POINTS or not (np.diff(q) > 0.0).all():
             raise ArgumentError(
                 f"A table needs {_LEAST_POINTS} actuator positions or more, which increase; "
-                f"got {pairs[:, 0].tolist()}."
+                f"got {q.tolist()}."
             )
-        object.__setattr__(self, "pairs", pairs)
+        theta = real_array(self.joint_points, "joint_points", (len(q),))
+        object.__setattr__(self, "actuator_points", q)
+        object.__setattr__(self, "joint_points", theta)
 
     @cached_property
     def _spline(self) -> CubicSpline:
         # Natural ends: no curvature there, so that it goes straight on without a step in f″.
-        return CubicSpline(*self.pairs.T, bc_type="natural")
+        return CubicSpline(self.actuator_points, self.joint_points, bc_type="natural")
 
     def value(self, q: Array) -> Array:
         """The spline."""
@@ -156,7 +159,7 @@ class TableTransmission(ScalarTransmission, Short):
         return np.asarray(self._spline(self._inside(q), 2))
 
     def _inside(self, q: Array) -> Array:
-        return np.clip(q, self.pairs[0, 0], self.pairs[-1, 0])
+        return np.clip(q, self.actuator_points[0], self.actuator_points[-1])
 
 
 @dataclass(frozen=True)
@@ -331,24 +334,3 @@ class Cylinder(ScalarTransmission):
                 advice="Check base, lever and length, and that the log is of this actuator.",
             )
         return np.asarray(cosine)
-
-
-def polynomial(coefficients: ArrayLike) -> PolynomialTransmission:
-    """θ = c₀ + c₁ q + c₂ q² + ….
-
-    Args:
-        coefficients: (m,) c, the constant first.
-    """
-    return PolynomialTransmission(real_array(coefficients, "coefficients", ("m",)))
-
-
-def table(actuator_positions: ArrayLike, joint_positions: ArrayLike) -> TableTransmission:
-    """θ of pairs, by a cubic spline.
-
-    Args:
-        actuator_positions: (m,) q, increasing.
-        joint_positions: (m,) θ at these.
-    """
-    x = real_array(actuator_positions, "actuator_positions", ("m",))
-    y = real_array(joint_positions, "joint_positions", (len(x),))
-    return TableTransmission(np.column_stack([x, y]))

@@ -10,11 +10,18 @@ import dataclasses as dc
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from geodrake.errors import ArgumentError
 from geodrake.robot.transmission.base import Transmission
 from geodrake.robot.transmission.linear import LinearTransmission
 from geodrake.robot.transmission.parts import InSequence, SideBySide, rolling_joint
-from geodrake.robot.transmission.scalar import Cylinder, FourBar, polynomial, table
+from geodrake.robot.transmission.scalar import (
+    Cylinder,
+    FourBar,
+    PolynomialTransmission,
+    TableTransmission,
+)
 
 SIDES = ("motor", "joint")
 KINDS = ("", "revolute", "prismatic")
@@ -202,7 +209,7 @@ class Followers(Statement):
     def transmission(self) -> Transmission:
         """θ = q, and the polynomials of q."""
         alike = LinearTransmission.of([[1.0]])
-        maps = (alike, *(polynomial(c) for c in self.joints.values()))
+        maps = (alike, *(PolynomialTransmission(np.array(c, float)) for c in self.joints.values()))
         return InSequence((LinearTransmission.of([[1.0]] * len(maps)), SideBySide(maps)))
 
 
@@ -222,7 +229,7 @@ class Polynomial(SingleStatement):
 
     def transmission(self) -> Transmission:
         """The polynomial."""
-        return polynomial(self.coefficients)
+        return PolynomialTransmission(np.array(self.coefficients, float))
 
 
 @dataclass
@@ -247,7 +254,9 @@ class PositionTable(SingleStatement):
         """The spline."""
         if self.kind not in KINDS:
             raise ArgumentError(f"kind must be revolute or prismatic; it is {self.kind!r}.")
-        return table(self.actuator_positions, self.joint_positions)
+        return TableTransmission(
+            np.array(self.actuator_positions, float), np.array(self.joint_positions, float)
+        )
 
     def slides(self) -> bool | None:
         """What `kind` says."""
