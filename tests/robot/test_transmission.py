@@ -20,7 +20,9 @@ from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
 from geodrake.robot.plant import joint_names
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
-from geodrake.robot.transmission import FunctionTransmission, LinearTransmission
+from geodrake.robot.transmission import Drive, FunctionTransmission, LinearTransmission
+from geodrake.robot.transmission.actuation import Actuation
+from geodrake.robot.transmission.limits import actuator_effort_limits, actuator_rates
 from geodrake.robot.transmission.parts import InSequence, SideBySide, gears, rolling_joint
 
 RATIO = 10.6
@@ -335,6 +337,17 @@ def test_power_through_a_crank_is_the_change_of_energy():
     for q, v, vd, effort in zip(motion.q, motion.v, motion.vd, efforts, strict=True):
         after, before = (energy(q + h * v, v + h * vd) for h in (step, -step))
         assert effort @ v == pytest.approx((after - before) / (2 * step), rel=1e-6, abs=1e-6)
+
+
+def test_a_joint_that_an_actuator_does_not_move_does_not_limit_it():
+    """Without a warning, although 0 · ∞ is no number."""
+    idle = Drive(("m",), ("a", "b"), LinearTransmission.of([[2.0], [0.0]]))
+    robot = Actuation.of(("a", "b"), {0: 0, 1: 1}, 2, (idle,))
+    within = np.full(1, -1.0), np.full(1, 1.0)
+    most = np.array([5.0, np.inf])
+    np.testing.assert_array_equal(actuator_effort_limits(robot, most, within), [10.0])
+    np.testing.assert_array_equal(actuator_rates(robot, most, within), [2.5])
+    np.testing.assert_array_equal(actuator_rates(robot, np.zeros(2), within), [0.0])
 
 
 def test_bad_input():

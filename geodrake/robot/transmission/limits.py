@@ -7,6 +7,8 @@ actuator may go as far in proportion.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from geodrake.inertia import Array
@@ -44,13 +46,7 @@ def actuator_rates(actuation: Actuation, limits: Array, within: tuple[Array, Arr
         limits: (nv of the tree,) those of the joints.
         within: Least and greatest positions (nq,) of the robot.
     """
-    found = np.full(actuation.num_velocities, np.inf)
-    own, tree = actuation.kept_v
-    found[own] = limits[tree]
-    for place in actuation.places:
-        J = np.abs(_jacobians(place, within)).max(axis=0)
-        found[place.actuator_v] = _box(J, limits[place.joint_v])
-    return found
+    return _each(actuation, limits, within, lambda J, most: _box(np.abs(J).max(axis=0), most))
 
 
 def actuator_effort_limits(
@@ -63,19 +59,39 @@ def actuator_effort_limits(
         limits: (nv of the tree,) those of the joints.
         within: Least and greatest positions (nq,) of the robot.
     """
+    return _each(actuation, limits, within, _efforts)
+
+
+def _each(
+    actuation: Actuation,
+    limits: Array,
+    within: tuple[Array, Array],
+    of: Callable[[Array, Array], Array],
+) -> Array:
+    """Limits (nv,) of a robot, of those (nv of the tree,) of its joints.
+
+    Args:
+        actuation: How its joints follow from its actuators.
+        limits: (nv of the tree,) those of the joints.
+        within: Least and greatest positions (nq,) of the robot.
+        of: What a drive's J (N, k, n) where its actuators may be, and the limits (k,) of its
+            joints, make of those (n,) of its actuators.
+    """
     found = np.full(actuation.num_velocities, np.inf)
     own, tree = actuation.kept_v
     found[own] = limits[tree]
     for place in actuation.places:
-        J, most = _jacobians(place, within), limits[place.joint_v]
-        if J.shape[1] == J.shape[2] > 1:
-            inverse = np.abs(np.linalg.inv(J)).max(axis=0).T
-            found[place.actuator_v] = _box(inverse, most)
-        else:
-            J = np.abs(J)
-            shares = np.where(J > 0.0, J * most[:, None], np.inf).min(axis=0)
-            found[place.actuator_v] = shares.min(axis=0)
+        found[place.actuator_v] = of(_jacobians(place, within), limits[place.joint_v])
     return found
+
+
+def _efforts(J: Array, most: Array) -> Array:
+    """Largest efforts (n,) of actuators, of J (N, k, n) and the largest (k,) of joints."""
+    if J.shape[1] == J.shape[2] > 1:
+        return _box(np.abs(np.linalg.inv(J)).max(axis=0).T, most)
+    J, shares = np.abs(J), np.full(J.shape, np.inf)
+    np.multiply(J, most[:, None], out=shares, where=J > 0.0)
+    return np.asarray(shares.min(axis=(0, 1)))
 
 
 def _jacobians(place: Places, within: tuple[Array, Array]) -> Array:
@@ -114,8 +130,8 @@ def _positions(drive: Drive, lower: Array, upper: Array) -> tuple[Array, Array]:
 
 def _box(A: Array, most: Array) -> Array:
     """The box (n,) x ≥ 0 with A x ≤ most (k,), A ≥ 0: what each may be alone, by one share."""
-    with np.errstate(divide="ignore"):
-        alone = np.where(A > 0.0, most[:, None] / A, np.inf).min(axis=0, initial=np.inf)
+    ratios = np.divide(most[:, None], A, out=np.full(A.shape, np.inf), where=A > 0.0)
+    alone = ratios.min(axis=0, initial=np.inf)
     rows = np.isfinite(most) & (A[:, np.isfinite(alone)] > 0.0).any(axis=1)
     needed = A[rows] @ np.where(np.isfinite(alone), alone, 0.0)
     share = (most[rows] / np.where(needed > 0.0, needed, 1.0))[needed > 0.0].min(initial=1.0)
