@@ -14,6 +14,8 @@ from pydrake.multibody.tree import (
     Joint,
     JointActuator,
     ModelInstanceIndex,
+    PrismaticSpring,
+    RevoluteSpring,
     RigidBody,
     SpatialInertia,
 )
@@ -287,8 +289,10 @@ class RobotInstance:
         """Damping, rotor inertia and springs that the plant itself has at the robot's joints."""
         rotors = [actuator.default_reflected_inertia() for actuator in self._actuators]
         damping = [np.any(joint.default_damping_vector()) for joint in self._moving]
-        elements = map(ForceElementIndex, range(1, self.plant.num_force_elements()))
-        own = [self.plant.get_force_element(i).model_instance() == self.index for i in elements]
+        count, moving = self.plant.num_force_elements(), {joint.index() for joint in self._moving}
+        elements = map(self.plant.get_force_element, map(ForceElementIndex, range(count)))
+        springs = [e for e in elements if isinstance(e, RevoluteSpring | PrismaticSpring)]
+        own = [spring.joint().index() in moving for spring in springs]
         found = {"Damping": damping, "rotor inertia": rotors, "springs": own}
         return tuple(name for name, values in found.items() if any(values))
 

@@ -5,6 +5,7 @@ import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RevoluteSpring
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 from scenes import PENDULUM, plant_of, scene
@@ -101,6 +102,15 @@ def test_forces_that_are_an_input_of_the_diagram_stay_so():
 def test_what_is_no_robot_is_refused(name, message):
     with pytest.raises(ArgumentError, match=message):
         RobotInstance(plant_of(), name)
+
+
+@pytest.mark.parametrize(("name", "found"), [("arm", True), ("other", False), (None, True)])
+def test_springs_at_joints_of_the_robot_are_terms_of_its(name, found):
+    plant = plant_of(finalize=False)
+    arm = plant.GetModelInstanceByName("arm")
+    plant.AddForceElement(RevoluteSpring(plant.GetJointByName("elbow", arm), 0.1, 3.0))
+    plant.Finalize()
+    assert RobotInstance(plant, name).stated_terms == (("springs",) if found else ())
 
 
 def test_plants_that_are_not_finalized_are_refused():
