@@ -31,6 +31,7 @@ from geodrake.effects.robot_effect import RobotEffect
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.simulation.force_law import EffectWithValues
+from geodrake.robot.driven_tree import DrivenTree
 from geodrake.robot.robot_instance import RobotInstance, RobotPorts
 
 
@@ -71,12 +72,16 @@ class AdaptiveLoop:
         Raises:
             ArgumentError: The loop was given the ports of a robot elsewhere.
         """
+        return self._robot.plant
+
+    @property
+    def _robot(self) -> RobotInstance:
         if self.robot is None:
             raise ArgumentError(
                 "The loop knows the ports of its robot alone, and no plant.",
                 advice="Give add_adaptive_loop the plant, or a RobotInstance of it.",
             )
-        return self.robot.plant
+        return self.robot
 
     def context(self, diagram: Diagram) -> Context:
         """A default Context of the finished diagram, with the robot at the start of the motion.
@@ -94,11 +99,10 @@ class AdaptiveLoop:
         Args:
             root: Context of the finished diagram.
         """
-        plant, joints = self.plant, self.controller.control.joints
+        robot, joints = self._robot, self.controller.control.joints
         source = self.desired_state.get_system()
         desired = self.desired_state.Eval(source.GetMyContextFromRoot(root))
-        if self.robot is not None:
-            self.robot.set_state(plant.GetMyMutableContextFromRoot(root), joints, desired)
+        robot.set_state(robot.plant.GetMyMutableContextFromRoot(root), joints, desired)
         if self.effect_force is not None:
             self.effect_force.deflect(root)
 
@@ -217,14 +221,20 @@ def check_base(robot: RobotInstance, controller: AdaptiveController) -> None:
         controller: A controller.
 
     Raises:
-        ArgumentError: It is another robot, or its base leans otherwise, or moves.
+        ArgumentError: It is another robot, or its base leans otherwise, or moves; or the
+            controller's model is behind a transmission, and the plant's efforts are not.
     """
     control = controller.control
+    if isinstance(control.tree, DrivenTree):
+        raise ArgumentError(
+            "The controller's model is behind a transmission; a plant has the state and the "
+            "efforts of joints.",
+            advice="Give add_adaptive_loop the ports of the actuators: "
+            "model.add_to_builder(builder).ports().",
+        )
     robot.order(control.joints)
-    effects = getattr(control, "effects", ())  # what stands in for a ControlModel may lack both
-    tree = getattr(control, "tree", None)
-    if tree is not None and not any(isinstance(effect, RobotEffect) for effect in effects):
-        robot.check_base(tree, control.joints)
+    if not any(isinstance(effect, RobotEffect) for effect in control.effects):
+        robot.check_base(control.tree, control.joints)
 
 
 def _given_ports(

@@ -24,6 +24,7 @@ from geodrake.errors import ArgumentError
 from geodrake.model import load_model
 from geodrake.report.adaptation_view import AdaptationView
 from geodrake.robot import RobotInstance, RobotPorts, take_out_stated
+from geodrake.robot.transmission import Drive, gears
 
 ACTING = [
     (effects.ViscousFriction("shoulder"), [0.4]),
@@ -236,6 +237,16 @@ class TestFittedModel:
         robot = RobotInstance(plant_of(X_TB=turned), "arm")
         with pytest.raises(ArgumentError, match="axes of the world"):
             replace(model, effects=(tilt,)).add_to_scene(DiagramBuilder(), robot)
+
+
+def test_a_controller_of_motors_wants_ports_of_motors():
+    """Its efforts would act at joints, as motors may have the names of joints."""
+    geared = Drive(("shoulder",), ("shoulder",), gears([8.0]))
+    model = load_model(PENDULUM, transmission=(geared,))
+    controller = PassivityBasedAdaptiveController(ControlModel.of(model), None)
+    builder = DiagramBuilder()
+    with pytest.raises(ArgumentError, match=r"behind a transmission.*add_to_builder"):
+        add_adaptive_loop(builder, RobotInstance(scene(builder), "arm"), controller, motion())
 
 
 def test_parsers_that_rename_are_no_obstacle():
