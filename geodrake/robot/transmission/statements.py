@@ -20,6 +20,7 @@ from geodrake.robot.transmission.scalar import (
     Cylinder,
     FourBar,
     PolynomialTransmission,
+    ScalarTransmission,
     TableTransmission,
 )
 
@@ -68,6 +69,22 @@ class SingleStatement(Statement):
     def joint_names(self) -> tuple[str, ...]:
         """The one."""
         return (self.joint,)
+
+
+class LinkageStatement(SingleStatement):
+    """A mechanism that reaches only so far."""
+
+    @abc.abstractmethod
+    def transmission(self) -> ScalarTransmission:
+        """θ = f(q).
+
+        Raises:
+            ArgumentError: The numbers make none.
+        """
+
+    def range(self) -> tuple[float, float]:
+        """Where its parts reach each other."""
+        return self.transmission().range
 
 
 @dataclass
@@ -269,7 +286,7 @@ class PositionTable(SingleStatement):
 
 
 @dataclass
-class FourBarLinkage(SingleStatement):
+class FourBarLinkage(LinkageStatement):
     """A crank that turns a rocker by a coupler; see `FourBar`.
 
     Attributes:
@@ -294,15 +311,8 @@ class FourBarLinkage(SingleStatement):
     rocker_angle: float = 0.0
     crossed: bool = False
 
-    def transmission(self) -> Transmission:
+    def transmission(self) -> FourBar:
         """The linkage."""
-        return self._linkage()
-
-    def range(self) -> tuple[float, float]:
-        """Where the bars reach each other."""
-        return self._linkage().range
-
-    def _linkage(self) -> FourBar:
         return FourBar(
             self.ground,
             self.crank,
@@ -319,7 +329,7 @@ class FourBarLinkage(SingleStatement):
 
 
 @dataclass
-class LinearActuator(SingleStatement):
+class LinearActuator(LinkageStatement):
     """A cylinder, ball screw or cable across a joint; see `Cylinder`.
 
     Attributes:
@@ -340,20 +350,13 @@ class LinearActuator(SingleStatement):
     angle: float = 0.0
     reversed: bool = False
 
-    def transmission(self) -> Transmission:
+    def transmission(self) -> Cylinder:
         """The triangle."""
-        return self._triangle()
+        return Cylinder(self.base, self.lever, self.length, self.angle, self.reversed)
 
     def slides(self) -> bool:
         """It does."""
         return True
-
-    def range(self) -> tuple[float, float]:
-        """Where the triangle closes."""
-        return self._triangle().range
-
-    def _triangle(self) -> Cylinder:
-        return Cylinder(self.base, self.lever, self.length, self.angle, self.reversed)
 
 
 @dataclass
