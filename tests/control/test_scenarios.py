@@ -1,5 +1,6 @@
 """Scenario files: read, built, simulated, and driven by messages of LCM."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,25 @@ class TestRun:
         context = robot.plant.GetMyContextFromRoot(simulator.get_context())
         expected = robot.plant.GetPositionsAndVelocities(context)
         np.testing.assert_allclose(state[-1], expected, rtol=1e-5, atol=1e-6)
+
+    def test_links_of_soft_joints_begin_where_their_load_has_them(self, small, tmp_path):
+        """As by `RobotInDiagram.set_state`, in a diagram of the model's own."""
+        soft = FittedEffect(effects.JointElasticity("elbow"), np.array([2e-3]))
+        model = replace(load_model(PENDULUM), effects=(soft,))
+        save_model(model, tmp_path / "soft.yaml")
+        scenario = load_scenario(small)
+        spec = scenario.robots["arm"]
+        spec.model, spec.controller, spec.motion = str(tmp_path / "soft.yaml"), None, None
+        scenario.initial_position = {"arm": {"shoulder": np.array([0.5]), "elbow": np.array([0.2])}}
+        scene = build_scene(scenario=scenario)
+        links = scene.plant.GetPositions(scene.plant.GetMyContextFromRoot(scene.context()))
+        builder = DiagramBuilder()
+        robot = model.add_to_builder(builder)
+        root = builder.Build().CreateDefaultContext()
+        robot.set_state(root, [0.5, 0.2])
+        expected = robot.plant.GetPositions(robot.plant.GetMyContextFromRoot(root))
+        assert abs(expected[1] - 0.2) > 1e-3
+        np.testing.assert_allclose(links, expected, rtol=1e-9)
 
     def test_a_logged_motion_is_followed(self, small, tmp_path):
         scenario = load_scenario(small)

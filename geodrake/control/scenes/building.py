@@ -79,7 +79,10 @@ class Scene:
     lcm_buses: LcmBuses = field(repr=False)
 
     def context(self) -> Context:
-        """A Context at the start: robots as their models, at the start of their motions."""
+        """A Context at the start: robots as their models, at the start of their motions.
+
+        Links of soft joints are where a steady load has them.
+        """
         root = self.diagram.CreateDefaultContext()
         context = self.plant.GetMyMutableContextFromRoot(root)
         for name, robot in self.robots.items():
@@ -90,6 +93,8 @@ class Scene:
                 start = robot.motion.value(0.0).ravel()
                 state = np.concatenate([start, np.zeros(len(start))])
                 robot.instance.set_state(context, robot.joints, state)
+            if robot.model is not None and robot.model.effect_force is not None:
+                robot.model.effect_force.deflect(root)
         return root
 
 
