@@ -6,13 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from geodrake.control.rollout.passages import Passage
-from geodrake.control.rollout.simulation import ACCURACY, FASTEST, LARGEST_STEP, STIFF
+from geodrake.control.rollout.simulation import FASTEST, positions_along
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.driven_robot import Driving, JointEffort
 from geodrake.robot.plant import load_plant, set_inertial_parameters
@@ -64,21 +64,13 @@ class DrivenSimulation:
         q = self._model.positions(segment.position[:1])[0]
         state = self._driving.plant_state(q, np.asarray(segment.velocity[0]))
         self._plant.SetPositionsAndVelocities(context, np.concatenate(state))
-        scheme = "radau3" if self._decay(q, float(time[0])) > STIFF else "runge_kutta3"
-        ResetIntegratorFromFlags(simulator, scheme, LARGEST_STEP)
-        simulator.get_mutable_integrator().set_target_accuracy(ACCURACY)
-        simulator.Initialize()
-        simulator.set_monitor(self._limit)
-        simulated = np.full(segment.position.shape, np.nan)
-        for k, instant in enumerate(time):
-            try:
-                status = simulator.AdvanceTo(instant)
-            except RuntimeError:  # the integrator gives up: the robot flies apart
-                break
-            if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
-                break
-            simulated[k] = self._state(context)[0][self._order]
-        return simulated
+        return positions_along(
+            simulator,
+            time,
+            lambda: self._state(context)[0][self._order],
+            decay=self._decay(q, float(time[0])),
+            limit=self._limit,
+        )
 
     def _state(self, context: Context) -> tuple[Array, Array]:
         return self._driving.model_state(self._plant.GetPositionsAndVelocities(context))

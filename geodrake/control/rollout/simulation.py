@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,12 @@ from geodrake.robot.plant import load_plant, set_inertial_parameters
 Array = NDArray[np.float64]
 
 LARGEST_STEP = 5e-3  # of the integrator, s
-ACCURACY = 1e-3
+_ACCURACY = 1e-3
 _STEPS, _TIMES = 60_000, 20  # that a rollout may take in all, and times those without a care
 _AT_START = 9  # samples of the rate at which soft joints bend when a passage begins
 _BEFORE = 0.5  # s before a passage, from which on links are followed through dead bands
 FASTEST = 1e6  # peak speeds of the log, beyond which no robot is simulated any more
-STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
+_STIFF = 4e3  # rate of decay from which on an implicit integrator is the faster one, 1/s
 
 
 def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
@@ -44,6 +44,41 @@ def allowed_steps(passages: Sequence[Passage]) -> Iterator[int]:
         for passage in passages
     )
     return iter(range(_STEPS + round(_TIMES * calm)))
+
+
+def positions_along(
+    simulator: Simulator,
+    time: Array,
+    positions: Callable[[], Array],
+    *,
+    decay: float,
+    limit: Callable[[Context], EventStatus],
+) -> Array:
+    """(K, nv) positions of a simulation at times; NaN from where it ends or cannot go on.
+
+    Args:
+        simulator: The simulation, its Context at the start.
+        time: (K,) s.
+        positions: Those (nv,) that the simulation has just now.
+        decay: The fastest rate, 1/s, at which velocities decay; it decides on the integrator.
+        limit: The simulation's monitor, which may end it.
+    """
+    ResetIntegratorFromFlags(
+        simulator, "radau3" if decay > _STIFF else "runge_kutta3", LARGEST_STEP
+    )
+    simulator.get_mutable_integrator().set_target_accuracy(_ACCURACY)
+    simulator.Initialize()
+    simulator.set_monitor(limit)
+    found = np.full((len(time), len(positions())), np.nan)
+    for k, instant in enumerate(time):
+        try:
+            status = simulator.AdvanceTo(instant)
+        except RuntimeError:  # the integrator gives up: the robot flies apart
+            break
+        if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
+            break
+        found[k] = positions()
+    return found
 
 
 class Simulation:
@@ -127,22 +162,15 @@ class Simulation:
         if self._force.soft_joints:
             self._deflect(passage, root, (q, v))
         self._plant.SetPositions(context, q)
-        scheme = "radau3" if self._decay(root) > STIFF else "runge_kutta3"
+        decay = self._decay(root)
         self._plant.SetVelocities(context, v)
-        ResetIntegratorFromFlags(simulator, scheme, LARGEST_STEP)
-        simulator.get_mutable_integrator().set_target_accuracy(ACCURACY)
-        simulator.Initialize()
-        simulator.set_monitor(self._limit)
-        simulated = np.full(segment.position.shape, np.nan)
-        for k, instant in enumerate(time):
-            try:
-                status = simulator.AdvanceTo(instant)
-            except RuntimeError:  # the integrator gives up: the robot flies apart
-                break
-            if status.reason() != SimulatorStatus.ReturnReason.kReachedBoundaryTime:
-                break
-            simulated[k] = self._measured(root)[self._order]
-        return simulated
+        return positions_along(
+            simulator,
+            time,
+            lambda: self._measured(root)[self._order],
+            decay=decay,
+            limit=self._limit,
+        )
 
     def _measured(self, root: Context) -> Array:
         """Positions (nq,) of the motors."""
