@@ -16,6 +16,7 @@ from pydrake.multibody.tree import MultibodyForces
 from geodrake.boundary.arguments import instance, integer
 from geodrake.boundary.showing import Short
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.driven_tree import plant_jacobians
 from geodrake.robot.holding import moving_joints
 from geodrake.robot.plant import set_inertial_parameters
 from geodrake.robot.regressor import inverse_dynamics, inverse_dynamics_regressor
@@ -168,7 +169,8 @@ def _by_recursion(model: RobotModel, states: States, phi: Array, others: Array) 
 
 def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
     """The same by MultibodyPlant, whose joints move with their leaders and actuators."""
-    plant, jacobians, rates = model.plant, *_jacobians(model, states)
+    plant = model.plant
+    jacobians, rates = plant_jacobians(model.tree, model.coordinates, *states[:2])
     q, v = model.plant_positions(states[0]), model.plant_velocities(*states[:2])
     along = times(rates, states[1])  # J̇ v
     vd = times(jacobians, states[2]) + along
@@ -193,16 +195,6 @@ def _by_drake(model: RobotModel, states: States, others: Array) -> Quantities:
         for name, value in zip(QUANTITIES, values, strict=True):
             found[name].append(value)
     return {name: np.array(values) for name, values in found.items()}
-
-
-def _jacobians(model: RobotModel, states: States) -> tuple[Array, Array]:
-    """J and J̇ (N, nv of the plant, nv) along states."""
-    ways, (q, v, _) = model.coordinates, states
-    F = ways.plant_velocities(np.eye(len(ways.own_velocities))).T
-    if model.actuation is None:
-        J = np.repeat(F[None], len(q), axis=0)
-        return J, np.zeros_like(J)
-    return F @ model.actuation.jacobian(q), F @ model.actuation.jacobian_rate(q, v)
 
 
 def _agreement(name: str, error: Array, size: float, joints: Sequence[str]) -> Agreement:

@@ -16,6 +16,7 @@ import numpy as np
 from geodrake.boundary.showing import Short
 from geodrake.compiling import contiguous
 from geodrake.inertia import Array
+from geodrake.robot.followers import OwnCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.recursion import Samples
 from geodrake.robot.transmission.actuation import Actuation
@@ -129,6 +130,24 @@ def inside(tree: RobotTree, q: Array) -> Array:
         q: (N, nq) positions.
     """
     return tree.actuation.inside(q) if isinstance(tree, DrivenTree) else q
+
+
+def plant_jacobians(
+    tree: RobotTree, coordinates: OwnCoordinates, q: Array, v: Array
+) -> tuple[Array, Array]:
+    """J and J̇ (N, nv of the plant, nv), with the plant's velocities J v.
+
+    Args:
+        tree: The tree.
+        coordinates: Which velocities of the plant are those of its joints.
+        q: (N, nq) positions.
+        v: (N, nv) velocities.
+    """
+    F = coordinates.plant_velocities(np.eye(len(coordinates.own_velocities))).T
+    if isinstance(tree, DrivenTree):
+        return F @ tree.actuation.jacobian(q), F @ tree.actuation.jacobian_rate(q, v)
+    J = np.repeat(F[None], len(q), axis=0)
+    return J, np.zeros_like(J)
 
 
 def through(tree: RobotTree, q: Array, jacobian: Array) -> Array:

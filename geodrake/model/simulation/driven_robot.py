@@ -30,7 +30,7 @@ from geodrake.model.simulation.robot_in_diagram import (
     add_plant,
     late,
 )
-from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions
+from geodrake.robot.driven_tree import DrivenTree, RobotTree, joint_positions, plant_jacobians
 from geodrake.robot.followers import OwnCoordinates
 from geodrake.robot.kinematics import KinematicTree
 from geodrake.robot.regressor import inverse_dynamics
@@ -159,12 +159,8 @@ class Driving(Driven):
 
     def _jacobians(self, q: Array, v: Array) -> tuple[Array, Array]:
         """J and J̇ (nv of the plant, nv)."""
-        ways = self.coordinates
-        F = ways.plant_velocities(np.eye(len(ways.own_velocities))).T
-        if not isinstance(self.tree, DrivenTree):
-            return F, np.zeros_like(F)
-        at = self.tree.actuation
-        return F @ at.jacobian(q[None])[0], F @ at.jacobian_rate(q[None], v[None])[0]
+        J, rate = plant_jacobians(self.tree, self.coordinates, q[None], v[None])
+        return J[0], rate[0]
 
     @cached_property
     def _plant_tree(self) -> KinematicTree:
