@@ -124,13 +124,15 @@ def run(
 
 def _ran(robot: RobotInScene, context: Context) -> RobotRun | None:
     """What was logged of a robot; None of one that nothing is asked of."""
-    loop = {} if robot.loop is None else robot.loop.logged(context)[1]
     sinks = {name: sink.FindLog(context) for name, sink in robot.logs.items()}
     own = {name: np.array(log.data().T) for name, log in sinks.items()}
-    if not (loop or own):
+    loop = dict[str, Array]()
+    if robot.loop is not None:
+        time, loop = robot.loop.logged(context)
+    elif sinks:
+        time = np.array(next(iter(sinks.values())).sample_times())
+    else:
         return None
-    times = [np.array(log.sample_times()) for log in sinks.values()]
-    time = times[0] if robot.loop is None else robot.loop.logged(context)[0]
     return RobotRun(
         robot.joints,
         time,
