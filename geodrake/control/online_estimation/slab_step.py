@@ -9,6 +9,7 @@ import numpy as np
 from geodrake.compiling import compiled
 from geodrake.inertia import Array
 from geodrake.manifolds import Product
+from geodrake.manifolds.slab_kernels import put_direction
 
 _SHARING = 1e-2  # of a row's squared length, added to it
 _NOTHING = 1e-300  # squared length of a row that says nothing
@@ -60,43 +61,15 @@ def slab_step(
 def calc_multipliers(products: Array, error: Array) -> Array:
     """Newton's multipliers (k,) of rows outside of their slabs; none pulls a row further out.
 
-    A share of each row's squared length is added to it. Rows of any length do no harm: Cholesky's
-    decomposition does not depend on their units.
+    They are those of the first step of a projection (`slab_kernels`), with a share of each row's
+    squared length added to it. Rows of any length do no harm.
 
     Args:
         products: (k, k) inner products of the rows, overwritten.
         error: (k,) how far each is outside of its slab.
     """
-    count = len(error)
-    rows, left = np.arange(count), count
-    for i in range(count):
+    for i in range(len(error)):
         products[i, i] = products[i, i] * (1.0 + _SHARING) + _NOTHING
-    while left > 0:
-        # By Cholesky's decomposition P = L Lᵀ of those that are left, forwards and backwards.
-        L, found = np.empty((left, left)), np.empty(left)
-        for i in range(left):
-            for j in range(i + 1):
-                total = products[rows[i], rows[j]]
-                for k in range(j):
-                    total -= L[i, k] * L[j, k]
-                L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
-            total = error[rows[i]]
-            for k in range(i):
-                total -= L[i, k] * found[k]
-            found[i] = total / L[i, i]
-        for i in range(left - 1, -1, -1):
-            for k in range(i + 1, left):
-                found[i] -= L[k, i] * found[k]
-            found[i] /= L[i, i]
-        kept = 0
-        for i in range(left):
-            if not found[i] * error[rows[i]] < 0.0:
-                rows[kept] = rows[i]
-                kept += 1
-        if kept == left:
-            break
-        left = kept
-    multipliers = np.zeros(count)
-    for i in range(left):
-        multipliers[rows[i]] = found[i]
+    multipliers = np.empty(len(error))
+    put_direction(products, error, np.zeros(len(error)), multipliers)
     return multipliers
