@@ -64,6 +64,7 @@ QUICK = ("double pendulum",)
 DAYS = "ur10e.urdf", tuple(f"ur10e_free_{day}.csv" for day in "abcd")
 """A robot on several days, on which nothing was changed."""
 QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:3]
+QUICK_FITS = PENDULUM[:1]
 MEASUREMENTS = (
     *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
     *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
@@ -141,18 +142,23 @@ def placed(found: Candidate | Step) -> str:
     return f"{found.effect} at {', '.join(found.where)}" if found.where else found.effect
 
 
-def pairs_of_days(model: str, logs: Sequence[str], shared: Path) -> list[dict[str, Any]]:
+def pairs_of_days(
+    model: str, logs: Sequence[str], shared: Path, fitted: Sequence[str] | None = None
+) -> list[dict[str, Any]]:
     """Steps on each log with the model of each other one, and the nrms of all others with them.
 
     Args:
         model: Model file.
         logs: One log a day.
         shared: Folder with `data` and `reference`.
+        fitted: Those of the logs that models are fitted to; all by default.
     """
     paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
-    fits = {log: explain(load_model(file), [path]).model for log, path in paths.items()}
+    fits = {log: explain(load_model(file), [paths[log]]).model for log in fitted or logs}
     pairs = []
     for fit, test in permutations(logs, 2):
+        if fit not in fits:
+            continue
         found = explain(fits[fit], [paths[test]])
         third = {
             log: [compare(m, [paths[log]]).errors.nrms for m in (fits[fit], found.model)]
@@ -261,7 +267,10 @@ def main() -> None:
                     console.print(f"{study.name}, left out {effect}: {errors_there}")
             if options.figures:
                 write_figures(study, explanation, options.figures)
-    days = pairs_of_days(*(QUICK_DAYS if options.quick else DAYS), options.shared)
+    if options.quick:
+        days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_FITS)
+    else:
+        days = pairs_of_days(*DAYS, options.shared)
     show(rows, console)
     for study_name, effects in named.items():
         console.print(

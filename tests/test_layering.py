@@ -67,7 +67,7 @@ NAMES = {module_name(path) for path in MODULES}
 
 def imported(tree):
     """Modules of geodrake that a syntax tree imports, wherever in it, with the line."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.ImportFrom) and node.level:
             yield "." * node.level + (node.module or ""), node.lineno
             continue
@@ -98,15 +98,22 @@ def parsed(path):
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes(tree):
+    """All nodes of a syntax tree, which several tests look through."""
+    return tuple(ast.walk(tree))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def forget_trees():
     yield
-    parsed.cache_clear()  # they take much memory
+    nodes.cache_clear()  # they take much memory
+    parsed.cache_clear()
 
 
 def functions(tree):
     kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
-    return [node for node in ast.walk(tree) if isinstance(node, kinds)]
+    return [node for node in nodes(tree) if isinstance(node, kinds)]
 
 
 def lines_without_docstring(function):
@@ -185,7 +192,7 @@ def test_modules_say_what_they_are():
 def test_no_two_classes_share_a_name():
     places = {}
     for path in MODULES:
-        for node in ast.walk(parsed(path)):
+        for node in nodes(parsed(path)):
             if isinstance(node, ast.ClassDef):
                 places.setdefault(node.name, []).append(f"{named(path)}:{node.lineno}")
     assert not {name: found for name, found in places.items() if len(found) > 1}
@@ -248,7 +255,7 @@ def test_public_functions_say_what_they_take():
     trees = {path: parsed(path) for path in MODULES}
     classes, known = defaultdict(list), defaultdict(set)
     for tree in trees.values():
-        for node in ast.walk(tree):
+        for node in nodes(tree):
             if isinstance(node, ast.ClassDef):
                 classes[node.name].append(node)
         for _, function in public_functions(tree):
@@ -272,7 +279,7 @@ def test_public_functions_say_what_they_take():
 
 def test_no_asserts_for_users():
     def problems(path):
-        for node in ast.walk(parsed(path)):
+        for node in nodes(parsed(path)):
             if isinstance(node, ast.Assert):
                 yield f"line {node.lineno}: raise an error of geodrake.errors instead"
 

@@ -50,9 +50,10 @@ def takes_little_memory(table):
 
 
 def says_what_diagnose_names_and_days_tell(table):
-    """By three runs of a robot: six pairs, and an error of the third run before and after."""
+    """By a fit to one run of a robot: two pairs, and an error of the third run before and after."""
     assert table["named_afterwards"] == {"double pendulum": []}
-    assert len(table["days"]) == 6
+    assert len(table["days"]) == 2
+    assert len({pair["fit"] for pair in table["days"]}) == 1
     changed = [pair for pair in table["days"] if pair["steps"]]
     assert changed
     for pair in changed:
