@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,8 @@ import numpy as np
 from geodrake.boundary.arguments import instance, instances
 from geodrake.errors import ArgumentError
 from geodrake.logs.files import Reading, log_of
-from geodrake.logs.files.numeric_columns import numbers, numeric_columns
-from geodrake.logs.files.table import LogTable
+from geodrake.logs.files.column_names import check_once
+from geodrake.logs.files.numeric_columns import numbers, numeric_table
 from geodrake.logs.motion import JointLog
 
 
@@ -27,8 +28,9 @@ def log_of_frame(
 
     Args:
         frame: A DataFrame of pandas or polars, a table of Arrow, a structured array, or a mapping
-            of names to arrays. Columns are `time`, `<joint>.position`, `<joint>.effort` and
-            perhaps `<joint>.velocity`; or `position`, `effort` … (N, n), with the joints in order.
+            of names to arrays. Columns are `time` (numbers, durations or dates),
+            `<joint>.position`, `<joint>.effort` and perhaps `<joint>.velocity`; or `position`,
+            `effort` … (N, n), with the joints in order.
             Without `time`, the index of a pandas frame is the time, if it is one of dates,
             durations or seconds.
         joints: Names of a model's joints, if the log must have the same and in their order.
@@ -37,19 +39,22 @@ def log_of_frame(
 
     Raises:
         ArgumentError: It is no frame.
-        LogError: It lacks a needed column or joint, or its time does not increase.
+        LogError: It lacks a needed column or joint or has a column twice, such a column has no
+            numbers, or its time does not increase.
     """
     instance(name, "name", str)
     joints = None if joints is None else instances(joints, "joints", str)
-    arrays = _arrays(frame)
+    arrays = _arrays(frame, name)
     rows = max((len(values) for values in arrays.values() if np.ndim(values)), default=0)
-    columns, notes = numeric_columns(arrays, rows)
-    if "time" not in columns and (index := _time_index(frame)) is not None:
-        columns["time"] = index
-    return log_of(LogTable(Path(name), columns, notes=notes), joints=joints, reading=reading)
+    table = numeric_table(Path(name), arrays, rows)
+    index, origin = _time_index(frame)
+    if index is not None and "time" not in {*table.columns, *table.silent}:
+        origins = table.origins if origin is None else {**table.origins, "time": origin}
+        table = replace(table, columns={**table.columns, "time": index}, origins=origins)
+    return log_of(table, joints=joints, reading=reading)
 
 
-def _arrays(frame: Any) -> dict[str, Any]:
+def _arrays(frame: Any, called: str) -> dict[str, Any]:
     """Columns by their names, whatever holds them."""
     if isinstance(frame, np.ndarray) and frame.dtype.names is not None:
         return {name: frame[name] for name in frame.dtype.names}
@@ -61,6 +66,7 @@ def _arrays(frame: Any) -> dict[str, Any]:
             f"A frame has named columns; it is {type(frame).__name__}.",
             advice="Give a DataFrame, or a dict of arrays with time, position and effort.",
         )
+    check_once(Path(called), [str(name) for name in names])
     return {str(name): _array(frame[name]) for name in names}
 
 
@@ -71,8 +77,8 @@ def _array(column: Any) -> Any:
     return np.asarray(column)
 
 
-def _time_index(frame: Any) -> Any:
-    """Seconds of the index of a frame of pandas, None if it only counts rows."""
+def _time_index(frame: Any) -> tuple[Any, int | None]:
+    """Seconds of the index of a frame of pandas, None if it only counts rows; see `numbers`."""
     index: Any = getattr(frame, "index", None)
     kind = getattr(getattr(index, "dtype", None), "kind", "")
-    return numbers(index.to_numpy()) if kind in ("M", "m", "f") else None
+    return numbers(index.to_numpy()) if kind in ("M", "m", "f") else (None, None)

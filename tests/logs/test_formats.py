@@ -131,6 +131,35 @@ def test_frames_of_any_library_are_logs(log):
     assert list(log.to_dataframe()) == [*foreign_logs.named_columns(log)]
 
 
+def test_dates_of_frames_are_time(tmp_path, log):
+    import pandas as pd
+
+    frame = log.to_dataframe().rename(columns={"time": "timestamp"})
+    since = pd.to_timedelta(np.round(1e9 * log.time), unit="ns")
+    aware = pd.Timestamp("2026-05-01T12:00:00+02:00") + since
+    naive = aware.tz_convert(None)
+    path = tmp_path / "log.parquet"
+    frame.assign(timestamp=aware).to_parquet(path)
+    dated = [frame.assign(timestamp=each) for each in (aware, naive, aware.astype(str))]
+    logs = [*map(log_of_frame, dated), log_of_frame(dated[0].set_index("timestamp"))]
+    for read in [*logs, read_log(path)]:
+        assert np.allclose(read.time, log.time - log.time[0], rtol=0, atol=1e-9)
+        assert any("2026-05-01 10:00:00 UTC" in note for note in read.notes)
+
+
+def test_frames_with_a_column_twice_or_of_text(log):
+    frame = log.to_dataframe()
+    twice = frame[[*frame, "elbow.effort"]]
+    for wrong, words in (
+        (twice, "more than once: elbow.effort"),
+        (frame.assign(time="soon"), r"'time'.*holds 'soon'.*neither a number nor a date"),
+        (frame.assign(**{"elbow.effort": "much"}), r"'elbow.effort'.*holds 'much'"),
+        ({**frame, "time": frame["time"][:5]}, r"'time'.*has 5 rows, and others have 900"),
+    ):
+        with pytest.raises(LogError, match=words):
+            log_of_frame(wrong, name="frame")
+
+
 @pytest.mark.parametrize("frame", [3, "text", [1, 2], None])
 def test_what_is_no_frame(frame):
     with pytest.raises(ArgumentError, match="named columns"):

@@ -1,5 +1,6 @@
 """Logs as robots' own loggers and other people's scripts write them, read without a mapping."""
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -431,3 +432,67 @@ def test_matrices_in_archives(tmp_path):
         LogError, match=r"not of one length: 't' has 200 numbers and 'q\[0\]' has 50"
     ):
         read_log(tmp_path / "log.npz", joints=PANDA)
+
+
+DATES = {
+    "Z": "{:%Y-%m-%dT%H:%M:%S.%f}Z",
+    "no zone, nanoseconds": "{:%Y-%m-%d %H:%M:%S.%f}000",
+    "another zone": "{:%Y-%m-%dT%H:%M:%S.%f}+02:00",
+}
+
+
+def dated_rows(time, form):
+    start = datetime(2026, 5, 1, 23, 59, 59, 900000, UTC)  # and over midnight
+    return [form.format(start + timedelta(microseconds=round(1e6 * t))) for t in time]
+
+
+@pytest.mark.parametrize("form", DATES.values(), ids=DATES)
+@pytest.mark.parametrize("header", [True, False])
+def test_dates_are_time(tmp_path, form, header):
+    time, q, v, tau = motion(("a",))
+    rows = zip(dated_rows(time, form), q[:, 0], v[:, 0], tau[:, 0], strict=True)
+    lines = [f"{date},{x},{y},{z}" for date, x, y, z in rows]
+    names = ["datetime_ms", "a.position", "a.velocity", "a.effort"]
+    lines[:0] = [",".join(names)] if header else []
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines))
+    log = read_log(path, reading=Reading(columns=() if header else tuple(names)))
+    check(log, ("a",), q, v, tau)
+    assert np.allclose(log.time, time, rtol=0, atol=1e-9)
+    hour = "21" if "+02" in form else "23"
+    assert any(f"in s since 2026-05-01 {hour}:59:59 UTC" in note for note in log.notes)
+
+
+@pytest.mark.parametrize("stamp", ["yesterday", "2026-02-30T12:00:00", "12"])
+def test_texts_that_are_no_dates(tmp_path, stamp):
+    time, q, _, tau = motion(("a",))
+    stamps = dated_rows(time, DATES["Z"])
+    stamps[30] = stamp
+    lines = [f"{s},{x},{y}" for s, x, y in zip(stamps, q[:, 0], tau[:, 0], strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,a.position,a.effort", *lines]))
+    with pytest.raises(LogError, match=rf"Row 31, column 'time'.*{stamp}.*no date"):
+        read_log(path)
+    path.write_text("\n".join(["time,a.position,a.effort", *["soon,1,2"] * 20]))
+    with pytest.raises(LogError, match="'soon', which is neither a number nor a date"):
+        read_log(path)
+
+
+def test_dates_are_no_positions(tmp_path):
+    time, _, _, tau = motion(("a",))
+    dates = dated_rows(time, DATES["Z"])
+    lines = [f"{t},{d},{y}" for t, d, y in zip(time, dates, tau[:, 0], strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["time,a.position,a.effort", *lines]))
+    with pytest.raises(LogError, match=r"'a.position'.*holds dates.*position of a"):
+        read_log(path)
+
+
+def test_dates_in_archives(tmp_path):
+    time, q, _, tau = motion(("a",))
+    stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
+    path = tmp_path / "log.npz"
+    np.savez(path, time=stamps, **{"a.position": q[:, 0], "a.effort": tau[:, 0]})
+    log = read_log(path)
+    check(log, ("a",), q, None, tau)
+    assert np.allclose(log.time, time, rtol=0, atol=1e-9)

@@ -15,13 +15,14 @@ from typing import Protocol
 
 from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import Columns
+from geodrake.logs.files.column_names import Columns, is_used
 from geodrake.logs.files.csv_file import read_csv
 from geodrake.logs.files.formats import check_log, read_table
 from geodrake.logs.files.joined_files import joined_table, parts_of
 from geodrake.logs.files.mapping_file import read_mapping
 from geodrake.logs.files.npz_file import read_npz
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recognition import is_time
 from geodrake.logs.files.recording import Recording
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.understanding import columns_of
@@ -156,10 +157,33 @@ def log_of(
 def _understood(
     table: LogTable, joints: Sequence[str] | None, reading: Reading, *, partial: bool
 ) -> tuple[JointLog, Columns]:
+    _check_silent(table, reading)
     columns = columns_of(
-        table.path, list(table.columns), joints, reading, table.units, partial=partial
+        table.path,
+        list(table.columns),
+        joints,
+        reading,
+        table.units,
+        origins=table.origins,
+        partial=partial,
     )
     recording = Recording(columns, len(table))
     recording.put(slice(0, len(table)), table.columns)
     log = recording.log(len(table))
     return replace(log, notes=(*table.notes, *log.notes)), columns
+
+
+def _check_silent(table: LogTable, reading: Reading) -> None:
+    """Refuse a table whose columns of the log have no numbers: else they would only be missing."""
+    needed = {str(mapped.column) for _, mapped in reading.mapping or ()}
+    if reading.mapping is None:
+        needed = {name for name in table.silent if is_used(name) and name != "time"}
+        if reading.rate is None and not any(map(is_time, table.columns)):
+            needed |= {name for name in table.silent if is_time(name)}
+    for name, words in table.silent.items():
+        if name in needed:
+            raise LogError(
+                f"Column {name!r} of log {str(table.path)!r} {words}.",
+                advice="Give numbers, or for time dates such as 2026-05-01T12:00:00.25Z.",
+                column=name,
+            )

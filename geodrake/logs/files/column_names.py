@@ -115,6 +115,16 @@ def check_twice(path: Path, names: Sequence[str], used: Collection[str]) -> None
         )
 
 
+def check_once(path: Path, names: Sequence[str]) -> None:
+    """Refuse columns that are there twice, where only their names tell them apart.
+
+    Args:
+        path: The file, for messages.
+        names: All its columns.
+    """
+    check_twice(path, names, names)
+
+
 def is_used(name: str) -> bool:
     """Whether a column is one of the format's."""
     return name == "time" or ("." in name and name.rsplit(".", 1)[1] in QUANTITIES)

@@ -14,7 +14,9 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import HEADER_ADVICE, Columns
 from geodrake.logs.files.csv_layout import CsvLayout, csv_layout
+from geodrake.logs.files.dates import date_of
 from geodrake.logs.files.reading import Reading
+from geodrake.logs.files.recognition import is_time
 from geodrake.logs.files.recording import Recording
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.torn_rows import TornRows
@@ -42,7 +44,15 @@ def read_csv(
     most = 1 + _count_lines(path)
     with path.open(encoding="utf-8-sig", newline="") as file:
         layout, lines = csv_layout(path, file, reading, joints)
-        columns = columns_of(path, layout.names, joints, reading, layout.units, partial=partial)
+        columns = columns_of(
+            path,
+            layout.names,
+            joints,
+            reading,
+            layout.units,
+            origins=layout.origins,
+            partial=partial,
+        )
         recording = Recording(columns, most)
         rows = 0
         for table in csv_blocks(path, layout, lines, columns.files, recording.torn):
@@ -67,7 +77,7 @@ def csv_table(path: Path, reading: Reading) -> LogTable:
     numbers = np.concatenate(blocks) if blocks else np.empty((0, len(layout.names)))
     kept, notes = torn.settle(np.arange(float(len(numbers))))
     columns = dict(zip(layout.names, (numbers if kept is None else numbers[kept]).T, strict=True))
-    return LogTable(path, columns, layout.units, notes)
+    return LogTable(path, columns, layout.units, notes, layout.origins)
 
 
 def csv_blocks(
@@ -140,7 +150,7 @@ def _cells(
             row = before[0] + len(values)
             try:
                 _check_count(path, layout, cells, row + 1, before[1] + line)
-                values.append([_number(cells[k], path, row + 1, layout.names[k]) for k in places])
+                values.append([_value(cells[k], path, row + 1, layout, k) for k in places])
             except LogError as error:
                 torn.add(row, error)
                 values.append([np.nan] * len(places))
@@ -162,6 +172,24 @@ def _check_count(path: Path, layout: CsvLayout, cells: Sequence[str], row: int, 
         )
 
 
+def _value(cell: str, path: Path, row: int, layout: CsvLayout, place: int) -> float:
+    """The number in a cell, or the seconds since the first date in its column."""
+    column = layout.names[place]
+    origin = layout.origins.get(column)
+    if origin is None or not cell.strip():
+        return _number(cell, path, row, column)
+    date = date_of(cell)
+    if date is None:
+        raise LogError(
+            f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()[:60]!r}, which "
+            "is no date as above it.",
+            advice="Write dates as 2026-05-01T12:00:00.25Z, or leave the cell empty.",
+            row=row,
+            column=column,
+        )
+    return (date - origin) / 1e9
+
+
 def _number(cell: str, path: Path, row: int, column: str) -> float:
     try:
         if "_" in cell:  # which Python takes in its own numbers
@@ -170,7 +198,7 @@ def _number(cell: str, path: Path, row: int, column: str) -> float:
     except ValueError:
         raise LogError(
             f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()[:60]!r}, which "
-            "is not a number.",
+            f"is {'neither a number nor a date' if is_time(column) else 'not a number'}.",
             advice="Leave a cell empty, or write nan, where nothing was measured.",
             row=row,
             column=column,

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import HEADER_ADVICE, check_text
+from geodrake.logs.files.dates import date_of
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import UNITS, find_unit
 
 COMMENTS = ("#", "%", "//")
 _HEADER_LINES = 1000  # of a header whose names have line ends
+_LINES_AHEAD = 20  # in which dates are looked for
 _WHITESPACE = None
 
 
@@ -29,6 +32,7 @@ class CsvLayout:
         decimal: The decimal point, or comma.
         lines: Lines that come before the rows.
         units: Units of columns, where the line after the header has them.
+        origins: Columns of dates -> the first, ns since 1970.
     """
 
     names: tuple[str, ...]
@@ -36,6 +40,7 @@ class CsvLayout:
     decimal: str
     lines: int
     units: Mapping[str, str] = field(default_factory=dict)
+    origins: Mapping[str, int] = field(default_factory=dict)
 
     def cells(self, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
         """Cells of every line that has some and is no comment, with the number of its line.
@@ -97,7 +102,7 @@ def csv_layout(
             following, used = next(rest, ""), used + 1
         decimal = "," if separator == ";" and "," in following else "."
         layout = CsvLayout(tuple(header), separator, decimal, count + used, units)
-        return layout, chain([following], rest)
+        return _dated(layout, chain([following], rest))
     decimal = "," if separator == ";" and "," in first else "."
     names = _renamed(path, reading, cells) if reading.columns else None
     names = names or _names_in_comment(cells, comment)
@@ -105,7 +110,21 @@ def csv_layout(
         proposal = proposed_mapping(path, cells, joints, headed=False)
         raise with_proposal(_no_header(path, cells), path, proposal)
     names = names or [str(k) for k in range(1, len(cells) + 1)]
-    return CsvLayout(tuple(names), separator, decimal, count), chain([first], rest)
+    return _dated(CsvLayout(tuple(names), separator, decimal, count), chain([first], rest))
+
+
+def _dated(layout: CsvLayout, lines: Iterator[str]) -> tuple[CsvLayout, Iterator[str]]:
+    """The layout with its columns of dates, by the first cell of each that is not empty."""
+    ahead = list(islice(lines, _LINES_AHEAD))
+    first: dict[str, str] = {}
+    with suppress(csv.Error):  # said when the rows are read
+        for _, cells in layout.cells(ahead):
+            for name, cell in zip(layout.names, cells, strict=False):
+                if cell.strip():
+                    first.setdefault(name, cell)
+    dates = {name: date_of(cell) for name, cell in first.items()}
+    origins = {name: date for name, date in dates.items() if date is not None}
+    return replace(layout, origins=origins), chain(ahead, lines)
 
 
 def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
@@ -152,7 +171,7 @@ def _are_numbers(cells: Sequence[str]) -> bool:
         try:
             float(cell.replace(",", "."))
         except ValueError:
-            return False
+            return date_of(cell) is not None
         return True
 
     return any(cells) and all(map(is_number, cells))

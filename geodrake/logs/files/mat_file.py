@@ -12,7 +12,7 @@ from scipy.io import loadmat
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
 from geodrake.logs.files.damage import readable
-from geodrake.logs.files.numeric_columns import numeric_columns
+from geodrake.logs.files.numeric_columns import numeric_table
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 
@@ -29,14 +29,14 @@ def read_mat(path: Path, reading: Reading) -> LogTable:
     arrays = dict(_flattened(own))
     rows = max((max(array.shape) for array in arrays.values()), default=0)
     sides = {name: _upright(array, rows) for name, array in arrays.items()}
-    columns, notes = numeric_columns(sides, rows)
-    if not columns:
+    table = numeric_table(path, sides, rows)
+    if not table.columns:
         raise LogError(
             f"Log {str(path)!r} has no arrays of numbers; its variables are "
             f"{', '.join(list(own)[:8]) or 'none'}.",
             advice=f"Tables and timeseries are MATLAB's own. {_ADVICE}",
         )
-    return LogTable(path, columns, notes=notes)
+    return table
 
 
 def _is_hdf5(path: Path) -> bool:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -15,9 +16,12 @@ from numpy.typing import NDArray
 
 from geodrake.errors import GeodrakeError, LogError
 from geodrake.logs.files.column_names import Columns, is_used
+from geodrake.logs.files.dates import dates
+from geodrake.logs.files.numeric_columns import numeric_table
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import meaning_of
+from geodrake.logs.files.recognition import is_time, meaning_of
 from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.motion import JointLog
 
@@ -43,7 +47,8 @@ def read_npz(
         entries = archive.infolist()
         places = [place for entry in entries for place in _places(archive, entry)]
         names = [place.name for place in places]
-        columns = columns_of(path, names, joints, reading, partial=partial)
+        origins = _origins(archive, places)
+        columns = columns_of(path, names, joints, reading, origins=origins, partial=partial)
         members = {name: places[names.index(name)] for name in columns.files}
         lengths = {name: _length(path, archive, name, place) for name, place in members.items()}
         rows = _common(path, lengths)
@@ -81,9 +86,42 @@ class _Read:
         if place.entry is not self._entry:
             self._array = np.empty(0)  # its memory is free before the next is read
             with archive.open(place.entry) as file, np.errstate(over="ignore"):  # of long doubles
-                self._array = np.asarray(npy.read_array(file, allow_pickle=False), float)
+                array = npy.read_array(file, allow_pickle=False)
+                self._array = (
+                    dates(array)[0] if array.dtype.kind == "M" else np.asarray(array, float)
+                )
             self._entry = place.entry
         return self._array if place.column is None else self._array[:, place.column]
+
+
+def npz_table(path: Path, reading: Reading) -> LogTable:
+    """The arrays of an NPZ file as they are, those without numbers left out; see `read_bag`."""
+    arrays: dict[str, Any] = {}
+    with _reading(path), zipfile.ZipFile(path) as archive:
+        for entry in archive.infolist():
+            name = entry.filename.removesuffix(".npy").strip()
+            shape, dtype = _declared(path, archive, name, entry)
+            if not dtype.hasobject and shape:
+                with archive.open(entry) as file:
+                    arrays[name] = npy.read_array(file, allow_pickle=False)
+    rows = max(map(len, arrays.values()), default=0)
+    return numeric_table(path, arrays, rows)
+
+
+def _origins(archive: zipfile.ZipFile, places: Sequence[_Place]) -> dict[str, int]:
+    """Columns of dates -> the first, ns since 1970."""
+    found = {}
+    for place in places:
+        if not is_time(place.name):
+            continue
+        with (
+            suppress(Exception),
+            archive.open(place.entry) as file,
+        ):  # what is damaged is said later
+            if _HEADERS[npy.read_magic(file)](file)[2].kind == "M":
+                file.seek(0)
+                found[place.name] = dates(npy.read_array(file, allow_pickle=False))[1]
+    return found
 
 
 def _places(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> list[_Place]:
@@ -115,31 +153,37 @@ def _reading(path: Path) -> Iterator[None]:
 
 def _length(path: Path, archive: zipfile.ZipFile, name: str, place: _Place) -> int:
     """How many rows a member has, by its header and by its declared size."""
-    entry = place.entry
+    shape, dtype = _declared(path, archive, name, place.entry)
+    if len(shape) != (1 if place.column is None else 2):
+        raise LogError(
+            f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
+            advice=_ADVICE,
+        )
+    if dtype.kind not in ("iufM" if is_time(name) else "iuf"):
+        raise LogError(
+            f"Array {name!r} of log {str(path)!r} holds {dtype}, not real numbers.",
+            advice="Store numbers such as float64, in SI units.",
+        )
+    return int(shape[0])
+
+
+def _declared(
+    path: Path, archive: zipfile.ZipFile, name: str, entry: zipfile.ZipInfo
+) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of a member by its header, which its size must be of."""
     with archive.open(entry) as file:
         version = npy.read_magic(file)
         if version not in _HEADERS:
             raise ValueError(f"array {name!r} is of version {version} of the NPY format")
         shape, _, dtype = _HEADERS[version](file)
         header = file.tell()
-    if len(shape) != (1 if place.column is None else 2):
+    if not dtype.hasobject and header + dtype.itemsize * math.prod(shape) != entry.file_size:
         raise LogError(
-            f"Array {name!r} of log {str(path)!r} is not 1-D: its shape is {shape}.",
-            advice=_ADVICE,
-        )
-    if dtype.kind not in "iuf":
-        raise LogError(
-            f"Array {name!r} of log {str(path)!r} holds {dtype}, not real numbers.",
-            advice="Store numbers such as float64, in SI units.",
-        )
-    rows = int(shape[0])
-    if header + dtype.itemsize * math.prod(shape) != entry.file_size:
-        raise LogError(
-            f"Array {name!r} of log {str(path)!r} is to have {rows} numbers of {dtype.itemsize} "
-            f"bytes, but takes {entry.file_size - header} bytes.",
+            f"Array {name!r} of log {str(path)!r} is to have {math.prod(shape)} numbers of "
+            f"{dtype.itemsize} bytes, but takes {entry.file_size - header} bytes.",
             advice="The file is damaged: write it again.",
         )
-    return rows
+    return shape, dtype
 
 
 def _common(path: Path, lengths: Mapping[str, int]) -> int:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from geodrake.boundary.optional_packages import optional_package
 from geodrake.errors import LogError
+from geodrake.logs.files.column_names import check_once
 from geodrake.logs.files.damage import readable
-from geodrake.logs.files.numeric_columns import numeric_columns
+from geodrake.logs.files.numeric_columns import numeric_table
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 
@@ -41,9 +42,9 @@ def arrow_table(path: Path, table: Any) -> LogTable:
     """
     while any(str(field.type).startswith("struct") for field in table.schema):
         table = table.flatten()
+    check_once(path, table.column_names)
     arrays = {name: arrow_numbers(table[name]) for name in table.column_names}
-    columns, notes = numeric_columns(arrays, table.num_rows)
-    return LogTable(path, columns, notes=notes)
+    return numeric_table(path, arrays, table.num_rows)
 
 
 def arrow_numbers(column: Any) -> Any:

@@ -55,6 +55,7 @@ _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
 ) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt"}
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
+_TIMES |= {"datetime"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
 _BESIDE_TIME = _TIMES | _NANOSECONDS | {"header", "ros", "rostime", "elapsed", "controller"}
 _BESIDE_TIME |= {"joint", "states", "state", "robot", "system", "log", "msg", "field", "seconds"}
@@ -107,6 +108,12 @@ def meaning_of(name: str) -> Meaning | None:
     if own is not None or len(name) > _LONGEST_NAME:
         return own
     return next((found for rule in RULES if (found := rule(name)) is not None), None)
+
+
+def is_time(name: str) -> bool:
+    """Whether a column of that name is of time, or of nanoseconds beside it."""
+    meaning = meaning_of(name)
+    return meaning is not None and meaning.quantity in ("time", "nanoseconds")
 
 
 def quantity_of(text: str) -> str | None:

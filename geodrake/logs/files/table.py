@@ -24,12 +24,17 @@ class LogTable:
             measured. `time`, if the format has stamps of its own: s from the first sample.
         units: Units of columns, where the file states them.
         notes: What was noticed while reading, in words.
+        origins: Columns of time that are in seconds, whatever their names say -> when they are
+            zero, ns since 1970.
+        silent: Columns that were left out -> why, in words.
     """
 
     path: Path
     columns: Mapping[str, Array]
     units: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    origins: Mapping[str, int] = field(default_factory=dict)
+    silent: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Number of rows."""

@@ -18,6 +18,7 @@ from geodrake.logs.files.column_names import (
     listed,
 )
 from geodrake.logs.files.column_words import choice_words, unit_words
+from geodrake.logs.files.dates import date_words
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.reading import QUANTITIES, ColumnMapping, Reading
@@ -35,6 +36,7 @@ def columns_of(
     reading: Reading | None = None,
     units: Mapping[str, str] | None = None,
     *,
+    origins: Mapping[str, int] | None = None,
     partial: bool = False,
 ) -> Columns:
     """The columns of a file with these names, joints in the order given if any is.
@@ -46,6 +48,7 @@ def columns_of(
             have them in; None for the order of the file.
         reading: What the user said of the file.
         units: Units of columns, where the file states them.
+        origins: Columns of seconds since an instant -> this, ns since 1970; see `LogTable`.
         partial: Whether the log may lack some of the model's joints, or their efforts.
 
     Raises:
@@ -55,8 +58,10 @@ def columns_of(
     check_text(path, names)
     if reading.mapping is not None:
         understood = _Understood.by_mapping(path, names, reading, reading.mapping)
+        understood = understood.dated(origins or {})
         return understood.columns(*understood.joints(joints, partial=partial))
     understood = _Understood.by_names(path, names, joints, reading, units or {})
+    understood = understood.dated(origins or {})
     try:
         own, standing = understood.joints(joints, partial=partial)
     except LogError as error:
@@ -140,6 +145,26 @@ class _Understood:
         if rate is not None:
             places.pop(("", "time"), None)
         return cls(path, names, reading, places, (), rate, frozenset(mapping.joints))
+
+    def dated(self, origins: Mapping[str, int]) -> _Understood:
+        """With the time in seconds, whatever its name says, where it is since a known instant.
+
+        Raises:
+            LogError: A column of dates is taken for another quantity.
+        """
+        for (joint, quantity), source in self.places.items():
+            if quantity != "time" and source.column in origins:
+                raise LogError(
+                    f"Column {source.column!r} of log {str(self.path)!r} holds dates, and is taken "
+                    f"for the {quantity} of {joint}.",
+                    advice=_MAPPING_ADVICE,
+                )
+        time = self.places.get(("", "time"))
+        if time is None or time.column not in origins:
+            return self
+        places = {**self.places, ("", "time"): Source(time.column, 1.0, unit_of("s", "time"))}
+        note = f"time is in s since {date_words(origins[time.column])}"
+        return replace(self, places=places, notes=(*self.notes, note))
 
     def joints(
         self, wanted: Sequence[str] | None, *, partial: bool
