@@ -73,7 +73,9 @@ def friction(joints):
 def model_of(joints, prismatic=()):
     """As much of a RobotModel as reports look at: its joints' kinds, effects, and no bodies."""
     tree = SimpleNamespace(mobilizers=())
-    return SimpleNamespace(sliding_joints=tuple(prismatic), joints=joints, effects=(), tree=tree)
+    return SimpleNamespace(
+        sliding_joints=tuple(prismatic), joints=joints, effects=(), tree=tree, joint_tree=tree
+    )
 
 
 def explanation(joints, steps=None, *, verdict="unexplained", prismatic=()):

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from matplotlib.figure import Figure
 
 from geodrake.identification.models import ModelIdentification
-from geodrake.report import sections, words
+from geodrake.report import sections
 from geodrake.report.charts import Stage
 from geodrake.report.effort_chart import effort_chart
 from geodrake.report.figures import joint_error_figure
@@ -18,7 +18,7 @@ from geodrake.report.identification_tables import (
     identification_verdict,
     regularizers_table,
 )
-from geodrake.report.numbers import Units, number, percent
+from geodrake.report.numbers import Units, number
 from geodrake.report.page import Page, Section, Tile, render, without_empty
 from geodrake.report.report import footer, subject, with_picture
 
@@ -52,7 +52,7 @@ def render_identification(
         Tile("identified", number(after.nrms), "nrms on held-out data"),
         sections.worst_tile(before, after),
         sections.noise_tile(after),
-        Tile("removable", percent(words.removable_share(after)), "of the squared error left"),
+        *sections.removable_tiles(after, "of the squared error left"),
     )
     joints = sections.joints_section({"before": before, "after": after}, units)
     chart = effort_chart(found.comparison, units=units, alone=IDENTIFIED)

@@ -20,6 +20,7 @@ from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Fa
 from geodrake.identification.models.results import BodyChange
 
 _APART = "the robot departs further than can be simulated"
+_NO_NOISE = "the logs show no sensor noise"
 _UNKNOWN = "the logs do not identify it"
 
 
@@ -48,7 +49,7 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
 
     Returns:
         `error` (nrms, floor_nrms, pooled_rms), `joints` by name (rms, std, nrms, floor in N·m or
-        N, removable), `failing` and `notes`.
+        N, removable, which is null without noise), `failing` and `notes`.
     """
     errors = comparison.errors
     return {
@@ -63,7 +64,7 @@ def comparison_dict(comparison: Comparison) -> dict[str, Any]:
                 "std": joint.std,
                 "nrms": joint.nrms,
                 "floor": joint.floor,
-                "removable": joint.removable,
+                "removable": number_or(joint.removable, _NO_NOISE),
             }
             for joint in errors.joints
         },

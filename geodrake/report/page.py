@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from geodrake.boundary.escaping import printable
@@ -190,6 +191,11 @@ def _policy(scripts: Sequence[str]) -> str:
     )
 
 
+def _breakable(text: str) -> Markup:
+    """Text as markup whose long names may go on in a new line after an underscore or a slash."""
+    return Markup(re.sub("(?<=[_/])(?=[^_/])", "<wbr>", str(escape(shown_text(text)))))
+
+
 def _checked(links: Mapping[str, str]) -> Mapping[str, str]:
     """Links that lead to a page, beside this one or in the web.
 
@@ -235,6 +241,7 @@ def render(page: Page) -> str:
     """
     environment = templates()
     environment.filters["json_of"] = Markup  # a chart's data, which has no letter of markup
+    environment.filters["breakable"] = _breakable
     environment.globals.update(static_plots=static_plots, size=(WIDTH, HEIGHT))
     scripts = _scripts(page)
     style = _asset("page.css")

@@ -64,7 +64,7 @@ def render_comparison(
         Tile("error", number(errors.nrms), "nrms: error over std of the effort"),
         sections.worst_tile(errors),
         sections.noise_tile(errors),
-        Tile("removable", percent(words.removable_share(errors)), "of the squared error"),
+        *sections.removable_tiles(errors, "of the squared error"),
     )
     joints = sections.joints_section({"RMS": errors}, units)
     parts = (
@@ -281,7 +281,7 @@ def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
         sections.worst_tile(start, end if explanation.steps else None),
         sections.noise_tile(end),
         *([explained] if explanation.steps else []),
-        Tile("removable", percent(words.removable_share(end)), "of the squared error left"),
+        *sections.removable_tiles(end, "of the squared error left"),
     )
 
 

@@ -11,10 +11,10 @@ from geodrake.report.charts import Chart, Stage
 from geodrake.report.dependence import residual_dependence
 from geodrake.report.effort_chart import AFTER, BEFORE
 from geodrake.report.identification_tables import bodies_table
-from geodrake.report.numbers import Units, is_noticed, number
+from geodrake.report.numbers import Units, is_noticed, number, percent
 from geodrake.report.page import ColoredList, Section, Tile
 from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
-from geodrake.report.words import failing_list, worst_joint
+from geodrake.report.words import failing_list, removable_share, worst_joint
 
 NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
 
@@ -28,6 +28,18 @@ def noise_tile(errors: ErrorTable) -> Tile:
     if not errors.shows_noise:
         return Tile("sensor noise", "not seen", "nothing to compare the error with")
     return Tile("sensor noise", number(errors.floor_nrms), "the nrms of a perfect model")
+
+
+def removable_tiles(errors: ErrorTable, of: str) -> tuple[Tile, ...]:
+    """What a better model could remove; none where no noise is seen, as it is unknown then.
+
+    Args:
+        errors: Errors of a model, with the noise.
+        of: What the share is of, in words.
+    """
+    if not errors.shows_noise:
+        return ()
+    return (Tile("removable", percent(removable_share(errors)), of),)
 
 
 def steps_section(explanation: Explanation, units: Units) -> Section:

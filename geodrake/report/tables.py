@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -77,6 +78,8 @@ def cells(*texts: str | Cell) -> tuple[Cell, ...]:
 def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
     """Errors of every joint, the noise floor, and the share that is removable in the end.
 
+    Where the logs show no noise, the last two are unknown.
+
     Args:
         stages: Title -> errors of a model, from the first to the last.
         units: Units of the joints.
@@ -88,7 +91,7 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
             f"{after.joint}, {units.effort([after.joint])}" if mixed else after.joint,
             number(after.std),
             *(number(errors.joints[j].rms) for errors in stages.values()),
-            number(after.floor),
+            number(after.floor) if after.shows_noise else UNKNOWN,
             number(after.nrms),
             _share(after.removable),
         )
@@ -98,7 +101,7 @@ def errors_table(stages: Mapping[str, ErrorTable], units: Units) -> Table:
         "nrms of all joints",
         "",
         *(number(errors.nrms) for errors in stages.values()),
-        number(last.floor_nrms),
+        number(last.floor_nrms) if last.shows_noise else UNKNOWN,
         number(last.nrms),
         _share(removable_share(last)),
     )
@@ -284,7 +287,7 @@ def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Ta
 
 
 def _share(share: float) -> Cell:
-    return Cell(percent(share), bar=share)
+    return Cell(percent(share), bar=share if math.isfinite(share) else None)
 
 
 def effect_cell(name: str, units: Units) -> Cell:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
@@ -277,6 +278,8 @@ def diagnosis_verdict(diagnosis: Diagnosis, units: Units) -> str:
 def comparison_verdict(comparison: Comparison) -> str:
     """What a comparison amounts to, in a sentence."""
     errors = comparison.errors
+    if not errors.shows_noise:
+        return f"{_against_noise(errors)}."
     return (
         f"{_against_noise(errors)}; a better model could remove "
         f"{percent(removable_share(errors))} of the squared error."
@@ -326,7 +329,12 @@ def explained_share(before: float, after: float) -> float:
 
 
 def removable_share(errors: ErrorTable) -> float:
-    """Share of the squared error, summed over joints as in nrms, that is not sensor noise."""
+    """Share of the squared error, summed over joints as in nrms, that is not sensor noise.
+
+    NaN where the logs show no noise, as nobody knows then.
+    """
+    if not errors.shows_noise:
+        return math.nan
     return max(0.0, explained_share(errors.nrms, errors.floor_nrms))
 
 
@@ -414,12 +422,14 @@ def comparison_headline(comparison: Comparison) -> str:
 
 def comparison_lead(comparison: Comparison) -> tuple[str, ...]:
     """What a comparison means, in paragraphs."""
-    worst = worst_joint(comparison.errors)
-    share = _at_most(removable_share(comparison.errors))
+    errors, worst = comparison.errors, worst_joint(comparison.errors)
     first = (
-        f"A better model could remove {share} of the squared error. It is largest at "
-        f"{worst.joint}: {in_words(worst.nrms)} of the standard deviation of the effort there."
+        f"The error is largest at {worst.joint}: {in_words(worst.nrms)} of the standard deviation "
+        "of the effort there."
     )
+    if errors.shows_noise:
+        share = _at_most(removable_share(errors))
+        first = f"A better model could remove {share} of the squared error. {first}"
     return (first, *map(failing_words, comparison.failing[:1]))
 
 

@@ -199,6 +199,23 @@ def test_nothing_is_wider_than_the_window(opened, width, scripts):
     assert all(0 <= left <= right <= width + 0.5 for left, right in sides)
 
 
+@pytest.mark.parametrize("width", [900, 1100])
+def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
+    joints = tuple(f"lbr_iiwa_shoulder_joint_{k}" for k in range(7))
+    first = comparison(joints, 0.5).series
+    where = ("lbr_iiwa_tool_flange",)
+    payload = step("payload", where, {where[0]: {"mass": 3.0}}, {}, joints=joints, series=first)
+    html = render_explanation(explanation(joints, (payload, friction(joints[:3]))), **NAMES)
+    path = tmp_path / "long.html"
+    path.write_text(html, encoding="utf-8")
+    page = opened(path, viewport={"width": width, "height": 900})
+    tables = page.locator(".wide")
+    sizes = tables.evaluate_all("all => all.map((one) => [one.scrollWidth, one.clientWidth])")
+    assert len(sizes) >= 4
+    assert all(needed <= shown for needed, shown in sizes)
+    assert tables.first.get_by_text(" and ".join((", ".join(joints[:2]), joints[2]))).count() == 1
+
+
 def test_plots_follow_the_width(opened):
     page = opened()
     drawn(page)

@@ -43,10 +43,13 @@ from geodrake.report import (
     step_figure,
     step_stages,
 )
+from geodrake.report.json_output import NoNumber, comparison_dict
 from geodrake.report.numbers import chance, is_noticed, number, percent, shortened, with_deviation
 from geodrake.report.style import png
+from geodrake.report.tables import Cell, errors_table
 from geodrake.report.words import (
     addition_verdict,
+    comparison_verdict,
     effect_label,
     failing_list,
     failing_words,
@@ -67,7 +70,7 @@ def undrawn(monkeypatch):
 class Reader(HTMLParser):
     """Collects text, tags and what is loaded; checks that tags close in order."""
 
-    EMPTY = ("meta", "img", "link")
+    EMPTY = ("meta", "img", "link", "wbr")
 
     def __init__(self, html):
         super().__init__()
@@ -404,6 +407,22 @@ def test_where_only_noise_is_left_no_better_model_is_promised():
     text = render_explanation(explanation(joint_names(3), verdict="explained"), **NAMES)
     assert "only sensor noise is left. Sensor noise alone would make" in text
     assert "a better model could" not in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_where_no_noise_is_seen_nothing_is_called_removable():
+    found = comparison(joint_names(3), 0.5)
+    quiet = tuple(dataclasses.replace(joint, floor=0.0) for joint in found.errors.joints)
+    found = dataclasses.replace(found, errors=ErrorTable(quiet))
+    html = render_comparison(found, **NAMES)
+    assert "not seen" in html
+    assert "100\N{NO-BREAK SPACE}%" not in html
+    assert "could remove" not in html + comparison_verdict(found)
+    *_, noise, nrms, removable = errors_table({"RMS": found.errors}, Units()).rows[0]
+    assert (noise.text, removable) == ("–", Cell("–"))
+    assert nrms.text != "–"
+    written = comparison_dict(found)
+    assert written["joints"]["joint_0"]["removable"] == NoNumber("the logs show no sensor noise")
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,13 +36,20 @@ class JointError:
         return self.rms / self.std
 
     @property
+    def shows_noise(self) -> bool:
+        """Whether the floor may be that of a sensor: efforts that were filtered show none."""
+        return self.floor > 0.0
+
+    @property
     def is_noise(self) -> bool:
         """Whether no more than sensor noise is left at the joint."""
         return self.rms <= JOINT_NOISE_MARGIN * self.floor
 
     @property
     def removable(self) -> float:
-        """Share of the squared error that some model could still remove."""
+        """Share of the squared error that some model could still remove; NaN without a floor."""
+        if not self.shows_noise:
+            return math.nan
         return max(0.0, 1.0 - (self.floor / self.rms) ** 2) if self.rms > 0 else 0.0
 
 
