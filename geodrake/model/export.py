@@ -28,7 +28,7 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.description import drake_messages, read_description
 from geodrake.robot.files.inertia_text import link_names, with_inertias
 from geodrake.robot.files.reading import model_text_of
-from geodrake.robot.files.xacro_file import is_xacro
+from geodrake.robot.files.xacro_file import is_xacro, read_expanded
 from geodrake.robot.repairs import TOLERANCE
 
 _UNCHANGED = 1e-13
@@ -120,7 +120,7 @@ def export_bodies(model: RobotModel) -> Export:
     Raises:
         ModelError: The model's file cannot take the inertias.
     """
-    kind, data = file_kind(model), model.path.read_bytes()
+    kind, data = file_kind(model), read_expanded(model.path, model.given)
     stated, here = _stated_inertias(model), link_names(data, model.path)
     written: dict[str, Array] = {}
     shared, absent = [], []
@@ -275,6 +275,8 @@ def _relative_note(data: bytes, path: Path) -> list[str]:
 
 
 def _file_notes(data: bytes, model: RobotModel) -> list[str]:
+    if is_xacro(model.path.read_bytes()):
+        return [f"the exported file is what {model.path.name} expands to, without its macros"]
     if not re.search(rb"""inertiafromgeom\s*=\s*["']true""", data):
         return []
     return [
@@ -294,12 +296,6 @@ def file_kind(model: RobotModel) -> str:
             f"{model.path} puts several model files together, and there is no one file to write "
             "inertias into.",
             advice="Save the model with --save instead.",
-            path=model.path,
-        )
-    if is_xacro(model.path.read_bytes()):
-        raise ModelError(
-            f"{model.path} is a xacro file, and its links have no one place for their inertia.",
-            advice="Expand it first: xacro robot.urdf.xacro > robot.urdf.",
             path=model.path,
         )
     return read_description(model.path, model.given).texts[0].kind

@@ -1,15 +1,18 @@
 """Model files that need more than themselves: one robot of several, packages, xacro."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from geodrake import load_model, save_model
+from geodrake.effects import FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.logs import Motion
-from geodrake.model import Given
+from geodrake.model import Given, save_export
+from geodrake.model.exporting.model_text import model_file
 from geodrake.robot.files import read_description
 from geodrake.robot.files.meshes import missing_meshes
 
@@ -121,6 +124,22 @@ class TestXacro:
         np.testing.assert_allclose(model.phi[0, :4], [3.5, 0.0, 0.0, 0.7])
         save_model(model, tmp_path / "model.yaml")
         assert load_model(tmp_path / "model.yaml").phi[0, 0] == pytest.approx(3.5)
+
+    def test_it_is_exported_as_what_it_expands_to(self, robot, tmp_path):
+        given = Given(packages={"parts": tmp_path / "ws" / "parts"}, xacro={"mass": "3.5"})
+        write(robot, XACRO.format("<!-- the arm -->"))
+        model = load_model(robot, given=given)
+        heavier = replace(model, phi=1.5 * model.phi)
+        export = save_export(heavier, tmp_path / "heavier.urdf")
+        assert any("arm.urdf.xacro expands to" in note for note in export.notes)
+        assert b"<!-- the arm -->" in export.content and b"xacro:part" not in export.content
+        again = load_model(tmp_path / "heavier.urdf")
+        np.testing.assert_allclose(again.phi, heavier.phi, rtol=1e-12)
+
+        rubbing = FittedEffect(ViscousFriction("shoulder"), np.array([0.7]))
+        name, data, notes = model_file(replace(heavier, effects=(rubbing,)), "urdf", tmp_path)
+        assert name == "arm.urdf" and b'damping="0.7"' in data
+        assert any("expands to" in note for note in notes)
 
     @pytest.mark.parametrize("variable", ["ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"])
     def test_packages_are_found_where_ros_finds_them(self, robot, tmp_path, variable, monkeypatch):

@@ -22,6 +22,7 @@ from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
 from geodrake.robot.files.mjcf import turns_in_degrees
 from geodrake.robot.files.reading import model_text_of
 from geodrake.robot.files.references import with_references
+from geodrake.robot.files.xacro_file import read_expanded
 
 Array = NDArray[np.float64]
 
@@ -38,15 +39,15 @@ def written_kind(model: RobotModel, kinds: Sequence[str]) -> str:
 
 
 def own_kind(model: RobotModel) -> str:
-    """The format of the robot's file if it can be edited; nothing for directives and macros."""
-    return "" if model.path.suffix.lower() in (".yaml", ".yml", ".xacro") else file_kind(model)
+    """The format of the robot's file if it can be edited; nothing for directives."""
+    return "" if model.path.suffix.lower() in (".yaml", ".yml") else file_kind(model)
 
 
 def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, tuple[str, ...]]:
     """A robot's file with all that it can hold of a model.
 
-    That is a copy of the user's own file if it has the format, and else a new one of bodies and
-    joints alone.
+    That is a copy of the user's own file if it has the format, expanded if it is of xacro, and
+    else a new one of bodies and joints alone.
 
     Args:
         model: The model, of effects that the format holds.
@@ -59,9 +60,10 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
     Raises:
         ModelError: The file cannot take the numbers, or the robot cannot be written anew.
     """
-    if own_kind(model) == kind:
-        return model.path.name, *model_text(model, folder)
     name = f"{model.path.name.partition('.')[0]}{SUFFIXES[kind]}"
+    if own_kind(model) == kind:
+        macros = model.path.suffix.lower() == ".xacro"
+        return name if macros else model.path.name, *model_text(model, folder)
     note = (
         f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
         "that are welded together are one"
@@ -88,7 +90,7 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     changes = {
         name: changed_numbers(before[name], after) for name, after in joint_numbers(model).items()
     }
-    text = model_text_of(path.read_bytes(), path)
+    text = model_text_of(read_expanded(path, model.given), path)
     if text.kind == "xml" and turns_in_degrees(text.root):
         turning = {name for name, numbers in before.items() if numbers.turns}
         changes = {
