@@ -10,7 +10,7 @@ from xml.etree.ElementTree import tostring
 
 from pydrake.geometry import SceneGraph, Shape
 from pydrake.math import RigidTransform
-from pydrake.multibody.parsing import PackageMap, Parser
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
@@ -102,7 +102,7 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
     """Collision geometry of a file by scoped link name, as Drake reads it."""
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
     parser = Parser(plant)
-    add_named_packages(parser.package_map(), model)
+    read_description(model.path, model.given).add_every_package(parser.package_map())
     inspector, found = scene.model_inspector(), {}
     errors = drake_errors(
         model.path,
@@ -122,20 +122,6 @@ def _solids_of_file(model: RobotModel) -> dict[str, list[Solid]]:
                 solids.append(Solid(name, shape, inspector.GetPoseInFrame(geometry)))
             found[body.scoped_name().get_full()] = solids
     return found
-
-
-def add_named_packages(packages: PackageMap, model: RobotModel) -> None:
-    """Makes packages known; without a package.xml, folders above the file by their names.
-
-    Args:
-        packages: The map, added to.
-        model: The robot, whose file names packages.
-    """
-    description = read_description(model.path, model.given)
-    description.add_packages(packages, description.named_packages())
-    for folder in model.path.resolve().parents:
-        if folder.name and not packages.Contains(folder.name):
-            packages.Add(folder.name, str(folder))
 
 
 def _parse(parser: Parser, model: RobotModel, folder: Path) -> None:

@@ -5,7 +5,6 @@ Drake takes a mesh for its convex hull wherever it measures distances, so nothin
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -15,11 +14,9 @@ from pydrake.geometry import Convex, Mesh, Shape
 from pydrake.multibody.parsing import PackageMap
 
 from geodrake.errors import ModelError
+from geodrake.robot.mesh_files import stl_vertices
 
 Array = NDArray[np.float64]
-
-_HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
-_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
 def replace_stl(root: Element, packages: PackageMap, model: Path, folder: Path) -> None:
@@ -57,31 +54,6 @@ def in_memory(shape: Shape, label: str) -> Shape:
     return Convex(points=points.T, label=label)
 
 
-def stl_vertices(path: Path) -> Array:
-    """(3 n, 3) vertices of the n triangles of an STL file, binary or text, in the file's unit.
-
-    Raises:
-        ModelError: The file cannot be read, or has no triangles.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise _unusable(path, error.strerror or "it cannot be read") from error
-    start = _HEADER + _COUNT
-    count = int.from_bytes(data[_HEADER:start], "little")
-    if count and len(data) == start + _FACET * count:
-        facets = np.frombuffer(data, np.uint8, offset=start).reshape(count, _FACET)
-        vertices = facets[:, 12:48].copy().view("<f4").astype(float).reshape(-1, 3)
-    else:
-        try:
-            vertices = np.array(_VERTEX.findall(data)).astype(float).reshape(-1, 3)
-        except ValueError as error:
-            raise _unusable(path, str(error)) from error
-    if not len(vertices) or len(vertices) % 3 or not np.isfinite(vertices).all():
-        raise _unusable(path, "it has no triangles, or not whole ones")
-    return vertices
-
-
 def _unusable(place: str | Path, reason: str) -> ModelError:
     return ModelError(
         f"The mesh {place} cannot be used for collisions: {reason}.",
@@ -104,7 +76,10 @@ def _readable(place: str, packages: PackageMap, model: Path, replacement: Path) 
     except RuntimeError as error:
         reason = str(error).strip().partition("\n")[0]
         raise _unusable(place, reason.rpartition("error: ")[2].rstrip(".")) from error
-    vertices = stl_vertices(Path(path))
+    try:
+        vertices = stl_vertices(Path(path))
+    except ModelError as error:
+        raise _unusable(path, error.problem.partition(": ")[2].rstrip(".")) from error
     corners = 1 + np.arange(len(vertices)).reshape(-1, 3)
     with replacement.open("w", encoding="utf-8") as file:
         np.savetxt(file, vertices, "v %.9g %.9g %.9g")

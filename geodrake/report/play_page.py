@@ -28,9 +28,9 @@ from geodrake.report.robot_scene import (
     draw_floor,
     place_camera,
 )
-from geodrake.report.robot_shapes import robot_shapes
 from geodrake.report.scene_marks import MEASURED, EffectMarks, EffortArrows, Mark
 from geodrake.robot.files.description import drake_messages
+from geodrake.robot.shapes import robot_shapes
 
 COLORS = ("#d3d9e0", "#f2d27a", "#ee9d3d", "#d8492f", "#8f1239")
 """Colours of errors from none to the largest."""
@@ -86,7 +86,7 @@ def play_page(
 
 def _draw(meshcat: Meshcat, playback: Playback, units: Units) -> list[_RobotCopy]:
     model = playback.models[-1].model
-    shapes = robot_shapes(model)
+    shapes = robot_shapes(model.path, model.given)
     extent = Extent.of(model, model.positions(playback.q), shapes)
     copies = []
     for k, played in enumerate(playback.models):

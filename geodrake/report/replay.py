@@ -23,8 +23,8 @@ from geodrake.report.robot_scene import (
     draw_floor,
     place_camera,
 )
-from geodrake.report.robot_shapes import robot_shapes
 from geodrake.robot.files.description import drake_messages
+from geodrake.robot.shapes import robot_shapes
 
 __all__ = ["FRAMES", "replay_page", "rollout_replay_page"]
 
@@ -73,7 +73,7 @@ def _replayed(
 ) -> str:
     """A page with one robot for each motion, all at one place."""
     with drake_messages():
-        meshcat, shapes = calm_meshcat(), robot_shapes(model)
+        meshcat, shapes = calm_meshcat(), robot_shapes(model.path, model.given)
         scenes = [
             RobotScene(meshcat, model, shapes=shapes, path=path_part(name), color=colors.get(name))
             for name in motions

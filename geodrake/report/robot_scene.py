@@ -18,7 +18,7 @@ from geodrake.inertia.bodies import LumpedBody, lumped_bodies
 from geodrake.inertia.ellipsoids import equivalent_ellipsoid
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.ellipsoids import LEAST_THICKNESS, placed
-from geodrake.report.robot_shapes import GRAY, LinkShape, RobotShapes, robot_shapes
+from geodrake.robot.shapes import GRAY, LinkShape, RobotShapes, robot_shapes
 
 FRAMES = 30.0
 """Frames a second of recordings."""
@@ -84,7 +84,7 @@ class RobotScene:
         p_WR: Array | None = None,
         color: Rgba | None = None,
     ) -> None:
-        shapes = robot_shapes(model) if shapes is None else shapes
+        shapes = robot_shapes(model.path, model.given) if shapes is None else shapes
         self._meshcat, self._model, self.path = meshcat, model, path
         self._context = model.plant.CreateDefaultContext()
         self._lumps = lumped_bodies(model.plant)

@@ -19,9 +19,9 @@ from geodrake.excitation import (
     make_target,
     motion_limits,
 )
-from geodrake.excitation.collision_meshes import stl_vertices
 from geodrake.model.robot_model import load_description
 from geodrake.robot import joint_names
+from geodrake.robot.mesh_files import stl_vertices
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 SQUARES = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -100,7 +100,7 @@ def test_unusable_meshes(tmp_path):
     for number, content in enumerate(contents):
         path = tmp_path / f"{number}.stl"
         path.write_bytes(content)
-        with pytest.raises(ModelError, match=rf"{number}\.stl cannot be used"):
+        with pytest.raises(ModelError, match=rf"{number}\.stl cannot be read"):
             stl_vertices(path)
     missing = arm_with_mesh(tmp_path, "text.STL", "../meshes/none.stl")
     with pytest.raises(

@@ -299,7 +299,21 @@ class TestFiles:
         path = tmp_path / "r.urdf"
         path.write_text(WELDED.replace("SHAPE", '<mesh filename="package://no/where.obj"/>'))
         (note,) = load_model(path).add_to_builder(DiagramBuilder(), scene_graph=True).notes
-        assert note.startswith("The robot has no shapes: ")
+        assert note.startswith("meshes that are not shown: package://no/where.obj (")
+
+    def test_stl_meshes_are_shown(self, tmp_path):
+        triangle = "".join(f"vertex {v}\n" for v in ("0 0 0", "0.2 0 0", "0 0.3 0"))
+        (tmp_path / "tool.stl").write_text(f"solid\nfacet\n{triangle}endfacet\nendsolid")
+        path = tmp_path / "r.urdf"
+        path.write_text(WELDED.replace("SHAPE", '<mesh filename="tool.stl"/>'))
+        robot = load_model(path).add_to_builder(DiagramBuilder(), scene_graph=True)
+        inspector = robot.scene_graph.model_inspector()
+        (shown,) = inspector.GetAllGeometryIds()
+        assert robot.notes == ()
+        hull = inspector.GetShape(shown).GetConvexHull()
+        np.testing.assert_allclose(hull.vertex(0)[2], 0.0, atol=1e-12)
+        assert inspector.GetIllustrationProperties(shown) is not None
+        assert inspector.GetProximityProperties(shown) is None
 
 
 @pytest.mark.parametrize(

@@ -102,6 +102,17 @@ class ModelDescription:
         """
         add_packages(packages, self.path, names, self.given.packages)
 
+    def add_every_package(self, packages: PackageMap) -> None:
+        """Makes packages known, geometry's too; folders above the file by their own names.
+
+        Args:
+            packages: The map, added to.
+        """
+        self.add_packages(packages, self.named_packages())
+        for folder in self.path.resolve().parents:
+            if folder.name and not packages.Contains(folder.name):
+                packages.Add(folder.name, str(folder))
+
     def set_inertia(self, link: str, phi: Array | None) -> bool:
         """Gives a link inertial parameters (10,), or none; False if no text has the link.
 

@@ -17,13 +17,12 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
 from geodrake.errors import ModelError
-from geodrake.excitation.collision_geometry import add_named_packages
-from geodrake.model.robot_model import RobotModel
-from geodrake.report.mesh_files import READERS, wavefront
-from geodrake.robot.files.description import drake_errors, drake_messages
+from geodrake.robot.files.description import drake_errors, drake_messages, read_description
+from geodrake.robot.files.given import Given
 from geodrake.robot.files.values import drop
 from geodrake.robot.files.xacro_file import read_expanded
 from geodrake.robot.files.xml_text import parse_xml_bytes
+from geodrake.robot.mesh_files import READERS, wavefront
 
 GRAY = Rgba(0.82, 0.84, 0.87, 1.0)
 _DRAKE_READS = (".obj", ".gltf", ".vtk")
@@ -81,31 +80,35 @@ class _Lost:
         )
 
 
-def robot_shapes(model: RobotModel) -> RobotShapes:
+def robot_shapes(path: Path, given: Given) -> RobotShapes:
     """The visual shapes of a model's file; of links that have none, their collision shapes.
 
     STL and COLLADA meshes are read too. A file whose shapes nobody can read gives none, and a note.
+
+    Args:
+        path: The model file.
+        given: How it is read.
     """
     lost = _Lost()
     try:
-        with drake_messages(), TemporaryDirectory() as folder, drake_errors(model.path):
-            links = _read(model, Path(folder), lost)
+        with drake_messages(), TemporaryDirectory() as folder, drake_errors(path):
+            links = _read(path, given, Path(folder), lost)
     except ModelError as error:
-        return RobotShapes({}, (f"the shapes of {model.path.name} are not shown: {error.problem}",))
+        return RobotShapes({}, (f"the shapes of {path.name} are not shown: {error.problem}",))
     return RobotShapes(links, lost.words)
 
 
-def _read(model: RobotModel, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
+def _read(path: Path, given: Given, folder: Path, lost: _Lost) -> dict[str, tuple[LinkShape, ...]]:
     plant, scene = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     parser = Parser(plant)
-    add_named_packages(parser.package_map(), model)
+    read_description(path, given).add_every_package(parser.package_map())
     root = None
-    if model.path.suffix.lower() not in (".yaml", ".yml"):
-        root = parse_xml_bytes(read_expanded(model.path, model.given), model.path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        root = parse_xml_bytes(read_expanded(path, given), path)
     if root is None or root.tag not in ("robot", "sdf"):
-        parser.AddModels(str(model.path))
+        parser.AddModels(str(path))
     else:
-        _prepare(root, parser.package_map(), model.path, folder, lost)
+        _prepare(root, parser.package_map(), path, folder, lost)
         kind = "urdf" if root.tag == "robot" else "sdf"
         parser.AddModelsFromString(tostring(root, encoding="unicode"), kind)
     plant.Finalize()

@@ -12,9 +12,9 @@ from pydrake.geometry import Box, Mesh
 
 from geodrake import load_model
 from geodrake.errors import ModelError
-from geodrake.report.mesh_files import MOST_TRIANGLES, wavefront
 from geodrake.report.replay import replay_page
-from geodrake.report.robot_shapes import robot_shapes
+from geodrake.robot.mesh_files import MOST_TRIANGLES, wavefront
+from geodrake.robot.shapes import robot_shapes
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 2) for z in (0, 3)], float)
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -129,7 +129,7 @@ def robot(tmp_path, *shapes):
 def test_an_stl_visual_is_shown_and_hides_collisions(tmp_path):
     write_stl(tmp_path / "arm.STL")
     model = robot(tmp_path, MESH.format(kind="visual", file="arm.STL"), BOX)
-    shapes = robot_shapes(model)
+    shapes = robot_shapes(model.path, model.given)
     assert not shapes.notes
     ((only,),) = shapes.links.values()
     assert isinstance(only.shape, Mesh) and only.shape.scale3()[0] == 0.5
@@ -140,9 +140,8 @@ def test_an_stl_visual_is_shown_and_hides_collisions(tmp_path):
 
 
 def test_a_missing_mesh_is_said_and_its_collision_shape_shown(tmp_path):
-    shapes = robot_shapes(
-        robot(tmp_path, MESH.format(kind="visual", file="package://nowhere/arm.dae"), BOX)
-    )
+    model = robot(tmp_path, MESH.format(kind="visual", file="package://nowhere/arm.dae"), BOX)
+    shapes = robot_shapes(model.path, model.given)
     ((only,),) = shapes.links.values()
     assert isinstance(only.shape, Box)
     (note,) = shapes.notes
@@ -152,7 +151,7 @@ def test_a_missing_mesh_is_said_and_its_collision_shape_shown(tmp_path):
 
 def test_without_any_shape_bodies_are_ellipsoids_and_the_page_says_so(tmp_path):
     model = robot(tmp_path, MESH.format(kind="visual", file="gone.stl"))
-    shapes = robot_shapes(model)
+    shapes = robot_shapes(model.path, model.given)
     assert not shapes.links and "gone.stl" in shapes.notes[0]
     page = replay_page(model, np.array([0.1, 0.2]), np.zeros((2, 1)))
     (shape,) = [c for c in commands(page) if c.get("path", "").endswith("r::arm/shapes/0")][:1]
@@ -168,9 +167,9 @@ def test_a_package_on_the_path_is_found(tmp_path, monkeypatch):
     urdf = tmp_path / "ur3.urdf"
     shutil.copy(source / "urdf" / "ur3_robot.urdf", urdf)
     model = load_model(urdf)
-    assert robot_shapes(model).notes
+    assert robot_shapes(model.path, model.given).notes
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ws"))
-    found = robot_shapes(model)
+    found = robot_shapes(model.path, model.given)
     assert not found.notes
     assert sum(isinstance(s.shape, Mesh) for links in found.links.values() for s in links) == 7
     assert Path(urdf).exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -11,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import GeodrakeError, ModelError
-from geodrake.excitation.collision_meshes import stl_vertices
 from geodrake.robot.files.xml_text import parse_xml
 
 Array = NDArray[np.float64]
@@ -22,6 +22,8 @@ Surface = tuple[Array, Faces]
 MOST_TRIANGLES = 6000
 """Triangles of a mesh that are drawn at most: a page is to stay small."""
 
+_HEADER, _COUNT, _FACET = 80, 4, 50  # bytes of a binary STL file
+_VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 _SMOOTH = 0.8  # cosine of the angle between a face's normal and the mean, up to which it is smooth
 _GRIDS = (256, 180, 128, 90, 64, 45, 32, 22, 16)  # cells along the longest side
 
@@ -41,9 +43,7 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
     except GeodrakeError:
         raise
     except (OSError, ValueError, LookupError, AttributeError, TypeError) as error:
-        raise ModelError(
-            f"The mesh {path} cannot be read: {error}.", advice="Correct the file.", path=path
-        ) from error
+        raise _unreadable(path, str(error)) from error
     normals, of_corners = _normals(vertices, faces)
     corners = 1 + np.stack([faces, of_corners], -1).reshape(-1, 6)
     text = io.StringIO()
@@ -51,6 +51,12 @@ def wavefront(path: Path, most: int = MOST_TRIANGLES) -> str:
     np.savetxt(text, normals, "vn %.2f %.2f %.2f")
     np.savetxt(text, corners, "f %d//%d %d//%d %d//%d")
     return text.getvalue()
+
+
+def _unreadable(path: Path, reason: str) -> ModelError:
+    return ModelError(
+        f"The mesh {path} cannot be read: {reason}.", advice="Correct the file.", path=path
+    )
 
 
 def _normals(vertices: Array, faces: Faces) -> tuple[Array, Faces]:
@@ -106,6 +112,31 @@ def _merged(vertices: Array, faces: Faces, number: Faces) -> Surface:
     whole = (faces != np.roll(faces, 1, axis=1)).all(1)
     _, first = np.unique(np.sort(faces[whole], axis=1), axis=0, return_index=True)
     return vertices[central], faces[whole][np.sort(first)]
+
+
+def stl_vertices(path: Path) -> Array:
+    """(3 n, 3) vertices of the n triangles of an STL file, binary or text, in the file's unit.
+
+    Raises:
+        ModelError: The file cannot be read, or has no triangles.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error.strerror or "it is not there") from error
+    start = _HEADER + _COUNT
+    count = int.from_bytes(data[_HEADER:start], "little")
+    if count and len(data) == start + _FACET * count:
+        facets = np.frombuffer(data, np.uint8, offset=start).reshape(count, _FACET)
+        vertices = facets[:, 12:48].copy().view("<f4").astype(float).reshape(-1, 3)
+    else:
+        try:
+            vertices = np.array(_VERTEX.findall(data)).astype(float).reshape(-1, 3)
+        except ValueError as error:
+            raise _unreadable(path, str(error)) from error
+    if not len(vertices) or len(vertices) % 3 or not np.isfinite(vertices).all():
+        raise _unreadable(path, "it has no triangles, or not whole ones")
+    return vertices
 
 
 def _stl(path: Path) -> Surface:
