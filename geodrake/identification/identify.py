@@ -287,7 +287,7 @@ def build_problem(
         )
     bounds = np.tile([-np.inf, np.inf], (extra, 1))
     if extra_bounds is not None:
-        bounds = checked_bounds("extra_bounds", extra_bounds, (extra, 2))
+        bounds = checked_bounds("extra_bounds", extra_bounds, (extra, 2)).copy()
     priors = _extra_priors(extra_prior, bounds)
     mean = np.zeros(extra)
     mean[list(priors)] = [value for value, _ in priors.values()]

@@ -151,7 +151,7 @@ class RiemannianSearch:
         return minimize(cost, self.region, z, barrier=_WARM if warm else 1e-2)
 
     def second_order(self, x: Array, weight: float) -> tuple[FitProblem, float]:
-        """The problem whose cost is the second order of this one's at x, and the cost there.
+        """The problem whose cost is the second order of this one's at x, and the size of the cost.
 
         Args:
             x: (p,) parameters.
@@ -169,7 +169,8 @@ class RiemannianSearch:
             prior_information=0.5 * inverse.T @ hessian @ inverse,
             residual_bound=None,
         )
-        return problem, cost.value(z) + data * self._floor
+        # (Like that of a FitProgram: where the prior fits, γ is what there is to compare with.)
+        return problem, max(cost.value(z) + data * self._floor, weight * cost.gamma)
 
     def meet_bound(self, z: Array, weight: float) -> tuple[LocalMinimum, float]:
         """A minimum, and in the point-to-set form the weight w for which it meets the bound.

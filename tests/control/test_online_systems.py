@@ -114,7 +114,9 @@ def test_the_estimate_explains_what_is_measured(every):
         check(p)
         D = MANIFOLD.divergence(TRUTH, p)
         assert np.diff(D).max() < 1e-6
-        assert unexplained(p[-1]) < 0.2 * unexplained(p[0])
+        # (What D bounds is the parameters; of every second sample, 4 s leave this a little more.)
+        most = 0.2 if (method, every) == ("projection", 2) else 0.15
+        assert unexplained(p[-1]) < most * unexplained(p[0])
         assert np.abs(residual).max() < 0.2
         fallen[method] = D[0] - D[-1]
         certified = error[1:] <= 1e-8

@@ -133,6 +133,15 @@ def test_a_minimum_around_which_the_cost_is_not_convex_is_not_certified():
     assert told.scope == "local" and not told.holds and "not convex" in told.failure
 
 
+@pytest.mark.parametrize("regularizer", ["euclidean", "pullback", "entropic", "riemannian"])
+def test_a_prior_that_fits_already_is_certified(regularizer):
+    """The cost is rounding, which is nothing beside γ."""
+    A = np.random.default_rng(6).normal(size=(40, 30))
+    found = identify(A, A @ PRIOR.ravel(), PRIOR, regularizer=regularizer, gamma=1.0)
+    np.testing.assert_allclose(found.phi, PRIOR, atol=1e-9)
+    assert found.certificate.holds
+
+
 def test_closed_forms_are_certified_too():
     rng = np.random.default_rng(5)
     A = rng.normal(size=(200, 30))

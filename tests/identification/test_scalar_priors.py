@@ -113,6 +113,14 @@ def test_scalars_without_data_stay_at_their_priors_and_others_are_free():
     np.testing.assert_allclose(strong.extra[[0, 2]], [0.7, 60.0], rtol=1e-3)
 
 
+def test_bounds_of_the_caller_stay_as_they_are():
+    A, b, scalars = data(5)
+    bounds = np.array([[-1.0, np.inf]] * 3)
+    identify(A, b, PRIOR, regularizer="pullback", gamma=1.0,
+             extra_bounds=bounds, extra_prior=scalars, certify=False)  # fmt: skip
+    assert (bounds[:, 0] == -1.0).all()
+
+
 def test_a_prior_keeps_a_scalar_positive_that_data_pull_below_zero():
     A, b = alone(0.3, 2.0, -5.0)
     for regularizer in ("entropic", "riemannian"):
