@@ -62,6 +62,7 @@ def compare_regularizers(
     gamma: float,
     reference: str | Regularizer = "entropic",
     regularizers: Sequence[str | Regularizer] = tuple(REGULARIZERS),
+    extra_priors: Mapping[str, ArrayLike | None] | None = None,
     **options: Unpack[SharedArguments],
 ) -> RegularizerComparison:
     """Solve with one regularizer and its γ, and with the others for the same residual.
@@ -78,6 +79,8 @@ def compare_regularizers(
         reference: The regularizer that γ belongs to; a name means the one of `regularizers` that
             has it, if there is one.
         regularizers: Names or regularizers to compare, such as `PointMassKL(points)`.
+        extra_priors: Name of a regularizer -> its `extra_prior`, where one weight is not the same
+            for all: that of a Euclidean distance has a unit.
         **options: Further arguments of `identify`, the same for all.
 
     Raises:
@@ -94,13 +97,22 @@ def compare_regularizers(
         raise ArgumentError(f"Each regularizer can be compared once; got {', '.join(names)}.")
     own = dict(zip(names, kinds, strict=True))
     first_kind = own.get(str(reference)) or regularizer_of(reference)
-    first = identify(A, b, prior, regularizer=first_kind, gamma=gamma, **options)
+    shared = dict.fromkeys((*names, first_kind.name), options)
+    extra_priors = extra_priors or {}
+    if unknown := sorted(set(extra_priors) - set(shared)):
+        raise ArgumentError(
+            f"extra_priors has {', '.join(unknown)}; compared are {', '.join(shared)}."
+        )
+    for name, extra_prior in extra_priors.items():
+        shared[name] = {**options, "extra_prior": extra_prior}
+    own_options = shared[first_kind.name]
+    first = identify(A, b, prior, regularizer=first_kind, gamma=gamma, **own_options)
     results = {}
     for kind in kinds:
         result = first
         if kind.name != first_kind.name:
-            bound = first.residual
-            result = identify(A, b, prior, regularizer=kind, residual_bound=bound, **options)
+            bound, own_options = first.residual, shared[kind.name]
+            result = identify(A, b, prior, regularizer=kind, residual_bound=bound, **own_options)
         if abs(result.residual - first.residual) > EQUAL * first.residual:
             raise IdentificationError(
                 f"{kind.name} has the residual {result.residual:.6g} instead of "

@@ -13,8 +13,9 @@ from geodrake.cli.app import app
 from geodrake.cli.identify import named_effects
 from geodrake.effects import CoulombFriction, FittedEffect, Payload, RotorInertia
 from geodrake.errors import ArgumentError, IdentificationError
+from geodrake.identification.identify import regularizer_of
 from geodrake.identification.logs.case import reopen
-from geodrake.identification.logs.log_fits import LogFits, log_unknowns
+from geodrake.identification.logs.log_fits import LogFits, log_unknowns, regularizer_scale
 from geodrake.identification.models import IdentificationSettings, identify_model
 from geodrake.identification.models.identify import with_effects
 from geodrake.inertia import from_mass_com_inertia, is_physical
@@ -169,6 +170,21 @@ def test_held_out_errors_are_those_of_fits_without_the_fold(log):
                 for r in data.rows[f]
             ]
             assert held_out.sse[f, j] == pytest.approx(sum(squares), rel=1e-6)
+
+
+def test_every_regularizer_knows_friction_to_within_its_size(log):
+    from geodrake.identification.logs.case import open_case
+
+    model = load_model(MODEL)
+    known = [FittedEffect(CoulombFriction(joint), np.array([5.0])) for joint in model.joints]
+    model = replace(model, effects=tuple(known))
+    case = open_case(model, [log], candidates=False)
+    fits = LogFits(case.dataset, log_unknowns(case.dataset, model), np.array([1.0, 2.0]))
+    firm = 3.0 * regularizer_scale(fits.prior, "pullback")
+    for name, given in fits.extra_priors("pullback", 3.0).items():
+        values, weights = given.T
+        own = weights * regularizer_of(name).scalar_divergence(1.1 * values, values)
+        np.testing.assert_allclose(firm / regularizer_scale(fits.prior, name) * own, 0.01)
 
 
 @pytest.mark.parametrize("regularizer", ["pullback", "euclidean", "riemannian"])

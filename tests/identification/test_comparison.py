@@ -32,6 +32,18 @@ def data(seed, *, rows=15, extra=0, noise=0.3):
     return A, A @ np.append(phi.ravel(), np.full(extra, 2.0)) + noise * rng.normal(size=rows)
 
 
+def test_a_regularizer_has_its_own_prior_of_scalars():
+    A, b = data(1, rows=40, extra=1)
+    A[:, -1] = 0.0
+    kinds = {"regularizers": ("pullback", "entropic"), "gamma": 20.0, "certify": False}
+    own = {"pullback": [3.0]}
+    found = compare_regularizers(A, b, PRIOR, extra_prior=[2.0], extra_priors=own, **kinds)
+    extra = [found.results[name].extra[0] for name in kinds["regularizers"]]
+    np.testing.assert_allclose(extra, [3.0, 2.0], rtol=1e-5)
+    with pytest.raises(ArgumentError, match="pulback"):
+        compare_regularizers(A, b, PRIOR, extra_priors={"pulback": [3.0]}, **kinds)
+
+
 @pytest.mark.parametrize(
     ("reference", "gamma"), [("euclidean", 2000.0), ("entropic", 20.0), ("riemannian", 20.0)]
 )

@@ -190,10 +190,23 @@ class LogFits:
                 gamma=gamma,
                 reference=reference,
                 extra_bounds=self.extra_bounds,
-                extra_prior=self.extra_prior(reference, gamma),
+                extra_priors=self.extra_priors(reference, gamma),
                 total_mass=self.total_mass,
                 certify=False,
             )
+
+    def extra_priors(self, reference: str, gamma: float) -> dict[str, Array | None]:
+        """Name of every regularizer -> its `extra_prior`, at the γ that holds bodies as firmly.
+
+        Args:
+            reference: Name of the regularizer that γ belongs to.
+            gamma: Its weight.
+        """
+        firm = gamma * regularizer_scale(self.prior, reference)
+        return {
+            name: self.extra_prior(name, firm / regularizer_scale(self.prior, name))
+            for name in REGULARIZERS
+        }
 
     def least_residual(self, without: int | None = None) -> float:
         """The least weighted squared residual that any parameters reach, physical or not."""
