@@ -12,6 +12,15 @@ class StopSearch(BaseException):  # as KeyboardInterrupt, it is no error
     """Ends a search early; what it found by then is its result."""
 
 
+def is_stop(error: BaseException | None) -> bool:
+    """Whether an error is `StopSearch`, or what an extension such as a compiler made of it."""
+    while error is not None:
+        if isinstance(error, StopSearch):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 _SIGNALS = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)
 
 

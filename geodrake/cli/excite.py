@@ -7,13 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import typer
 
 from geodrake.cli.excitation_options import ExciteOptions
 from geodrake.cli.excite_tables import show_excitation
+from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.identify import named_effects
 from geodrake.cli.model_options import read_model
 from geodrake.cli.option_values import joint_values, limits_of, split_effects
-from geodrake.cli.progress import Activity, progress
+from geodrake.cli.progress import STOPPING, Activity, progress
 from geodrake.cli.session import Maker, own_effects
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import make_console, show_saved
@@ -105,6 +107,8 @@ def run_excite(options: ExciteOptions) -> None:
         console = make_console(stderr=options.json == STDOUT)
         show_excitation(console, result, options.model.name)
         show_saved(console, written, {"save": "motion", "meshcat": "replay of the motion"})
+    if result.is_interrupted:
+        raise typer.Exit(INTERRUPTED)
 
 
 def family_of(options: ExciteOptions) -> MotionFamily:
@@ -282,7 +286,9 @@ def _collisions(
 
 def _updating(update: Activity, budget: Budget, seconds: float) -> Callable[[DesignProgress], None]:
     def updated(now: DesignProgress) -> None:
-        if now.evaluations % _UPDATED_EVERY == 0:
+        if now.is_stopped:
+            update.history(STOPPING)
+        elif now.evaluations % _UPDATED_EVERY == 0:
             update(
                 f"Start {now.seed + 1} of {now.seeds}, log criterion {now.value:.3f}",
                 1.0 - budget.left / seconds,

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from geodrake.diagnosis.search_progress import FoundStep
 
 _COMPILING = "Compiling, once, which takes some ten seconds"
-_STOPPING = "Interrupted: fitting what was found; Ctrl-C again ends at once"
+STOPPING = "Interrupted: keeping what was found; Ctrl-C again ends at once"
+"""What is said when a search is stopped that has found something."""
+
 _SILENT = 5.0  # s without a line in a pipe
 _LEAST_SHARE = 0.05  # from which on the time left can be told
 _WIDTH = 44
@@ -150,7 +152,7 @@ def step_teller(activity: Activity) -> Callable[[FoundStep], None]:
     def tell(step: FoundStep) -> None:
         nonlocal count
         if step.is_last:
-            activity.history(_STOPPING)
+            activity.history(STOPPING)
             return
         from geodrake.report.words import found_words  # which is slow to import
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import function, instance, integer, integers
+from geodrake.boundary.interrupts import StopSearch, is_stop
 from geodrake.errors import ArgumentError
 from geodrake.excitation.budget import Budget, OutOfTimeError
 from geodrake.excitation.criteria import Criterion
@@ -24,7 +26,12 @@ from geodrake.excitation.guess import random_guess, within_limits
 from geodrake.excitation.information import Objective
 from geodrake.excitation.limits import MotionLimits, motion_limits
 from geodrake.excitation.margins import FINE, limit_use
-from geodrake.excitation.nonlinear_solvers import check_solver, solve
+from geodrake.excitation.nonlinear_solvers import (
+    AFTER_STOP,
+    INTERRUPTED,
+    check_solver,
+    solve,
+)
 from geodrake.excitation.postures import check_start, possible_postures
 from geodrake.excitation.problem import DesignProblem
 from geodrake.excitation.target import Target, make_target
@@ -35,6 +42,7 @@ Array = NDArray[np.float64]
 _MOST_SAMPLES, _MOST_SEEDS = 10_000, 1000
 _FOR_STARTS, _FOR_STAGE = 0.9, 0.85  # of the time; the rest is for a closer look at limits
 _A_MOMENT = 1.0  # s
+_STOPPED = "interrupted: the motion is the best by then, and a longer search may find a better one"
 _NEAREST_POSTURES = 50  # to the middle, out of which seeds take theirs
 
 
@@ -60,8 +68,8 @@ def design_excitation(
         trajectory: The family of motions; a Fourier series of 10 s if None.
         options: How the design is made.
         seeds: Number of random starts, or their seeds.
-        progress: Called after every evaluation of the criterion. To stop a design, raise an
-            exception of your own in it.
+        progress: Called after every evaluation of the criterion. It may raise `StopSearch`, as a
+            handler of signals may: then the best motion so far is the result.
 
     Raises:
         ArgumentError: Limits leave no room, a speed is not limited, the start cannot be held, no
@@ -133,7 +141,7 @@ def design_objective(
     run = _Run(problem, options, postures, progress)
     ends = run.from_seeds(chosen, budget.part(_FOR_STARTS))
     best, _ = min(ends, key=lambda end: end[1].value)
-    use = limit_use(problem, best, budget=budget)
+    use = limit_use(problem, best, budget=run.for_a_closer_look(budget))
     final = problem.trajectory(best)
     eigenvalues = objective.eigenvalues(final.motion(problem.times))
     return ExcitationResult(
@@ -147,19 +155,21 @@ def design_objective(
         outcomes=tuple(outcome for _, outcome in ends),
         notes=(
             *(() if options.collisions is None else options.collisions.notes),
-            *_time_notes(problem, run.starts - len(ends), use.stride),
+            *_time_notes(problem, run, run.starts - len(ends), use.stride),
         ),
+        is_interrupted=run.is_stopped,
     )
 
 
-def _time_notes(problem: DesignProblem, left_out: int, stride: int) -> tuple[str, ...]:
+def _time_notes(problem: DesignProblem, run: _Run, left_out: int, stride: int) -> tuple[str, ...]:
     """What there was no time for."""
-    notes = []
+    why = "it was interrupted" if run.is_stopped else "time was up"
+    notes = [_STOPPED] if run.is_stopped else []
     if left_out:
-        notes.append(f"{left_out} starts were not begun, as time was up")
+        notes.append(f"{left_out} starts were not begun, as {why}")
     if stride > 1:
         apart = stride * float(problem.family.limit_times(FINE)[1])
-        notes.append(f"collisions were looked for every {apart:.2g} s only, as time was up")
+        notes.append(f"collisions were looked for every {apart:.2g} s only, as {why}")
     return tuple(notes)
 
 
@@ -224,6 +234,7 @@ class _Run:
     progress: Callable[[DesignProgress], None] | None
     starts: int = 0
     evaluations: int = 0
+    is_stopped: bool = False
 
     def from_seeds(self, seeds: Sequence[int], budget: Budget) -> list[tuple[Array, SeedOutcome]]:
         """The best motions (f, nv) from random ones, and from the guess if there is one.
@@ -233,6 +244,7 @@ class _Run:
 
         Raises:
             ArgumentError: Not even a first motion within the limits was found in time.
+            StopSearch: It was stopped before there was one.
         """
         given = None if self.options.guess is None else self._given(self.options.guess)
         asked: list[int | None] = [*seeds, *([] if given is None else [None])]
@@ -241,7 +253,7 @@ class _Run:
         first: Array | None = None
         for number, seed in enumerate(asked):
             own = budget.part(1.0 / min(self.starts - number, 2))  # few that end beat many
-            if first is not None and own.left <= 0.0:
+            if first is not None and (own.left <= 0.0 or self.is_stopped):
                 break
             try:
                 if seed is None and given is not None and first is not None:
@@ -250,6 +262,11 @@ class _Run:
                     guess = self._random(seed, own if first is not None else budget)
             except OutOfTimeError:
                 continue
+            except BaseException as error:
+                if first is None or not is_stop(error):
+                    raise
+                self._stop(number, ends[-1][1].value)
+                break
             first = guess if first is None else first
             ends.append(self._from(number, seed, guess, own))
         if not ends:
@@ -285,23 +302,16 @@ class _Run:
         begin, before = time.monotonic(), self.evaluations
         random_value = self._value(guess)
         found, status = guess, "not solved"
-        for stage in self._stages():
-            if budget.left <= 0.0:
-                break
-            watched = replace(
-                self.problem, objective=replace(self.problem.objective, criterion=stage)
-            )
-            reached, status = solve(
-                watched,
-                found,
-                solver=self.options.solver,
-                iterations=self.options.iterations,
-                seconds=_FOR_STAGE * budget.left,
-                watch=lambda value, _: self._notify(number, value),
-            )
-            inside = within_limits(self.problem, reached.reshape(guess.shape), found, budget)
-            if self._value(inside) < self._value(found):
-                found = inside
+        try:
+            for stage in self._stages():
+                if budget.left <= 0.0 or self.is_stopped:
+                    break
+                found, status = self._improved(number, stage, found, budget)
+        except BaseException as error:
+            if not is_stop(error):
+                raise
+            self._stop(number, self._value(found))
+            status = INTERRUPTED
         outcome = SeedOutcome(
             seed=seed,
             random_value=random_value,
@@ -311,6 +321,37 @@ class _Run:
             status=status,
         )
         return found, outcome
+
+    def _improved(
+        self, number: int, stage: Criterion, guess: Array, budget: Budget
+    ) -> tuple[Array, str]:
+        """The better of a motion and what a stage makes of it, and what the solver said."""
+        problem = replace(self.problem, objective=replace(self.problem.objective, criterion=stage))
+        reached, status = solve(
+            problem,
+            guess,
+            solver=self.options.solver,
+            iterations=self.options.iterations,
+            seconds=_FOR_STAGE * budget.left,
+            watch=lambda value, _: self._notify(number, value),
+        )
+        if status == INTERRUPTED:
+            self._stop(number, self._value(guess))
+            budget = self.for_a_closer_look(budget)
+        inside = within_limits(self.problem, reached.reshape(guess.shape), guess, budget)
+        return inside if self._value(inside) < self._value(guess) else guess, status
+
+    def for_a_closer_look(self, budget: Budget) -> Budget:
+        """Time to look at limits: what is left, or little once the design was stopped."""
+        return Budget.of(min(budget.left, AFTER_STOP)) if self.is_stopped else budget
+
+    def _stop(self, number: int, value: float) -> None:
+        """Begin nothing more, and tell of it."""
+        self.is_stopped = True
+        if self.progress is not None:
+            now = DesignProgress(number, self.starts, self.evaluations, value, is_stopped=True)
+            with suppress(StopSearch):  # of one who goes on asking
+                self.progress(now)
 
     def _stages(self) -> list[Criterion]:
         """The criterion, ever less smoothed if it is."""

@@ -75,12 +75,14 @@ class DesignProgress:
         seeds: How many there are.
         evaluations: Evaluations of the criterion since the design began.
         value: What is minimized, now: the criterion's logarithm; limits may not yet be kept.
+        is_stopped: Whether the design was stopped, and only the best motion is looked at.
     """
 
     seed: int
     seeds: int
     evaluations: int
     value: float
+    is_stopped: bool = False
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,7 @@ class ExcitationResult(Shown):
         limits: The limits.
         outcomes: What each seed came to.
         notes: What is worth knowing.
+        is_interrupted: Whether the design was stopped before its end.
     """
 
     trajectory: ExcitationTrajectory
@@ -130,6 +133,7 @@ class ExcitationResult(Shown):
     limits: MotionLimits
     outcomes: tuple[SeedOutcome, ...]
     notes: tuple[str, ...] = ()
+    is_interrupted: bool = False
 
     @property
     def motion(self) -> Motion:

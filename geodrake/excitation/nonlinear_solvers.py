@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverInterface, SolverOptions
 
+from geodrake.boundary.interrupts import StopSearch, is_stop
 from geodrake.errors import ArgumentError
 from geodrake.excitation.budget import Budget, OutOfTimeError
 from geodrake.excitation.guess import within_limits
@@ -26,6 +27,10 @@ _COARSE = 0.05  # of the family's shortest time
 _FOR_WAY = 0.5  # of what is left of it; the rest is for motions that the solver saw
 _FOR_SOLVER = 0.8  # of the time; the rest is for the way back to the limits
 _OUT_OF_TIME = "out of time"
+INTERRUPTED = "interrupted"
+"""What is said of a start that was stopped by `StopSearch`."""
+AFTER_STOP = 2.0
+"""Time for the way back to the limits of a motion that was stopped, s."""
 
 
 def check_solver(solver: str) -> None:
@@ -78,10 +83,14 @@ def solve(
         with drake_messages():  # of iteration limits, which are no news here
             options = _settings(engine, solver, iterations, seconds)
             result = engine.Solve(program, guess.ravel(), options)
-    except RuntimeError as error:
-        if raised and isinstance(raised[0], OutOfTimeError):
-            last = seen[-1][1] if seen else guess.ravel()
+    except (RuntimeError, StopSearch) as error:
+        cause = raised[0] if raised else error
+        last = seen[-1][1] if seen else guess.ravel()
+        if isinstance(cause, OutOfTimeError):
             return _back(problem, last, guess, seen, budget), _OUT_OF_TIME
+        if is_stop(cause):
+            short = Budget.of(min(budget.left, AFTER_STOP))
+            return _back(problem, last, guess, seen, short), INTERRUPTED
         if raised:
             raise raised[0] from error
         raise

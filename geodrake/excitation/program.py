@@ -98,15 +98,18 @@ def _with_autodiff(
     """A function of numbers or of AutoDiffXd, from one that gives its value and Jacobian."""
 
     def evaluate(y: Array) -> tuple[Any, Array]:
+        budget.check()
+        return function(y)
+
+    def call(x: Any) -> Any:
         try:
-            budget.check()
-            return function(y)
+            return differentiated(x)
         except BaseException as error:
             if raised is not None:
                 raised.append(error)
             raise
 
-    def call(x: Any) -> Any:
+    def differentiated(x: Any) -> Any:
         if x.dtype != object:
             return evaluate(x)[0]
         value, jacobian = evaluate(ExtractValue(x).ravel())

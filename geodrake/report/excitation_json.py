@@ -33,6 +33,7 @@ def excitation_dict(result: ExcitationResult) -> dict[str, Any]:
         "value": result.value,
         "improvement_over_random": improvement(result),
         "verdict": excitation_verdict(result),
+        "interrupted": result.is_interrupted,
         "eigenvalues": result.eigenvalues,
         "directions_told": None if pairs else identifiable_directions(result),
         "pairs": [

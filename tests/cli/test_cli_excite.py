@@ -10,6 +10,7 @@ import pytest
 from typer.testing import CliRunner
 from yaml import safe_load
 
+from geodrake.boundary.interrupts import StopSearch
 from geodrake.cli.app import app
 from geodrake.cli.identify import named_effects
 from geodrake.cli.option_values import joint_values, limits_of
@@ -85,6 +86,23 @@ def test_everything_is_written(tmp_path):
     assert numbers["use"]["shoulder"]["position"] <= 1.0 + 1e-6
     assert "<svg" in (tmp_path / "r.html").read_text()
     assert "animation" in (tmp_path / "m.html").read_text()
+
+
+def test_an_interrupted_design_is_written(tmp_path, monkeypatch):
+    def stopping(*_):
+        def told(progress):
+            if progress.evaluations == 3:
+                raise StopSearch
+
+        return told
+
+    monkeypatch.setattr("geodrake.cli.excite._updating", stopping)
+    files = {key: tmp_path / name for key, name in (("--save", "m.csv"), ("--json", "m.json"))}
+    result = excite(PENDULUM, *FAST, *(x for pair in files.items() for x in pair))
+    assert result.exit_code == 130
+    assert "interrupted: the motion is the best by then" in result.output
+    assert len(np.loadtxt(files["--save"], delimiter=",", skiprows=1)) > 10
+    assert json.loads(files["--json"].read_text())["interrupted"] is True
 
 
 def test_the_same_seed_is_the_same_motion(tmp_path):

@@ -120,7 +120,7 @@ def test_an_interrupt_after_a_step_keeps_what_was_found(tmp_path):
     out, err = run.communicate(timeout=60)
     assert run.returncode == 130, err
     assert first.startswith("1  ") and "nrms 0.703 -> " in first
-    assert "Interrupted: fitting what was found" in err and "Traceback" not in err
+    assert "Interrupted: keeping what was found" in err and "Traceback" not in err
     numbers = json.loads((tmp_path / "found.json").read_text())
     assert numbers["interrupted"] is True and numbers["steps"]
     assert "Interrupted: the search had not ended" in out
@@ -132,7 +132,7 @@ def test_a_second_interrupt_ends_at_once(tmp_path):
     run.stderr.readline()
     run.send_signal(signal.SIGINT)
     lines = iter(run.stderr.readline, "")
-    assert any("Interrupted: fitting" in line for line in lines)
+    assert any("Interrupted: keeping" in line for line in lines)
     run.send_signal(signal.SIGINT)
     out, err = run.communicate(timeout=60)
     assert (run.returncode, out, err) == (130, "", "Interrupted.\n")

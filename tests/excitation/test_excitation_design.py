@@ -11,6 +11,7 @@ from pydrake.geometry import Box, Capsule, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import MultibodyForces
 
+from geodrake.boundary.interrupts import StopSearch
 from geodrake.effects import CoulombFriction, FittedEffect, ViscousFriction
 from geodrake.errors import ArgumentError
 from geodrake.excitation import (
@@ -309,6 +310,32 @@ class TestDesigns:
             design_excitation(
                 model, limits_of(model), trajectory=SHORT, options=FAST, progress=stop
             )
+
+    @pytest.mark.parametrize("begun", [1, 2])
+    def test_a_stopped_design_is_the_best_motion_so_far(self, begun):
+        model, told = arm(joints="RR"), []
+
+        def stop(progress):
+            told.append(progress)
+            if progress.seed == begun - 1 and progress.evaluations >= 8 and not progress.is_stopped:
+                try:
+                    raise StopSearch
+                except StopSearch as error:
+                    if begun == 2:  # as compilers do
+                        raise RuntimeError("cannot compile") from error
+                    raise
+
+        result = design_excitation(
+            model, limits_of(model), trajectory=SHORT, options=FAST, seeds=3, progress=stop
+        )
+        assert result.is_interrupted and told[-1].is_stopped
+        assert [o.status == "interrupted" for o in result.outcomes] == [False] * (begun - 1) + [
+            True
+        ]
+        assert result.value <= min(o.random_value for o in result.outcomes)
+        assert result.notes[0].startswith("interrupted")
+        assert f"{3 - begun} starts were not begun, as it was interrupted" in result.notes
+        assert_limits_are_kept(result, model)
 
     def test_time_is_kept(self):
         model = arm()

@@ -243,7 +243,7 @@ def test_a_signal_at_any_time_leaves_a_word_alone(number, seconds, tmp_path):
     if run.returncode == 0:  # the machine was quick
         assert changed(before, contents(tmp_path)) == set(KEPT)
         return
-    if "fitting what was found" in err:  # a search that has found something keeps it
+    if "keeping what was found" in err:  # a search that has found something keeps it
         assert number is signal.SIGINT and run.returncode == 130
         assert read_json(tmp_path / "kept.json")["interrupted"] is True
         return

@@ -276,6 +276,45 @@ def test_position_and_effort_in_two_files(tmp_path, stamped):
     assert np.allclose(log.time, time[::every])
 
 
+@pytest.mark.parametrize("kinds", ["csv npz", "npz csv", "parquet npz", "csv parquet"])
+def test_files_of_any_formats_are_joined(tmp_path, kinds):
+    import pandas as pd
+
+    time, q, _, tau = motion(("a", "b"))
+    stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
+    paths = []
+    for kind, stem, values in zip(kinds.split(), ("positions", "efforts"), (q, tau), strict=True):
+        rows = slice(None) if stem == "positions" else slice(20, None)  # begins later
+        columns = {"time": stamps[rows], "a": values[rows, 0], "b": values[rows, 1]}
+        paths.append(tmp_path / f"{stem}.{kind}")
+        if kind == "npz":
+            np.savez(paths[-1], **columns)
+        else:
+            frame = pd.DataFrame(columns)
+            frame.to_csv(paths[-1], index=False) if kind == "csv" else frame.to_parquet(paths[-1])
+    log = read_log("+".join(map(str, paths)), joints=("a", "b"))
+    there = np.isfinite(log.effort).all(axis=1) & np.isfinite(log.position).all(axis=1)
+    assert there.sum() >= len(time) - 20
+    ours = np.searchsorted(time, log.time[there] - 1e-6)
+    assert np.allclose(log.time[there], time[ours], atol=1e-9)
+    assert np.allclose(log.position[there], q[ours], atol=1e-6)
+    assert np.allclose(log.effort[there], tau[ours], atol=1e-6)
+
+
+def test_joined_files_without_a_common_clock(tmp_path):
+    time, q, _, tau = motion(("a",))
+    first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])
+    stamps = np.datetime64("2026-05-01T12:00") + np.round(1e9 * time).astype("timedelta64[ns]")
+    second = tmp_path / "efforts.npz"
+    np.savez(second, time=stamps, a=tau[:, 0])
+    with pytest.raises(LogError, match=r"no common clock: time in positions\.csv"):
+        read_log(f"{first}+{second}")
+    write(first, ["time", "a"], [1e3 * time, q])
+    np.savez(second, time=1e3 * time, a=tau[:, 0])
+    log = read_log(f"{first}+{second}", reading=Reading(units={"time": "ms"}))
+    assert np.allclose(log.time, time)
+
+
 def test_two_files_that_do_not_fit(tmp_path):
     time, q, _, tau = motion(("a",))
     first = write(tmp_path / "positions.csv", ["time", "a"], [time, q])

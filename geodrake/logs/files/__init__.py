@@ -105,7 +105,10 @@ def understand(
         check_log(part)
     try:
         if len(parts) > 1:
-            return _understood(joined_table(parts, reading), joints, reading, partial=partial)
+            table = joined_table(parts, reading)  # whose time is in s
+            units = {name: unit for name, unit in reading.units.items() if name != "time"}
+            reading = replace(reading, units=units)
+            return _understood(table, joints, reading, partial=partial)
         if reader := READERS.get(path.suffix.lower()):
             log, columns = reader(path, joints, reading, partial=partial)
             return replace(log, notes=(*_unused(path, reading), *log.notes)), columns

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from geodrake.errors import LogError
 from geodrake.logs.files.csv_file import csv_table
+from geodrake.logs.files.formats import read_table
+from geodrake.logs.files.npz_file import npz_table
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import Meaning, meaning_of, quantity_of
 from geodrake.logs.files.table import LogTable
@@ -17,8 +19,10 @@ from geodrake.logs.files.units import unit_of
 
 Array = NDArray[np.float64]
 
+_YEARS = 9e8  # s, above which time is since 1970
+_ROUNDING = 1e-6  # s, by which stamps of different clocks' forms may differ
 _MIXED = 10.0  # times by which the rates of files may differ
-_TEXT = (".csv", ".txt", ".dat", ".tsv")
+_TEXT = (".csv", ".txt", ".dat", ".tsv", ".log")
 
 
 def parts_of(path: Path) -> tuple[Path, ...]:
@@ -32,8 +36,8 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     """The columns of several files, at the time stamps of the one with the fewest a second.
 
     Args:
-        paths: Text tables. The name of a file may say the quantity of its columns, as that of
-            `efforts.csv` does.
+        paths: Files of any format. The name of a file may say the quantity of its columns, as
+            that of `efforts.csv` does.
         reading: What the user said of the log.
 
     Raises:
@@ -44,10 +48,12 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
     name = Path("+".join(path.name for path in paths))
     units = {column: unit for table in tables for column, unit in table.units.items()}
     noted = tuple(note for table in tables for note in table.notes)
-    times = [_time(table, reading) for table in tables]
+    times, origins = _one_clock(name, tables, reading)
     stamped = [k for k, time in enumerate(times) if time is not None]
     if len(stamped) < 2:
-        return LogTable(name, _side_by_side(name, tables), units, noted)
+        columns = _side_by_side(name, tables)
+        origins = {column: zero for table in tables for column, zero in table.origins.items()}
+        return LogTable(name, columns, units, noted, origins)
     if len(stamped) < len(tables):
         bare = [table.path.name for table, time in zip(tables, times, strict=True) if time is None]
         raise LogError(
@@ -66,17 +72,14 @@ def joined_table(paths: Sequence[Path], reading: Reading) -> LogTable:
                 columns[column] = _at(known[base], time, values)
     rate = 1.0 / periods[base]
     note = f"joined by time, at the {rate:.4g} rows a second of {tables[base].path.name}"
-    return LogTable(name, columns, units, (note, *noted))
+    return LogTable(name, columns, units, (note, *noted), origins)
 
 
 def _table(path: Path, reading: Reading) -> LogTable:
     """The columns of one file; bare names of joints get the quantity of the file's name."""
-    if path.suffix.lower() not in _TEXT:
-        raise LogError(
-            f"Log {str(path)!r} is to be joined with another, and is no table of text.",
-            advice="Join .csv files.",
-        )
-    table = csv_table(path, reading)
+    kind = path.suffix.lower()
+    read = csv_table if kind in _TEXT else npz_table if kind == ".npz" else read_table
+    table = read(path, reading)
     quantity = quantity_of(path.stem)
     if quantity is None or any(m.quantity == quantity for m in _meanings(table)):
         return table
@@ -88,7 +91,8 @@ def _table(path: Path, reading: Reading) -> LogTable:
 
     columns = {named(name): values for name, values in table.columns.items()}
     units = {named(name): unit for name, unit in table.units.items()}
-    return LogTable(path, columns, units, table.notes)
+    origins = {named(name): zero for name, zero in table.origins.items()}
+    return LogTable(path, columns, units, table.notes, origins)
 
 
 def _meanings(table: LogTable) -> list[Meaning]:
@@ -106,8 +110,39 @@ def _time(table: LogTable, reading: Reading) -> Array | None:
     if not times:
         return None
     best = min(times, key=lambda meaning: meaning.role)
+    if best.column in table.origins:
+        return table.columns[best.column]
     unit = unit_of(reading.units["time"], "time") if "time" in reading.units else best.unit
     return table.columns[best.column] * (unit.factor if unit else 1.0)
+
+
+def _one_clock(
+    name: Path, tables: Sequence[LogTable], reading: Reading
+) -> tuple[list[Array | None], dict[str, int]]:
+    """Time stamps of each table, s, and since when they are, if any says it.
+
+    Raises:
+        LogError: Some are since a date, and others since nobody knows when.
+    """
+    times = [_time(table, reading) for table in tables]
+    zeros = [next((o for c, o in t.origins.items() if _is_time(c)), None) for t in tables]
+    known = [zero for zero in zeros if zero is not None]
+    if not known or sum(time is not None for time in times) < 2:
+        return times, {}
+    first = min(known)
+    moved: list[Array | None] = []
+    for table, time, zero in zip(tables, times, zeros, strict=True):
+        if time is None or zero is not None:
+            moved.append(None if time is None or zero is None else time + 1e-9 * (zero - first))
+            continue
+        if not np.nanmedian(time) > _YEARS:
+            raise LogError(
+                f"The files of log {str(name)!r} have no common clock: time in {table.path.name} "
+                "is not since 1970, and in another file it is of dates.",
+                advice="Log dates, or seconds since 1970, in each file.",
+            )
+        moved.append(time - 1e-9 * first)
+    return moved, {"time": first}
 
 
 def _side_by_side(name: Path, tables: Sequence[LogTable]) -> dict[str, Array]:
@@ -146,4 +181,6 @@ def _check_meet(name: Path, times: Sequence[Array]) -> None:
 def _at(instants: Array, time: Array, values: Array) -> Array:
     """Values at other instants: between the neighbours; NaN outside, and beside empty cells."""
     good = np.isfinite(time)
+    inside = np.clip(instants, time[good].min(), time[good].max())
+    instants = np.where(np.abs(inside - instants) < _ROUNDING, inside, instants)
     return np.interp(instants, time[good], values[good], left=np.nan, right=np.nan)

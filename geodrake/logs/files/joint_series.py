@@ -87,7 +87,7 @@ class _Track:
 
 def joint_columns(
     series: Sequence[JointSeries], topic: str
-) -> tuple[dict[str, Array], tuple[str, ...]]:
+) -> tuple[dict[str, Array], tuple[str, ...], int]:
     """One table of what several series say: `time` and `<joint>.<quantity>`.
 
     Args:
@@ -95,7 +95,8 @@ def joint_columns(
         topic: What messages call the topic.
 
     Returns:
-        The columns, and what was noticed, in words. Joints without names are `position[0]`, ….
+        The columns, what was noticed, in words, and when time is zero, ns since 1970. Joints
+        without names are `position[0]`, ….
 
     Raises:
         LogError: Stamps run backwards, or joints come at rates that do not go together.
@@ -122,7 +123,8 @@ def joint_columns(
         for quantity, numbers in track.at(base.stamps).values.items():
             name = f"{quantity}[{joint}]" if isinstance(joint, int) else f"{joint}.{quantity}"
             columns[name] = numbers
-    return (_trimmed(columns) if others else columns), tuple(notes)
+    columns, before = _trimmed(columns) if others else (columns, 0.0)
+    return columns, tuple(notes), int(base.stamps[0]) + round(1e9 * before)
 
 
 def _order_notes(series: Sequence[JointSeries], topic: str) -> list[str]:
@@ -190,11 +192,12 @@ def _check_rates(topic: str, one: tuple[JointKey, _Track], other: tuple[JointKey
     )
 
 
-def _trimmed(columns: Mapping[str, Array]) -> dict[str, Array]:
-    """The rows from the first to the last in which every joint is known."""
+def _trimmed(columns: Mapping[str, Array]) -> tuple[dict[str, Array], float]:
+    """The rows from the first to the last in which every joint is known, and when they begin."""
     known = np.logical_and.reduce([np.isfinite(numbers) for numbers in columns.values()])
     if not known.any():
-        return dict(columns)
+        return dict(columns), 0.0
     rows = slice(int(np.argmax(known)), len(known) - int(np.argmax(known[::-1])))
     trimmed = {name: numbers[rows] for name, numbers in columns.items()}
-    return {**trimmed, "time": trimmed["time"] - trimmed["time"][0]}
+    before = float(trimmed["time"][0])
+    return {**trimmed, "time": trimmed["time"] - before}, before

@@ -95,7 +95,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
     rows = topic.rows
     if rows is None or not topic.fits:  # the first messages had efforts, and none has both
         raise LogError(f"Topic {topic} of log {str(path)!r} has no positions with efforts.")
-    columns, notes = joint_columns(rows.series(), topic.name)
+    columns, notes, origin = joint_columns(rows.series(), topic.name)
     said = [f"read from {topic.name} ({topic.kind})"]
     also = [other.name for other in others if other.fits and other.name != topic.name]
     if also:
@@ -104,7 +104,7 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
         said.append("messages have no stamps: the time is that of receipt")
     if rows.from_controller:
         said.append("efforts are the output of the controller, as no measured ones are there")
-    return LogTable(path, columns, notes=(*said, *notes))
+    return LogTable(path, columns, notes=(*said, *notes), origins={"time": origin})
 
 
 def _named(path: Path, topics: Sequence[Topic], name: str) -> Topic:
