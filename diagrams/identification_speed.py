@@ -74,9 +74,9 @@ def solver_ratios(case: Case, *, repeats: int) -> dict[str, Any]:
     return table
 
 
-def sweep_ratio(case: Case, *, repeats: int) -> dict[str, Any]:
-    """One warm-started Newton sweep over 20 γ against 20 cold solves of Drake's program."""
-    gammas = case.gamma * np.logspace(1.0, -4.0, 20)
+def sweep_ratio(case: Case, *, count: int, repeats: int) -> dict[str, Any]:
+    """One warm-started Newton sweep over γ against as many cold solves of Drake's program."""
+    gammas = case.gamma * np.logspace(1.0, -4.0, count)
     problem = case.problem(1.0)
     problems = [case.problem(gamma) for gamma in gammas]
     found: dict[str, Any] = {}
@@ -204,14 +204,14 @@ def draw(table: dict[str, Any], path: Path) -> None:
     figure.savefig(path, dpi=150)
 
 
-def measured(case: Case, *, repeats: int, arguments: list[str]) -> dict[str, Any]:
+def measured(case: Case, *, gammas: int, repeats: int, arguments: list[str]) -> dict[str, Any]:
     """All numbers of one case."""
     return {
         "size": list(case.A.shape),
         "gamma": case.gamma,
         "whole": whole_times(case, repeats),
         "from the factor": solver_ratios(case, repeats=repeats),
-        "sweep": sweep_ratio(case, repeats=max(1, repeats // 3)),
+        "sweep": sweep_ratio(case, count=gammas, repeats=max(1, repeats // 3)),
         "memory, MB": peak_memory(case, ("clarabel", "newton"), arguments),
     }
 
@@ -249,7 +249,8 @@ def main() -> None:
         if case is None:
             print(f"There are no measurements in {options.shared / 'data'}: no {name}.")
             continue
-        table[name] = measured(case, repeats=repeats, arguments=arguments)
+        gammas = 6 if options.quick else 20
+        table[name] = measured(case, gammas=gammas, repeats=repeats, arguments=arguments)
         few = ((10,), (1.0,)) if options.quick else ((10, 30), (1.0, 10.0))
         table[name]["geodesic least squares"] = geodesic_rows(case, *few)
     print(json.dumps(table, indent=2))

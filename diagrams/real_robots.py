@@ -60,11 +60,11 @@ STUDIES = (
     Study("kr300", "kr300.urdf", tuple(f"kr300_{run}.csv" for run in "abc")),
     Study("double pendulum", "double_pendulum.urdf", PENDULUM),
 )
-QUICK = ("double pendulum",)
+QUICK = (Study("double pendulum", "double_pendulum.urdf", PENDULUM[:2]),)
 DAYS = "ur10e.urdf", tuple(f"ur10e_free_{day}.csv" for day in "abcd")
 """A robot on several days, on which nothing was changed."""
 QUICK_DAYS = "double_pendulum.urdf", PENDULUM[:3]
-QUICK_FITS = PENDULUM[:1]
+QUICK_PAIRS = (PENDULUM[0:3:2],)
 MEASUREMENTS = (
     *(f"reference/{name}.urdf" for name in ("ur10e", "tx40", "emps_70kg", "lwr4", "kr300")),
     *(f"data/{log}" for study in STUDIES[:-1] for log in study.logs),
@@ -143,7 +143,7 @@ def placed(found: Candidate | Step) -> str:
 
 
 def pairs_of_days(
-    model: str, logs: Sequence[str], shared: Path, fitted: Sequence[str] | None = None
+    model: str, logs: Sequence[str], shared: Path, pairs: Sequence[Sequence[str]] | None = None
 ) -> list[dict[str, Any]]:
     """Steps on each log with the model of each other one, and the nrms of all others with them.
 
@@ -151,14 +151,15 @@ def pairs_of_days(
         model: Model file.
         logs: One log a day.
         shared: Folder with `data` and `reference`.
-        fitted: Those of the logs that models are fitted to; all by default.
+        pairs: Logs of a fit and of a test; all by default.
     """
     paths, file = {log: shared / "data" / log for log in logs}, model_file(model, shared)
-    fits = {log: explain(load_model(file), [paths[log]]).model for log in fitted or logs}
-    pairs = []
-    for fit, test in permutations(logs, 2):
-        if fit not in fits:
-            continue
+    pairs = pairs or tuple(permutations(logs, 2))
+    fits = {
+        log: explain(load_model(file), [paths[log]]).model for log in {pair[0] for pair in pairs}
+    }
+    rows = []
+    for fit, test in pairs:
         found = explain(fits[fit], [paths[test]])
         third = {
             log: [compare(m, [paths[log]]).errors.nrms for m in (fits[fit], found.model)]
@@ -166,8 +167,8 @@ def pairs_of_days(
             if found.steps and log not in (fit, test)
         }
         steps = [placed(step) for step in found.steps]
-        pairs.append({"fit": fit, "test": test, "steps": steps, "third": third})
-    return pairs
+        rows.append({"fit": fit, "test": test, "steps": steps, "third": third})
+    return rows
 
 
 def left_out(
@@ -244,7 +245,7 @@ def main() -> None:
     """Run the studies from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_folder_option(parser)
-    parser.add_argument("--quick", action="store_true", help="only the double pendulum")
+    parser.add_argument("--quick", action="store_true", help="only the double pendulum, some runs")
     parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
     parser.add_argument("--json", type=Path, help="write the table here")
     parser.add_argument("--figures", type=Path, help="write figures into this folder")
@@ -252,9 +253,7 @@ def main() -> None:
     console, rows, elsewhere, named = Console(width=160), [], {}, {}
     require(parser, options.shared, *(MEASUREMENTS[-1:] if options.quick else MEASUREMENTS))
     with tempfile.TemporaryDirectory() as saved:
-        for study in STUDIES:
-            if options.quick and study.name not in QUICK:
-                continue
+        for study in QUICK if options.quick else STUDIES:
             begin = time.perf_counter()
             explanation = run(study, shared=options.shared, saved=Path(saved))
             rows += rows_of(study, explanation, time.perf_counter() - begin)
@@ -268,7 +267,7 @@ def main() -> None:
             if options.figures:
                 write_figures(study, explanation, options.figures)
     if options.quick:
-        days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_FITS)
+        days = pairs_of_days(*QUICK_DAYS, options.shared, QUICK_PAIRS)
     else:
         days = pairs_of_days(*DAYS, options.shared)
     show(rows, console)

@@ -195,7 +195,7 @@ class TestDiagnosis:
         [
             (0, "base_yaw", 4.0, 0.01, 1),
             pytest.param(1, "shoulder_pitch", 6.0, 0.1, 2, marks=pytest.mark.thorough),
-            (3, "wrist_roll", 0.4, 0.2, 1),
+            pytest.param(3, "wrist_roll", 0.4, 0.2, 1, marks=pytest.mark.thorough),
             pytest.param(3, "wrist_roll", 0.4, 0.03, 2, marks=pytest.mark.thorough),
         ],
     )

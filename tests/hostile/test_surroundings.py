@@ -304,7 +304,7 @@ pathlib.Path.replace = replace
 """
 
 
-@pytest.mark.parametrize("at", [1, 2, 3])
+@pytest.mark.parametrize("at", [1, pytest.param(2, marks=pytest.mark.thorough), 3])
 def test_a_signal_between_files_waits_until_all_are_there(at, tmp_path):
     fill(tmp_path)
     (tmp_path / "passing").mkdir()
