@@ -68,7 +68,7 @@ def test_everything_is_written(log, tmp_path):
     told = sum(b["told"] for b in numbers["bodies"].values())
     told += sum(e["told"] for e in numbers["effects"])
     assert told == pytest.approx(numbers["told"])
-    page = (tmp_path / "r.html").read_text()
+    page = (tmp_path / "r.html").read_text().replace("<wbr>", "")
     assert "<svg" in page and "coulomb_friction" in page
 
 
