@@ -196,10 +196,11 @@ def _number(cell: str, path: Path, row: int, column: str) -> float:
             raise ValueError(cell)
         return float(cell) if cell and not cell.isspace() else np.nan
     except ValueError:
+        dates = " A column of dates has them from its first row on." if is_time(column) else ""
         raise LogError(
             f"Row {row}, column {column!r} of log {str(path)!r} holds {cell.strip()[:60]!r}, which "
-            f"is {'neither a number nor a date' if is_time(column) else 'not a number'}.",
-            advice="Leave a cell empty, or write nan, where nothing was measured.",
+            "is not a number.",
+            advice=f"Leave a cell empty, or write nan, where nothing was measured.{dates}",
             row=row,
             column=column,
         ) from None
