@@ -61,7 +61,8 @@ def slab_projection(
         rows: (k, n) A.
         values: (k,) b.
         tolerance: (k,) ε > 0.
-        share: How much of the way is gone, in (0, 1]: y with ∇h(y) = ∇h(x) + share Aᵀ λ.
+        share: How much of the way is gone, in (0, 1]: y with ∇h(y) = ∇h(x) + share Aᵀ λ. The error
+            is that of the whole way.
     """
     lower, upper = values - tolerance, values + tolerance
     if manifold.robot is not None:

@@ -15,7 +15,7 @@ from pydrake.symbolic import Expression
 from geodrake.model.formulas.symbols import Formulas, Operand, Symbol
 
 Scalars = NDArray[Any]
-"""An array of one of Drake's scalar types."""
+"""An array of floats, or of one of Drake's other scalar types."""
 
 _DRAKES = {  # NumPy's name -> that in pydrake.math
     **{name: name for name in ("sqrt", "exp", "log", "sin", "cos", "tan", "sinh", "cosh", "tanh")},

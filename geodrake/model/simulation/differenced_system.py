@@ -12,7 +12,8 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geodrake.inertia import Array
-from geodrake.model.simulation.scalars import Scalars, by_differences, scalars
+from geodrake.model.formulas.evaluation import Scalars
+from geodrake.model.simulation.scalars import by_differences, scalars
 
 System = TypeVar("System", bound=type)
 

@@ -26,6 +26,7 @@ from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.simulation.force_law import (
     EffectWithValues,
     ForceLaw,
@@ -35,7 +36,7 @@ from geodrake.model.simulation.force_law import (
 )
 from geodrake.model.simulation.plant_motion import PlantMotion
 from geodrake.model.simulation.scalar_system import ScalarSystem, add_scalar_types
-from geodrake.model.simulation.scalars import Scalars, slopes_of, value_of
+from geodrake.model.simulation.scalars import slopes_of, value_of
 from geodrake.model.simulation.soft_joints import SPRING_DAMPING, Coupling
 from geodrake.robot.robot_instance import RobotInstance, add_generalized_force
 

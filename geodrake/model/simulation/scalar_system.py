@@ -11,7 +11,8 @@ from pydrake.symbolic import Expression
 from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from geodrake.model.simulation.scalars import Scalars, scalars
+from geodrake.model.formulas.evaluation import Scalars
+from geodrake.model.simulation.scalars import scalars
 
 if TYPE_CHECKING:
 

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.autodiffutils import AutoDiffXd, InitializeAutoDiff
 
 from geodrake.inertia import Array
-
-Scalars = NDArray[Any]
-"""An array of floats, or of one of Drake's other scalar types."""
+from geodrake.model.formulas.evaluation import Scalars
 
 _TOLERANCE = 1e-10
 _STEP = 6e-6  # cube root of the rounding of floats
