@@ -1,6 +1,5 @@
 """Projections onto slabs for every sample, against other solvers and by optimality."""
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -82,6 +81,7 @@ def test_it_agrees_with_the_general_solver(seed, rows):
 @pytest.mark.parametrize("seed", range(3))
 def test_it_agrees_with_cvxpy(seed):
     """min −log det P(y) + tr(P(x)⁻¹ P(y)) over the slabs, and Σ (r − log r) of the bounded ones."""
+    cp = pytest.importorskip("cvxpy")
     x, A, b, epsilon, _ = slabs(np.random.default_rng(seed), 4)
     z, cost, constraints = cp.Variable(ROBOT.dimension), 0.0, []
     for first, weight in ((0, 1.0), (12, 2.0)):
