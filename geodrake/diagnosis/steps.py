@@ -373,7 +373,7 @@ def _systematic(case: Case, group: _Group, fit: ModelFit) -> Values:
             span = fit.unknowns.span(fitted.effect)
             shifts = [factor_of(fit.unexplained_covariance[span, span])]
             if fitted.effect.role is not Role.SCALE:
-                shifts.append(case.effort_uncertainty * fit.gain_shifts[:, span])
+                shifts.append(case.gain_deviations[:, None] * fit.gain_shifts[:, span])
             if any(each.any() for each in shifts):
                 found = systematic_parameters(fitted, np.concatenate(shifts))
                 values.setdefault(fitted.effect.place, {}).update(found)

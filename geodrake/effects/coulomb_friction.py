@@ -26,6 +26,7 @@ class CoulombFriction(JointEffect):
     companion = ViscousFriction
     jumps = True
     usual = True
+    beside_gains = True
     parameters = (Parameter("coulomb", "N·m", lower=0.0),)
     signature = "a step of constant height wherever the joint reverses"
     depends_on = frozenset({"v"})

@@ -22,6 +22,7 @@ class EffortOffset(JointEffect):
     law = "o"
     list_position = 20
     complexity = 0
+    beside_gains = True
     parameters = (Parameter("offset", "N·m"),)
     signature = "the same at all times"
     depends_on = frozenset()

@@ -22,6 +22,7 @@ class RotorInertia(JointEffect):
     list_position = 40
     complexity = 0
     stated_as = "reflected rotor inertia"
+    beside_gains = True
     parameters = (Parameter("inertia", "kg·m²", lower=0.0),)
     signature = "follows the joint's own acceleration"
     depends_on = frozenset({"vd"})

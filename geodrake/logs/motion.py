@@ -25,6 +25,12 @@ Array = NDArray[np.float64]
 MEMORY = 20_000
 """Samples before the first one that effects with a memory look back at."""
 
+QUANTITIES = ("position", "velocity", "acceleration", "effort", "command")
+"""What a log may hold of each of its joints."""
+
+EFFORT_KINDS = ("effort", "current", "voltage", "pwm")
+"""What efforts may be measured as: N·m or N, A, V, or a share of the supply's voltage."""
+
 _ROWS = 100_000  # of a log that are copied at once
 
 
@@ -37,15 +43,19 @@ class JointLog(Short):
         joints: Names of the n joints.
         time: (N,) time stamps, s, increasing, not necessarily uniform.
         position: (N, n) joint positions, rad or m.
-        effort: (N, n) joint efforts, N·m or N.
+        effort: (N, n) joint efforts, N·m or N, or what stands for them by `effort_kinds`; NaN at
+            joints that measure none.
         velocity: (N, n) joint velocities, rad/s or m/s, if measured.
         acceleration: (N, n) joint accelerations, rad/s² or m/s², if measured.
         notes: What was noticed while reading, in words.
         payloads: What the robot carried all the time, of known mass, and its model does not have.
-        effort_uncertainty: How well the gains of the efforts are known: 5 % by default, as torque
-            constants are; 0 for calibrated torque sensors.
+        effort_uncertainty: How well the gains of the efforts are known, of all joints or (n,) of
+            each: 5 % by default, as torque constants are; 0 for calibrated torque sensors.
         standing: Other joint, of which only positions are known -> where it stands, rad or m; NaN
             if it moves.
+        command: (N, n) positions that servos were told to go to, rad or m; NaN at joints that have
+            none.
+        effort_kinds: Joint -> what its efforts are, of `EFFORT_KINDS`; efforts where it is none.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -61,12 +71,15 @@ class JointLog(Short):
     acceleration: Array | None = None
     notes: tuple[str, ...] = ()
     payloads: tuple[KnownPayload, ...] = ()
-    effort_uncertainty: float = 0.05
+    effort_uncertainty: float | Array = 0.05
     standing: Mapping[str, float] = field(default_factory=dict)
+    command: Array | None = None
+    effort_kinds: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        number(self.effort_uncertainty, "effort_uncertainty", lower=0.0, upper=1.0)
-        for quantity in ("time", "position", "effort", "velocity", "acceleration"):
+        for share in np.ravel(np.asarray(self.effort_uncertainty, object)):
+            number(share, "effort_uncertainty", lower=0.0, upper=1.0)
+        for quantity in ("time", *QUANTITIES):
             if (values := getattr(self, quantity)) is not None:
                 name = f"{quantity} of log {self.name!r}"
                 object.__setattr__(self, quantity, real_array(values, name, finite=False))
@@ -80,7 +93,7 @@ class JointLog(Short):
         for name, values in (("position", self.position), ("effort", self.effort)):
             instance(values, name, np.ndarray)
         shape = (len(self.time), len(self.joints))
-        for quantity in ("position", "effort", "velocity", "acceleration"):
+        for quantity in QUANTITIES:
             values = getattr(self, quantity)
             if values is not None and np.shape(values) != shape:
                 raise ArgumentError(
@@ -90,7 +103,27 @@ class JointLog(Short):
                 )
         if len(set(self.joints)) != len(self.joints):
             raise ArgumentError(f"Log {self.name!r} names a joint twice: {self.joints}.")
+        self._check_efforts()
         check_time(self.name, np.asarray(self.time, float))
+
+    def _check_efforts(self) -> None:
+        """Raise an ArgumentError if what is said of the efforts cannot be."""
+        if np.shape(self.effort_uncertainty) not in ((), (len(self.joints),)):
+            raise ArgumentError(
+                f"Log {self.name!r} of {len(self.joints)} joints has an effort_uncertainty of "
+                f"shape {np.shape(self.effort_uncertainty)}."
+            )
+        for joint, kind in self.effort_kinds.items():
+            if joint not in self.joints or kind not in EFFORT_KINDS:
+                raise ArgumentError(
+                    f"Log {self.name!r} has {kind!r} as the kind of efforts of {joint!r}.",
+                    advice=f"Joints are {', '.join(self.joints)}; kinds {', '.join(EFFORT_KINDS)}.",
+                )
+
+    @property
+    def gain_deviations(self) -> Array:
+        """(n,) how well the gain of each joint's efforts is known."""
+        return np.broadcast_to(np.asarray(self.effort_uncertainty, float), (len(self.joints),))
 
     def __len__(self) -> int:
         return len(self.time)
@@ -98,10 +131,14 @@ class JointLog(Short):
     def columns(self) -> dict[str, Array]:
         """What was measured, (N,) each, by the names that log files have for it."""
         columns = {"time": self.time}
-        for quantity in ("position", "velocity", "acceleration", "effort"):
+        for quantity in QUANTITIES:
             if (values := getattr(self, quantity)) is not None:
-                names = (f"{joint}.{quantity}" for joint in self.joints)
-                columns.update(zip(names, values.T, strict=True))
+                for joint, column in zip(self.joints, values.T, strict=True):
+                    if quantity == "effort":
+                        name = f"{joint}.{self.effort_kinds.get(joint, quantity)}"
+                    else:
+                        name = f"{joint}.{quantity}"
+                    columns[name] = column
         return columns
 
     def to_dataframe(self) -> Any:
@@ -118,7 +155,8 @@ class JointLog(Short):
         """Digest of the measurements, whatever the order of the joints: distinguishes logs."""
         order = np.argsort(self.joints)
         digest = hashlib.sha256(np.ascontiguousarray(self.time).data)
-        for values in (self.position, self.effort):
+        measured = (self.position, self.effort, self.command)
+        for values in measured[: 2 if self.command is None else 3]:
             for first in range(0, len(self), _ROWS):
                 digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]).data)
         return digest.hexdigest()[:16]
@@ -138,11 +176,13 @@ class JointLog(Short):
         if tuple(joints) == self.joints:
             return self
         order = [self.joints.index(joint) for joint in joints]
-        pick = {
+        pick: dict[str, Any] = {
             quantity: values[:, order]
-            for quantity in ("position", "effort", "velocity", "acceleration")
+            for quantity in QUANTITIES
             if (values := getattr(self, quantity)) is not None
         }
+        pick["effort_uncertainty"] = self.gain_deviations[order]
+        pick["effort_kinds"] = {j: k for j, k in self.effort_kinds.items() if j in joints}
         return replace(self, joints=tuple(joints), **pick)
 
 
@@ -205,7 +245,7 @@ class Trajectory:
         notes: What was done to the log and chosen from it, in words.
         began: Its first time stamp, s.
         payloads: Known payloads that the robot carried.
-        effort_uncertainty: How well the gains of the efforts are known.
+        gain_deviations: (n,) how well the gains of the efforts are known.
         bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
     """
 
@@ -218,7 +258,7 @@ class Trajectory:
     notes: tuple[str, ...] = ()
     began: float = 0.0
     payloads: tuple[KnownPayload, ...] = ()
-    effort_uncertainty: float = 0.0
+    gain_deviations: Array | float = 0.0
     bandwidths: tuple[float, float] = (0.0, 0.0)
 
     @property

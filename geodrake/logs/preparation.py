@@ -118,7 +118,7 @@ def _prepare(
         tuple(notes),
         float(log.time[0]),
         log.payloads,
-        log.effort_uncertainty,
+        log.gain_deviations,
         (bandwidth, motion_bandwidth),
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))

@@ -2,6 +2,7 @@
 
 from geodrake.effects import FittedEffect
 from geodrake.model.dynamics_check import DynamicsCheck, check_dynamics
+from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.export import export_model, save_export
 from geodrake.model.holding import holding
 from geodrake.model.logged_joints import model_of_logs
@@ -12,6 +13,7 @@ from geodrake.robot.files import Given
 
 __all__ = [
     "DynamicsCheck",
+    "EffortSignal",
     "FittedEffect",
     "Given",
     "RobotModel",

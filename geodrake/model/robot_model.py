@@ -32,6 +32,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
 from geodrake.model.simulation.robot_in_diagram import (
     DiagramOptions,
@@ -99,6 +100,8 @@ class RobotModel(Short):
         followers: Joints of the plant that follow others, and are none of the model.
         transmission: What moves joints of the plant in their place; joints without a drive move
             by themselves. All that is the model's, q, v, efforts and effects, is at the actuators.
+        effort_signals: Of joints whose logs have currents, voltages or commands in the place of
+            efforts, what makes efforts of them.
         known_joints: Names of the joints that logs may have: the model's, those that are held, and
             those that follow others.
     """
@@ -119,6 +122,7 @@ class RobotModel(Short):
     followers: tuple[Follower, ...] = ()
     known_joints: tuple[str, ...] = ()
     transmission: tuple[Drive, ...] = ()
+    effort_signals: tuple[EffortSignal, ...] = ()
 
     @cached_property
     def tree(self) -> RobotTree:

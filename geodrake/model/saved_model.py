@@ -25,6 +25,7 @@ from geodrake.effects.column_checks import of_geodrake
 from geodrake.errors import ArgumentError, GeodrakeError, ModelError
 from geodrake.model.admissible import check_model
 from geodrake.model.base_file import digest, existing_base, find_base, is_file
+from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.holding import held_notes, holding
 from geodrake.model.robot_model import RobotModel, load_description
 from geodrake.model.transmission_file import (
@@ -64,6 +65,20 @@ class SavedEffect:
 
 
 @dataclass
+class SavedEffortSignal:
+    """What stands for the efforts of a joint; see `EffortSignal`."""
+
+    joint: str = ""
+    kind: str = ""
+    gain: float = 1.0
+    deviation: float = 0.0
+    damping: float = 0.0
+    damping_deviation: float = 0.0
+    delay: float = 0.0
+    limit: float = float("inf")
+
+
+@dataclass
 class SavedModel:
     """Schema of `model.yaml`.
 
@@ -81,6 +96,7 @@ class SavedModel:
         inertial_parameters: Body -> [m, hx, hy, hz, Ixx, Iyy, Izz, Ixy, Iyz, Izx].
         effects: The effects.
         information: Information matrix of the inertial parameters, then of the effects'.
+        effort_signals: What stands for efforts in logs, where these are not measured.
         effort_noise: Joint -> held-out RMS that the fit left, N·m or N.
         fading_speed: Joint -> speed below which dry friction fades, rad/s or m/s.
         fitted_to: Fingerprints of the logs that the model was fitted to.
@@ -99,6 +115,7 @@ class SavedModel:
     transmission: Optional[Stated] = None  # noqa: UP045 - Drake reads no other spelling
     inertial_parameters: dict[str, list[float]] = dc.field(default_factory=dict)
     effects: list[SavedEffect] = dc.field(default_factory=list)
+    effort_signals: list[SavedEffortSignal] = dc.field(default_factory=list)
     effort_noise: dict[str, float] = dc.field(default_factory=dict)
     fading_speed: dict[str, float] = dc.field(default_factory=dict)
     fitted_to: list[str] = dc.field(default_factory=list)
@@ -233,6 +250,7 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
             b: phi.tolist() for b, phi in zip(model.bodies, model.phi, strict=True)
         },
         effects=[_saved_effect(fitted, folder) for fitted in model.effects],
+        effort_signals=[SavedEffortSignal(**dc.asdict(each)) for each in model.effort_signals],
         effort_noise=_by_joint(model, model.effort_noise),
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
@@ -395,6 +413,7 @@ def _with_parameters(
         phi=phi,
         effects=effects,
         information=information,
+        effort_signals=tuple(_effort_signal(model, each) for each in saved.effort_signals),
         effort_noise=_of_joints(model, "effort_noise", saved.effort_noise),
         fading_speed=_of_joints(model, "fading_speed", saved.fading_speed),
         fitted_to=tuple(saved.fitted_to),
@@ -425,6 +444,15 @@ def _fitted_effect(
         _numbers(f"parameters {what}", saved.parameters, count),
         _numbers(f"deviations {what}", saved.deviations, count) if saved.deviations else None,
     )
+
+
+def _effort_signal(model: RobotModel, saved: SavedEffortSignal) -> EffortSignal:
+    if saved.joint not in model.joints:
+        raise ModelError(
+            f"it has a signal for efforts of {saved.joint!r}, which the robot does not have.",
+            advice=f"It has {', '.join(model.joints)}.",
+        )
+    return EffortSignal(**dc.asdict(saved))
 
 
 def _numbers(what: str, values: Sequence[float], count: int) -> NDArray[np.float64]:

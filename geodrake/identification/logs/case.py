@@ -105,9 +105,9 @@ class Case(Short):
     loads: Array | None = None
 
     @property
-    def effort_uncertainty(self) -> float:
-        """How well the gains of the efforts are known, in the log in which they are least."""
-        return max(log.effort_uncertainty for log in self.asked.logs)
+    def gain_deviations(self) -> Array:
+        """(nv,) how well the gains of the efforts are known, in the log in which they are least."""
+        return np.asarray(np.max([log.gain_deviations for log in self.asked.logs], axis=0))
 
     @property
     def bandwidths(self) -> dict[str, tuple[float, float]]:

@@ -129,7 +129,9 @@ def _gain_uncertainty(model: RobotModel, trajectories: Sequence[Trajectory]) -> 
     """(nv,) how well the gains of the efforts are known; 0 where known payloads say them."""
     payloads = [log.payloads for log in trajectories]
     known = joints_with_known_gain(model, payloads) if any(payloads) else ()
-    largest = max(log.effort_uncertainty for log in trajectories)
+    largest = np.max(
+        [np.broadcast_to(log.gain_deviations, len(model.joints)) for log in trajectories], axis=0
+    )
     return np.where(np.isin(model.joints, known), 0.0, largest)
 
 

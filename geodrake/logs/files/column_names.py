@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from geodrake.errors import LogError
-from geodrake.logs.files.reading import QUANTITIES, Reading
+from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import Unit
+from geodrake.logs.motion import QUANTITIES
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."

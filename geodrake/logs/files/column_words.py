@@ -6,9 +6,10 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 from geodrake.logs.files.column_names import Source, listed
-from geodrake.logs.files.reading import QUANTITIES, Reading
+from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import PLAIN, ROLES, Meaning, meaning_of
 from geodrake.logs.files.units import Unit
+from geodrake.logs.motion import QUANTITIES
 
 
 def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:

@@ -12,7 +12,6 @@ from geodrake.boundary.yaml_text import yaml_text
 from geodrake.errors import ArgumentError, LogError, ModelError
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.reading import (
-    QUANTITIES,
     ColumnMapping,
     MappedColumn,
     check_gain,
@@ -20,6 +19,7 @@ from geodrake.logs.files.reading import (
 )
 from geodrake.logs.files.recognition import Meaning, meaning_of
 from geodrake.logs.files.units import UNITS, unit_of
+from geodrake.logs.motion import QUANTITIES
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
 _ASKED = ("position", "velocity", "effort")

@@ -10,8 +10,6 @@ from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
 
-QUANTITIES = ("position", "velocity", "acceleration", "effort")
-
 
 @dataclass(frozen=True)
 class MappedColumn:

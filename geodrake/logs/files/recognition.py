@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 
-from geodrake.logs.files.reading import QUANTITIES
 from geodrake.logs.files.units import Unit, find_unit
+from geodrake.logs.motion import QUANTITIES
 
 Words = tuple[str | int, ...]
 

@@ -21,10 +21,10 @@ from geodrake.logs.files.column_words import choice_words, unit_words
 from geodrake.logs.files.dates import date_words
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
-from geodrake.logs.files.reading import QUANTITIES, ColumnMapping, Reading
+from geodrake.logs.files.reading import ColumnMapping, Reading
 from geodrake.logs.files.recognition import Meaning, meaning_of
 from geodrake.logs.files.units import Unit, find_unit, unit_of
-from geodrake.logs.motion import check_joints
+from geodrake.logs.motion import QUANTITIES, check_joints
 
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import file_path, instance
 from geodrake.boundary.whole_files import Content, write_whole
 from geodrake.errors import OutputError
-from geodrake.logs.files.reading import QUANTITIES
 from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
 
 _ROWS = 50_000  # that are written at once
 
@@ -40,18 +43,13 @@ def log_content(log: JointLog, path: str | Path) -> Content:
     instance(log, "log", JointLog)
     if path.suffix.lower() not in (".csv", ".txt", ".npz"):
         raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
-    columns: dict[str, Any] = {"time": log.time}
-    for quantity in QUANTITIES:
-        values = getattr(log, quantity)
-        if values is not None:
-            names = (f"{joint}.{quantity}" for joint in log.joints)
-            columns.update(zip(names, values.T, strict=True))
+    columns = log.columns()
     if path.suffix.lower() == ".npz":
         return lambda file: np.savez_compressed(file, **columns)
     return lambda file: _write_csv(file, columns)
 
 
-def _write_csv(file: BinaryIO, columns: dict[str, Any]) -> None:
+def _write_csv(file: BinaryIO, columns: Mapping[str, Array]) -> None:
     text = io.TextIOWrapper(file, encoding="utf-8", errors="backslashreplace", newline="")
     writer = csv.writer(text, lineterminator="\n")
     if any("\r" in name for name in columns):  # readers take it for a line end if it is bare

@@ -1,0 +1,83 @@
+"""Where a joint's efforts come from: what was measured in their place, and its gains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from geodrake.boundary.arguments import instance, number
+from geodrake.errors import ArgumentError
+from geodrake.logs.motion import EFFORT_KINDS
+
+COMMAND = "command"
+"""The kind of a joint of which only the position that its servo was told to go to is known."""
+
+KINDS = (*EFFORT_KINDS, COMMAND)
+
+
+@dataclass(frozen=True)
+class EffortSignal:
+    """What stands for a joint's effort in logs, and what makes an effort of it.
+
+    The effort is gain·s of a signal s, a current or a voltage. Of a servo it is
+
+        gain·(c(t − delay) − q) + damping·(dc/dt(t − delay) − v)
+
+    with the commanded position c, within ±limit.
+
+    Attributes:
+        joint: The joint.
+        kind: "current", "voltage", "pwm", "command", or "effort" of another gain than one.
+        gain: N·m (N) per A, V or 1; for commands the stiffness, N·m/rad (N/m).
+        deviation: Standard deviation of the gain, in its unit; 0 if it is known exactly.
+        damping: Of a servo, N·m·s/rad (N·s/m).
+        damping_deviation: Its standard deviation.
+        delay: How late the command acts, s.
+        limit: Largest effort, N·m or N.
+
+    Raises:
+        ArgumentError: There is no such kind, or a number is none that it may be.
+    """
+
+    joint: str
+    kind: str
+    gain: float
+    deviation: float = 0.0
+    damping: float = 0.0
+    damping_deviation: float = 0.0
+    delay: float = 0.0
+    limit: float = math.inf
+
+    def __post_init__(self) -> None:
+        instance(self.joint, "joint", str)
+        if self.kind not in KINDS:
+            raise ArgumentError(
+                f"Efforts of {self.joint!r} cannot be of the kind {self.kind!r}.",
+                advice=f"Kinds are {', '.join(KINDS)}.",
+            )
+        number(self.gain, f"the gain of {self.joint}")
+        if self.gain == 0.0 or (self.kind == COMMAND and self.gain < 0.0):
+            raise ArgumentError(
+                f"The gain of {self.joint!r} is {self.gain:.4g}; it must be "
+                f"{'positive' if self.kind == COMMAND else 'other than 0'}."
+            )
+        for name in ("deviation", "damping", "damping_deviation", "delay"):
+            number(getattr(self, name), f"{name} of {self.joint}", lower=0.0)
+        if not self.limit > 0.0:
+            raise ArgumentError(f"The limit of {self.joint!r} is {self.limit!r}; it is positive.")
+
+    @property
+    def uncertainty(self) -> float:
+        """Standard deviation of the gain as a share of it."""
+        return self.deviation / abs(self.gain)
+
+
+def signal_of(signals: Iterable[EffortSignal], joint: str) -> EffortSignal | None:
+    """The signal in the place of a joint's efforts; None where these are measured.
+
+    Args:
+        signals: Of some joints.
+        joint: The joint.
+    """
+    return next((signal for signal in signals if signal.joint == joint), None)
