@@ -25,6 +25,7 @@ from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below
 from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
 from geodrake.identification.logs.shared_rows import SharedRows
+from geodrake.identification.logs.signal_calibration import with_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
@@ -158,7 +159,9 @@ def open_case(
     """
     logs = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    matched = _matched(model, logs)
+    model, matched, gains = with_efforts(model, _matched(model, logs))
+    for log in matched:
+        _check_efforts(log)
     uniform = [make_uniform(log) for log in matched]
     hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
     units = tuple(hints)
@@ -197,7 +200,7 @@ def open_case(
     hints += [
         _filtered_note(trajectory, fitted=fitted or candidates) for trajectory in trajectories
     ]
-    notes = [*model.notes, *filter(None, hints)]
+    notes = [*model.notes, *gains, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += _trained_on(model, matched)
@@ -336,8 +339,6 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
         ]
     )
     check_repeated(matched)
-    for log in matched:
-        _check_efforts(log)
     return matched
 
 

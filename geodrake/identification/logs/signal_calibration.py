@@ -1,0 +1,273 @@
+"""Logs without efforts: the gains of what was measured in their place, and the efforts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.effects.base import Effect
+from geodrake.errors import LogError
+from geodrake.identification.logs.command_columns import Command, CommandColumn
+from geodrake.identification.logs.criteria import PENALTY
+from geodrake.identification.logs.dataset import Dataset
+from geodrake.identification.logs.effort_gains import (
+    SignalGains,
+    SignalRows,
+    effects_beside_gains,
+    signal_gains,
+)
+from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.logs.folds import validation_blocks
+from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.logs.preparation import prepare_logs
+from geodrake.model.effort_signal import COMMAND, EffortSignal, signal_of
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.signal_efforts import in_efforts, kind_of
+
+Array = NDArray[np.float64]
+
+LONGEST_DELAY = 0.06
+"""Commands are tried up to so late, s."""
+
+_DELAYS = 13  # that are tried
+
+
+def with_efforts(
+    model: RobotModel, logs: Sequence[JointLog]
+) -> tuple[RobotModel, list[JointLog], list[str]]:
+    """Logs with efforts at all joints, and the model that knows what makes efforts of its signals.
+
+    Gains that the model does not know are found by its inertias; see `effort_gains`.
+
+    Args:
+        model: The model.
+        logs: Logs, joints in the model's order.
+
+    Returns:
+        Model, logs, and what was found in words.
+
+    Raises:
+        LogError: Something else stands for the efforts of a joint in one log than in another or in
+            the model, or there is nothing at all.
+    """
+    kinds = _kinds(model, logs)
+    if all(kind == "effort" for kind in kinds) and not model.effort_signals:
+        return model, list(logs), []
+    unknown = [
+        joint
+        for joint, kind in zip(model.joints, kinds, strict=True)
+        if kind != "effort" and signal_of(model.effort_signals, joint) is None
+    ]
+    notes: list[str] = []
+    if unknown:
+        found = calibrated(model, logs, kinds)
+        signals = (*model.effort_signals, *(s for s in found if s.joint in unknown))
+        model = replace(model, effort_signals=signals)
+        notes = [gain_words(model, s) for s in found if s.joint in unknown]
+    return model, [in_efforts(log, model.effort_signals) for log in logs], notes
+
+
+def gain_words(model: RobotModel, signal: EffortSignal) -> str:
+    """What was found of the signal of a joint, in words."""
+    force = "N" if signal.joint in model.sliding_joints else "N·m"
+    angle = "m" if signal.joint in model.sliding_joints else "rad"
+    unit = {"current": f"{force}/A", "voltage": f"{force}/V", COMMAND: f"{force}/{angle}"}
+    unit_words = unit.get(signal.kind, force)
+    words = f"{signal.joint}: {signal.gain:.4g} ± {signal.deviation:.2g} {unit_words}"
+    if signal.kind == COMMAND:
+        words += " of its command's distance"
+        if signal.damping:
+            words += (
+                f", {signal.damping:.3g} ± {signal.damping_deviation:.2g} {force}·s/{angle} of its "
+                "speed's"
+            )
+        words += f", {1e3 * signal.delay:.2g} ms late" if signal.delay else ""
+        return f"{words}: by the model's inertias"
+    return f"{words} of {signal.kind}: by the model's inertias"
+
+
+def calibrated(
+    model: RobotModel,
+    logs: Sequence[JointLog],
+    kinds: Sequence[str],
+    effects: Sequence[Effect] = (),
+) -> tuple[EffortSignal, ...]:
+    """What makes efforts of the signals of all joints whose efforts were not measured.
+
+    Args:
+        model: The model.
+        logs: Logs, joints in the model's order.
+        kinds: (nv,) what stands for the efforts of each joint.
+        effects: What joints have beside what any has.
+    """
+    known = signals_as_efforts(logs, kinds)
+    trajectories = prepare_logs(known)
+    told = _commands(model, logs, kinds, trajectories)
+    beside = tuple(dict.fromkeys((*effects_beside_gains(model), *effects)))
+    columns = [column for each in told.values() for column in each.columns]
+    folds = validation_blocks(trajectories)
+    dataset = reduce_logs(model, trajectories, folds, effects=(*beside, *columns))
+    deviations = np.max([log.gain_deviations for log in logs], axis=0)
+    prior = np.where([kind == "effort" for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
+    choice = _Choice(dataset, model.phi.size, beside, told)
+    rows, gains = choice.rows(model.phi.ravel()), None
+    for _ in range(2 if told else 1):
+        gains = signal_gains(rows, model, prior, kinds)
+        choice = choice.at(gains)
+        rows = choice.rows(gains.phi.ravel())
+    gains = signal_gains(rows, model, prior, kinds)
+    return tuple(
+        choice.signal(model.joints[j], kind, j, rows[j], gains)
+        for j, kind in enumerate(kinds)
+        if kind != "effort"
+    )
+
+
+def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[JointLog]:
+    """Logs with signals in the place of efforts: of servos, how far the command is from there."""
+    found = []
+    for log in logs:
+        effort = log.effort.copy()
+        for j, kind in enumerate(kinds):
+            if kind == COMMAND and log.command is not None:
+                effort[:, j] = log.command[:, j] - log.position[:, j]
+        found.append(replace(log, effort=effort, effort_kinds={}))
+    return found
+
+
+def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
+    """(nv,) what stands for the efforts of each joint.
+
+    Raises:
+        LogError: Logs or model disagree.
+    """
+    found = []
+    for joint in model.joints:
+        kinds = {kind_of(log, joint): log.name for log in logs}
+        if len(kinds) > 1:
+            words = " and ".join(f"{kind} in {name!r}" for kind, name in kinds.items())
+            raise LogError(
+                f"What was measured of {joint}'s effort is {words}.",
+                advice="Use logs of one kind together.",
+                joint=joint,
+            )
+        kind = next(iter(kinds))
+        signal = signal_of(model.effort_signals, joint)
+        if signal is not None and signal.kind != kind and kind != "effort":
+            raise LogError(
+                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows what makes efforts "
+                f"of its {signal.kind}.",
+                advice="Start from the model file, or say what the column is by --kind.",
+                joint=joint,
+            )
+        found.append(kind)
+    return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """Columns of the commands of one joint, for every delay that is tried.
+
+    Attributes:
+        late: Columns c(t − δ) − c(t).
+        rates: Columns dc/dt(t − δ).
+    """
+
+    late: tuple[CommandColumn, ...]
+    rates: tuple[CommandColumn, ...]
+
+    @property
+    def columns(self) -> tuple[CommandColumn, ...]:
+        """All of them; the first of `late`, which is zero, left out."""
+        return (*self.late[1:], *self.rates)
+
+
+def _commands(
+    model: RobotModel,
+    logs: Sequence[JointLog],
+    kinds: Sequence[str],
+    trajectories: Sequence[Trajectory],
+) -> dict[int, _Told]:
+    """Columns of commands, by joint."""
+    delays = np.linspace(0.0, LONGEST_DELAY, _DELAYS).tolist()
+    found = {}
+    for j, kind in enumerate(kinds):
+        if kind == COMMAND:
+            joint, command = model.joints[j], Command.of(logs, model.joints[j])
+            found[j] = _Told(
+                tuple(CommandColumn(joint, command, delay) for delay in delays),
+                tuple(CommandColumn(joint, command, delay, is_rate=True) for delay in delays),
+            )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """How servos take their commands: how late, and whether their damping knows its rate.
+
+    All servos of a robot are alike in that.
+
+    Attributes:
+        dataset: The logs.
+        d: Number of inertial parameters.
+        beside: Effects that are free.
+        told: Columns of commands, by joint.
+        worth: (nv,) independent samples of residuals.
+        delay: Index of the delay, as chosen; None where it is still open.
+        rate: Whether the rate counts.
+    """
+
+    dataset: Dataset
+    d: int
+    beside: tuple[Effect, ...]
+    told: dict[int, _Told]
+    gains: SignalGains | None = None
+    delay: int = 0
+    rate: bool = False
+
+    def at(self, gains: SignalGains) -> _Choice:
+        """The likeliest choice with these bodies and gains."""
+        if not self.told:
+            return replace(self, gains=gains)
+        phi = gains.phi.ravel()
+        costs = {}
+        for rate in (False, True):
+            for delay in range(_DELAYS):
+                trial = replace(self, delay=delay, rate=rate)
+                costs[delay, rate] = sum(
+                    trial.joint(j).least_cost(phi, gains.worth[j]) + PENALTY * rate
+                    for j in self.told
+                )
+        delay, rate = min(costs, key=costs.__getitem__)
+        return replace(self, delay=delay, rate=rate, gains=gains)
+
+    def joint(self, j: int) -> SignalRows:
+        """The rows of a joint."""
+        free, added = [e for e in self.beside], None
+        if j in self.told:
+            added = self.told[j].late[self.delay] if self.delay else None
+            free += [self.told[j].rates[self.delay]] if self.rate else []
+        return SignalRows.of(self.dataset, j, self.d, free, added)
+
+    def rows(self, phi: Array) -> list[SignalRows]:
+        """The rows of all joints."""
+        return [self.joint(j) for j in range(len(self.dataset.joints))]
+
+    def signal(
+        self, joint: str, kind: str, j: int, rows: SignalRows, gains: SignalGains
+    ) -> EffortSignal:
+        """What makes efforts of the signal of a joint."""
+        gain, deviation = float(gains.gains[j]), float(gains.deviations[j] * abs(gains.gains[j]))
+        if kind != COMMAND:
+            return EffortSignal(joint, kind, gain, deviation)
+        damping = spread = 0.0
+        if self.rate:
+            shares, deviations = rows.free_parameters(1.0 / gain, gains.phi.ravel(), gains.worth[j])
+            damping, spread = -gain * shares[-1], abs(gain) * deviations[-1]
+        late = self.told[j].late[self.delay].delay
+        return EffortSignal(
+            joint, kind, gain, deviation, max(damping, 0.0), spread if damping > 0 else 0.0, late
+        )
