@@ -155,8 +155,8 @@ class JointLog(Short):
         """Digest of the measurements, whatever the order of the joints: distinguishes logs."""
         order = np.argsort(self.joints)
         digest = hashlib.sha256(np.ascontiguousarray(self.time).data)
-        measured = (self.position, self.effort, self.command)
-        for values in measured[: 2 if self.command is None else 3]:
+        told = () if self.command is None else (self.command,)
+        for values in (self.position, self.effort, *told):
             for first in range(0, len(self), _ROWS):
                 digest.update(np.ascontiguousarray(values[first : first + _ROWS, order]).data)
         return digest.hexdigest()[:16]

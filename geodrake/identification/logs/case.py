@@ -157,11 +157,10 @@ def open_case(
         LogError: A log cannot be used.
         ArgumentError: There is no log, one is there twice, or a setting is no usable number.
     """
-    logs = checked_logs(model, logs, extra, bandwidth, blocks)
+    asked = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    model, matched, gains = with_efforts(model, _matched(model, logs))
-    for log in matched:
-        _check_efforts(log)
+    model, matched, signals = with_efforts(model, _matched(model, asked))
+    _check_efforts(matched)
     uniform = [make_uniform(log) for log in matched]
     hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
     units = tuple(hints)
@@ -200,14 +199,13 @@ def open_case(
     hints += [
         _filtered_note(trajectory, fitted=fitted or candidates) for trajectory in trajectories
     ]
-    notes = [*model.notes, *gains, *filter(None, hints)]
+    notes = [*model.notes, *signals, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += _trained_on(model, matched)
-    fingerprints = tuple(log.fingerprint for log in matched)
-    said = tuple(dict.fromkeys(notes))
-    asked = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
-    return Case(model, trajectories, folds, dataset, fingerprints, said, asked, shared=shared)
+    fingerprints, said = tuple(log.fingerprint for log in matched), tuple(dict.fromkeys(notes))
+    opened = Asked(tuple(matched), tuple(extra), bandwidth, blocks)
+    return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
 
 def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) -> Case:
@@ -388,7 +386,12 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
     )
 
 
-def _check_efforts(log: JointLog) -> None:
+def _check_efforts(logs: Sequence[JointLog]) -> None:
+    for log in logs:
+        _check_effort(log)
+
+
+def _check_effort(log: JointLog) -> None:
     known = np.isfinite(log.effort)
     highest = log.effort.max(axis=0, initial=-np.inf, where=known)
     lowest = log.effort.min(axis=0, initial=np.inf, where=known)

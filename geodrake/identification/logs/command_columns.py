@@ -12,8 +12,8 @@ from geodrake.effects.robot_motion import RobotMotion, log_number
 from geodrake.logs.motion import JointLog
 
 
-@dataclass(frozen=True)
-class Command:
+@dataclass(frozen=True, eq=False)
+class Commands:
     """The commands of a joint in several logs.
 
     Attributes:
@@ -23,8 +23,13 @@ class Command:
     series: Mapping[int, tuple[Array, Array]]
 
     @classmethod
-    def of(cls, logs: Sequence[JointLog], joint: str) -> Command:
-        """The commands of a joint."""
+    def of(cls, logs: Sequence[JointLog], joint: str) -> Commands:
+        """The commands of a joint.
+
+        Args:
+            logs: Logs, some with commands.
+            joint: The joint.
+        """
         series = {}
         for log in logs:
             if log.command is None or joint not in log.joints:
@@ -37,13 +42,18 @@ class Command:
         return cls(series)
 
     def at(self, log: int, time: Array) -> Array:
-        """(N,) the command of a log at some instants since it began; 0 in a log without."""
+        """(N,) the command of a log at some instants; 0 in a log without.
+
+        Args:
+            log: Number of the log.
+            time: (N,) instants since it began, s.
+        """
         if log not in self.series:
             return np.zeros(len(time))
         return np.interp(time, *self.series[log])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class CommandColumn(JointEffect):
     """The command of a joint as it was some time before, less that of now; or its rate.
 
@@ -51,7 +61,7 @@ class CommandColumn(JointEffect):
     those of effects: what a servo makes of its command is linear in it.
     """
 
-    command: Command = field(default_factory=lambda: Command({}))
+    command: Commands = field(default_factory=lambda: Commands({}))
     delay: float = 0.0
     is_rate: bool = False
 

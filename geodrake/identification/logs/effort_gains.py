@@ -40,7 +40,9 @@ _SHORTEST = 1e-4  # share of a step that is tried
 _ROUNDS = 3  # fits whose residuals say how many samples are independent
 _FIRST_SHARE = 0.05  # of the samples that are independent in the first one
 _NOTHING = 1e-12  # share of a signal's variance that no noise is below
-_TOTAL_MASS = 0.05  # share to which a model file knows the mass of all bodies: robots are weighed
+_TOTAL_MASS = (
+    0.05  # share to which a model file knows the mass of all bodies, as robots are weighed
+)
 _ALIKE = (
     1.5  # deviation of log |gain| among signals of one kind: motors differ by some factors of e
 )
@@ -105,8 +107,8 @@ def _told(known: Array, kinds: Sequence[str]) -> Array:
     told = np.diag(precision + _NOTHING)
     for kind in dict.fromkeys(kinds):
         same = np.array([each == kind for each in kinds]) & ~np.isfinite(known)
-        count = np.count_nonzero(same)
-        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(count, 1)) / _ALIKE**2
+        count = int(np.count_nonzero(same))
+        told[np.ix_(same, same)] += (np.eye(count) - 1.0 / max(1, count)) / _ALIKE**2
     return told
 
 
@@ -189,8 +191,8 @@ class SignalRows:
         size = max(float(load @ load), np.finfo(float).tiny)
         a = float(load @ self.s) / size
         left = a * load - self.s
-        error = np.sqrt(left @ left / (_FIRST_SHARE * self.samples * size))
-        return a if a < -_CLEARLY * error else max(abs(a), error)
+        error = float(np.sqrt(left @ left / (_FIRST_SHARE * self.samples * size)))
+        return a if a < -_CLEARLY * error else float(max(abs(a), error))
 
     def least_cost(self, phi: Array, worth: float) -> float:
         """Twice the negative log-likelihood with these bodies and the gain that suits them best.
@@ -218,7 +220,12 @@ class SignalRows:
         return np.linalg.lstsq(N, -self.N[:, k:] @ body, rcond=None)[0], np.sqrt(spread)
 
     def effective(self, a: float, phi: Array) -> float:
-        """How many independent samples the residual is worth."""
+        """How many independent samples the residual is worth.
+
+        Args:
+            a: The inverse gain.
+            phi: (d,) inertial parameters.
+        """
         free = self.free_parameters(a, phi, 1.0)[0]
         x = np.concatenate([free, a * phi[self.columns], [-1.0]])
         series = [[(rows @ x)[:, None] for rows in self.blocks]]
@@ -240,7 +247,7 @@ class _GeodesicBodies:
     @classmethod
     def of(cls, model: RobotModel) -> _GeodesicBodies:
         """Bodies about those of a model, as well known as it says."""
-        factors = np.linalg.cholesky(pseudo_inertia(model.phi))
+        factors = np.asarray(np.linalg.cholesky(pseudo_inertia(model.phi)), float)
         d = model.phi.size
         free = cls(factors, np.eye(d) / SPREAD**2)
         slope = free.at(np.zeros(d))[1]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
-from geodrake.identification.logs.command_columns import Command, CommandColumn
+from geodrake.identification.logs.command_columns import CommandColumn, Commands
 from geodrake.identification.logs.criteria import PENALTY
 from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.effort_gains import (
@@ -20,6 +20,8 @@ from geodrake.identification.logs.effort_gains import (
     signal_gains,
 )
 from geodrake.identification.logs.reduce import reduce_logs
+from geodrake.identification.logs.servo_fit import fit_servo, motions_of
+from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import prepare_logs
@@ -32,7 +34,9 @@ Array = NDArray[np.float64]
 LONGEST_DELAY = 0.06
 """Commands are tried up to so late, s."""
 
-_DELAYS = 13  # that are tried
+_SHARP = 20.0  # Hz
+_DELAYS = 16  # that are tried
+_USUAL_DELAY = 0.01  # s, mean of how late servos are
 
 
 def with_efforts(
@@ -71,7 +75,12 @@ def with_efforts(
 
 
 def gain_words(model: RobotModel, signal: EffortSignal) -> str:
-    """What was found of the signal of a joint, in words."""
+    """What was found of the signal of a joint, in words.
+
+    Args:
+        model: The model.
+        signal: The signal.
+    """
     force = "N" if signal.joint in model.sliding_joints else "N·m"
     angle = "m" if signal.joint in model.sliding_joints else "rad"
     unit = {"current": f"{force}/A", "voltage": f"{force}/V", COMMAND: f"{force}/{angle}"}
@@ -119,15 +128,59 @@ def calibrated(
         choice = choice.at(gains)
         rows = choice.rows(gains.phi.ravel())
     gains = signal_gains(rows, model, prior, kinds)
-    return tuple(
+    found = [
         choice.signal(model.joints[j], kind, j, rows[j], gains)
         for j, kind in enumerate(kinds)
         if kind != "effort"
+    ]
+    if not told:
+        return tuple(found)
+    bodies = replace(model, phi=gains.phi)
+    bandwidth = trajectories[0].bandwidths[0]
+    sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
+    return tuple(
+        _by_motion(bodies, logs, sharp, signal) if signal.kind == COMMAND else signal
+        for signal in found
+    )
+
+
+def _sharp(trajectories: Sequence[Trajectory]) -> float:
+    """Bandwidth of the motion that simulations are compared with, Hz."""
+    highest = HIGHEST_BANDWIDTH / max(t.filter.period for t in trajectories)
+    return min(max(trajectories[0].bandwidths[1], _SHARP), highest)
+
+
+def _by_motion(
+    model: RobotModel,
+    logs: Sequence[JointLog],
+    trajectories: Sequence[Trajectory],
+    signal: EffortSignal,
+) -> EffortSignal:
+    """The servo of a joint by how it moves, if that is predicted better for it."""
+    joint = model.joints.index(signal.joint)
+    fit = fit_servo(motions_of(model, logs, trajectories, joint), signal.gain)
+    if fit is None:
+        return signal
+    share = np.hypot(signal.uncertainty, fit.deviations[0] / fit.parameters[0])
+    gain, rate, *_, delay = fit.parameters.tolist()
+    spread = fit.deviations[1] if rate else 0.0
+    return replace(
+        signal,
+        gain=gain,
+        deviation=float(share * gain),
+        damping=rate,
+        damping_deviation=float(np.hypot(signal.uncertainty * rate, spread)),
+        delay=delay,
     )
 
 
 def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[JointLog]:
-    """Logs with signals in the place of efforts: of servos, how far the command is from there."""
+    """Logs with signals in the place of efforts: of servos, how far the command is from there.
+
+    Args:
+        logs: Logs, joints in the model's order.
+        kinds: (nv,) what stands for the efforts of each joint.
+    """
     found = []
     for log in logs:
         effort = log.effort.copy()
@@ -156,10 +209,10 @@ def _kinds(model: RobotModel, logs: Sequence[JointLog]) -> tuple[str, ...]:
             )
         kind = next(iter(kinds))
         signal = signal_of(model.effort_signals, joint)
-        if signal is not None and signal.kind != kind and kind != "effort":
+        if signal is not None and kind not in (signal.kind, "effort"):
             raise LogError(
-                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows what makes efforts "
-                f"of its {signal.kind}.",
+                f"Log {kinds[kind]!r} has the {kind} of {joint}; the model knows what makes "
+                f"efforts of its {signal.kind}.",
                 advice="Start from the model file, or say what the column is by --kind.",
                 joint=joint,
             )
@@ -196,7 +249,7 @@ def _commands(
     found = {}
     for j, kind in enumerate(kinds):
         if kind == COMMAND:
-            joint, command = model.joints[j], Command.of(logs, model.joints[j])
+            joint, command = model.joints[j], Commands.of(logs, model.joints[j])
             found[j] = _Told(
                 tuple(CommandColumn(joint, command, delay) for delay in delays),
                 tuple(CommandColumn(joint, command, delay, is_rate=True) for delay in delays),
@@ -237,7 +290,8 @@ class _Choice:
         for rate in (False, True):
             for delay in range(_DELAYS):
                 trial = replace(self, delay=delay, rate=rate)
-                costs[delay, rate] = sum(
+                seconds = LONGEST_DELAY * delay / (_DELAYS - 1)
+                costs[delay, rate] = 2.0 * seconds / _USUAL_DELAY + sum(
                     trial.joint(j).least_cost(phi, gains.worth[j]) + PENALTY * rate
                     for j in self.told
                 )
@@ -246,7 +300,7 @@ class _Choice:
 
     def joint(self, j: int) -> SignalRows:
         """The rows of a joint."""
-        free, added = [e for e in self.beside], None
+        free, added = list[Effect](self.beside), None
         if j in self.told:
             added = self.told[j].late[self.delay] if self.delay else None
             free += [self.told[j].rates[self.delay]] if self.rate else []

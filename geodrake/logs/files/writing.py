@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,8 @@ def log_content(log: JointLog, path: str | Path) -> Content:
         raise OutputError(f"Cannot write a log to {str(path)!r}.", advice="Use .csv or .npz.")
     columns = log.columns()
     if path.suffix.lower() == ".npz":
-        return lambda file: np.savez_compressed(file, **columns)
+        arrays: dict[str, Any] = {**columns}
+        return lambda file: np.savez_compressed(file, **arrays)
     return lambda file: _write_csv(file, columns)
 
 

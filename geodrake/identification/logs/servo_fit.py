@@ -1,0 +1,292 @@
+"""Gains of servos by the motion itself: each joint simulated under its commands, and compared.
+
+What a stiff servo makes of its command hardly shows in inverse dynamics: it moves its joint almost
+as it is told, so that its stiffness times how far it lags, its damping and its delay all look like
+friction. It shows in how the joint moves. Each joint is therefore simulated alone, while all others
+move as they were measured to. Near the measured motion the bodies' effort is linear,
+
+    b + M (ẍ − q̈) + D (ẋ − q̇) + K (x − q),
+
+with slopes of the recursion, and the joint's motion x follows from
+
+    … + I ẍ + d ẋ + F sgn ẋ = kp (c(t − δ) − x) + kr dc/dt(t − δ).
+
+Its six parameters are those of least squares of x − q, by SciPy, from a linear fit on. They count
+only if windows of the log that the fit did not see are predicted better than from where it began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from geodrake.compiling import compiled, contiguous
+from geodrake.identification.logs.criteria import PENALTY, WORTH
+from geodrake.identification.logs.evidence import effective_samples
+from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.model.robot_model import RobotModel
+from geodrake.robot.effort_slopes import effort_slopes
+from geodrake.robot.regressor import inverse_dynamics
+
+Array = NDArray[np.float64]
+Servo = tuple[float, float, float, float, float, float]
+
+PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay")
+"""kp, kr, d, F, I and δ, of joints that turn in N·m/rad, N·m·s/rad, N·m, kg·m² and s."""
+
+LONGEST_DELAY = 0.06
+"""Commands are late by no more, s."""
+
+_STEP = 2.5e-4  # s, of the simulation, at most
+_WINDOWS = 8  # of a log, of which every other one is left out for a test
+_MOST_EVALUATIONS = 60
+_RATE = 1  # which parameter is that of the command's rate
+_FREE = np.arange(len(PARAMETERS)) != _RATE
+_TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
+
+
+@dataclass(frozen=True, eq=False)
+class ServoFit:
+    """A servo and what its joint has beside the bodies, by the joint's motion.
+
+    Attributes:
+        parameters: (6,) values of `PARAMETERS`.
+        deviations: (6,) their standard deviations, for bodies that are known exactly.
+        error: RMS of simulated − measured positions, rad or m.
+        start: The same where the search began.
+        moved: Deviation of the measured positions, rad or m.
+    """
+
+    parameters: Array
+    deviations: Array
+    error: float
+    start: float
+    moved: float
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotions:
+    """One joint along the stretches of logs: what a simulation of it alone needs.
+
+    Attributes:
+        rows: Per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, and the command.
+        positions: Per stretch (N,) positions as logged, rad or m.
+        period: Time between rows, s.
+    """
+
+    rows: tuple[Array, ...]
+    positions: tuple[Array, ...]
+    period: float
+
+    def simulated(self, parameters: Array) -> list[Array]:
+        """Per stretch (N,) positions under the commands, rad or m."""
+        found = []
+        steps = max(1, int(np.ceil(self.period / _STEP)))
+        kp, kr, d, F, armature, delay = parameters.tolist()
+        servo: Servo = (kp, kr, d, F, armature, delay)
+        for rows in self.rows:
+            x = np.empty(len(rows))
+            calc_servo_motion(rows, self.period, steps, servo, x)
+            found.append(x)
+        return found
+
+    def residual(self, parameters: Array) -> Array:
+        """(N,) simulated − measured positions of all stretches."""
+        pairs = zip(self.simulated(parameters), self.positions, strict=True)
+        return np.concatenate([x - q for x, q in pairs])
+
+    @property
+    def tested(self) -> NDArray[np.bool_]:
+        """(N,) rows of every other window, which a test leaves out of the fit."""
+        count = sum(map(len, self.rows))
+        return (np.arange(count) * _WINDOWS // max(count, 1)) % 2 == 1
+
+
+def motions_of(
+    model: RobotModel, logs: Sequence[JointLog], trajectories: Sequence[Trajectory], joint: int
+) -> JointMotions:
+    """What simulations of a joint alone need; see `JointMotions`.
+
+    Args:
+        model: The model, with the inertias that count.
+        logs: Logs with commands.
+        trajectories: The same, prepared.
+        joint: Index of the joint.
+    """
+    rows, positions, period = [], [], trajectories[0].filter.period
+    for log, trajectory in zip(logs, trajectories, strict=True):
+        known = np.isfinite(log.time) & np.isfinite(log.position[:, joint])
+        command = np.full(len(log.time), np.nan) if log.command is None else log.command[:, joint]
+        told = np.isfinite(command) & np.isfinite(log.time)
+        for stretch in trajectory.segments:
+            segment = stretch[0 : len(stretch)]
+            q = model.positions(segment.position)
+            motion = (q, segment.velocity, segment.acceleration)
+            b = inverse_dynamics(model.tree, *motion, model.total_phi)[:, joint]
+            slopes = effort_slopes(model.tree, *motion, model.total_phi)
+            columns = (
+                b,
+                slopes.acceleration[:, joint, joint],
+                slopes.position[:, joint, joint],
+                slopes.velocity[:, joint, joint],
+                segment.position[:, joint],
+                segment.velocity[:, joint],
+                segment.acceleration[:, joint],
+                np.interp(segment.time, log.time[told], command[told]),
+            )
+            rows.append(contiguous(np.stack(columns, 1)))
+            positions.append(np.interp(segment.time, log.time[known], log.position[known, joint]))
+            period = segment.period
+    return JointMotions(tuple(rows), tuple(positions), period)
+
+
+def fit_servo(motions: JointMotions, stiffness: float) -> ServoFit | None:
+    """The servo that moves a joint as it was measured to.
+
+    Args:
+        motions: The joint.
+        stiffness: About what kp is, by which a search begins.
+
+    Returns:
+        The servo; None if windows that the fit did not see are predicted no better than from where
+        it began.
+    """
+    rows = np.concatenate(motions.rows)
+    friction, inertia = 0.1 * np.std(rows[:, 0]), 0.2 * np.mean(rows[:, 1])
+    start = np.array([stiffness, 0.0, 0.05 * stiffness, friction, inertia, 0.0])
+    scale = np.maximum(start, [0.0, 0.02 * stiffness, 0.0, 1e-3, 1e-4, 0.01])
+    tested, every = motions.tested, np.ones(len(rows), bool)
+    half = _best(motions, _starts(start), scale, ~tested)
+    if not _rms(motions, half, tested) < _rms(motions, start, tested):
+        return None
+    best = _best(motions, [half], scale, every)
+    bare = _best(motions, [np.where(_FREE, best, 0.0)], scale, every, free=_FREE)
+    errors = [motions.residual(each) for each in (bare, best)]
+    ends = np.cumsum([len(each) for each in motions.rows])[:-1]
+    worth = effective_samples(np.split(errors[1], ends))
+    squares = [float(each @ each) for each in errors]
+    if worth * np.log(squares[0] / squares[1]) < PENALTY:
+        best, errors[1] = bare, errors[0]
+    return ServoFit(
+        best,
+        _deviations(motions, best, scale),
+        float(np.sqrt(np.mean(errors[1] ** 2))),
+        _rms(motions, start, every),
+        float(np.std(np.concatenate(motions.positions))),
+    )
+
+
+def _starts(start: Array) -> list[Array]:
+    """Where searches begin: with several delays, and the damping known to the command or not."""
+    begins = []
+    for delay in _TRIED_DELAYS:
+        begin = start.copy()
+        begin[-1] = delay
+        if delay == 0.0:
+            begin[_RATE] = 0.5 * start[2]
+        begins.append(begin)
+    return [start, *begins]
+
+
+def _rms(motions: JointMotions, parameters: Array, rows: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean(motions.residual(parameters)[rows] ** 2)))
+
+
+def _best(
+    motions: JointMotions,
+    starts: Sequence[Array],
+    scale: Array,
+    rows: NDArray[np.bool_],
+    *,
+    free: NDArray[np.bool_] | None = None,
+) -> Array:
+    """Least squares over some rows, from several starts on.
+
+    Args:
+        motions: The joint.
+        starts: Parameters (6,) to begin with.
+        scale: (6,) sizes of parameters.
+        rows: (N,) which rows count.
+        free: (6,) which parameters move; all if None.
+    """
+    free = np.ones(len(scale), bool) if free is None else free
+    upper = np.append(np.full(len(scale) - 1, np.inf), LONGEST_DELAY) / scale
+    found = []
+    for start in starts:
+        begin = start.copy()
+
+        def residual(x: Array, begin: Array = begin) -> Array:
+            begin[free] = x * scale[free]
+            return motions.residual(begin)[rows]
+
+        fit = least_squares(
+            residual,
+            np.clip(start / scale, 1e-9, upper - 1e-9)[free],
+            bounds=(0.0, upper[free]),
+            max_nfev=_MOST_EVALUATIONS,
+            diff_step=1e-4,
+        )
+        begin[free] = fit.x * scale[free]
+        found.append((fit.cost, begin))
+    return min(found, key=lambda each: each[0])[1]
+
+
+def _deviations(motions: JointMotions, best: Array, scale: Array) -> Array:
+    """(6,) standard deviations.
+
+    What is left goes with the motion: it is worth few samples, however long logs are.
+    """
+    residual, size = motions.residual(best), 1e-3 * np.maximum(best, scale)
+    J = np.stack([motions.residual(best + step) - residual for step in np.diag(size)], 1)
+    covariance = np.linalg.pinv(J.T @ J, hermitian=True) * (residual @ residual) / WORTH
+    return np.asarray(size * np.sqrt(np.diag(covariance)))
+
+
+@compiled
+def calc_servo_motion(rows: Array, period: float, steps: int, servo: Servo, out: Array) -> None:
+    """Writes the positions (N,) of a joint under its commands, by implicit Euler steps.
+
+    Dry friction is a set at rest: a joint sticks until more than F pulls at it.
+
+    Args:
+        rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
+        period: Time between rows, s.
+        steps: Of the simulation between two rows.
+        servo: kp, kr, d, F, I and δ.
+        out: (N,) positions.
+    """
+    kp, kr, d, F, armature, delay = servo
+    count, dt = len(rows), period / steps
+    x, v, before = rows[0, 4], rows[0, 5], rows[0, 7]
+    out[0] = x
+    for k in range(count - 1):
+        for s in range(steps):
+            f = (s + 1.0) / steps
+            b = (1.0 - f) * rows[k, 0] + f * rows[k + 1, 0]
+            M = (1.0 - f) * rows[k, 1] + f * rows[k + 1, 1]
+            K = (1.0 - f) * rows[k, 2] + f * rows[k + 1, 2]
+            D = (1.0 - f) * rows[k, 3] + f * rows[k + 1, 3]
+            q = (1.0 - f) * rows[k, 4] + f * rows[k + 1, 4]
+            qd = (1.0 - f) * rows[k, 5] + f * rows[k + 1, 5]
+            qdd = (1.0 - f) * rows[k, 6] + f * rows[k + 1, 6]
+            c, at = rows[0, 7], k + f - delay / period
+            if at > 0.0:
+                low = int(at)
+                g = at - low
+                c = (1.0 - g) * rows[low, 7] + g * rows[min(low + 1, count - 1), 7]
+            pull = kp * (c - x) + kr * (c - before) / dt - b - K * (x - q) + D * qd + M * qdd
+            pull += (M + armature) * v / dt
+            stiff = (M + armature) / dt + (K + kp) * dt + D + d
+            if pull > F:
+                v = (pull - F) / stiff
+            elif pull < -F:
+                v = (pull + F) / stiff
+            else:
+                v = 0.0
+            before = c
+            x += dt * v
+        out[k + 1] = x
