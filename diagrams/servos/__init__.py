@@ -1,1 +1,1 @@
-"""Servos of known gains behind arms, simulated by Pinocchio and by MuJoCo, and what is said of them."""
+"""Servos of known gains behind simulated arms, and what is said of them."""

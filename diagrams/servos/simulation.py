@@ -103,9 +103,7 @@ def _with_friction(M: Array, v: Array, free: Array, servos: Servos) -> Array:
     return after
 
 
-def _by_mujoco(
-    urdf: str, servos: Servos, told: Array, rate: Array
-) -> tuple[Array, Array, Array]:
+def _by_mujoco(urdf: str, servos: Servos, told: Array, rate: Array) -> tuple[Array, Array, Array]:
     spec = mujoco.MjSpec.from_string(urdf)
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -24,6 +24,7 @@ from geodrake.report.tables import (
     errors_table,
     parameters_table,
     short_steps_table,
+    signals_table,
     step_details,
 )
 from geodrake.report.words import (
@@ -174,6 +175,9 @@ def _show_change(console: Console, explanation: Explanation, units: Units) -> No
             console, "Bodies before and after, kg and mm, farthest change first; ± from noise alone"
         )
         show_table(console, bodies_table(explanation.bodies))
+    if explanation.model.effort_signals:
+        head(console, "Gains, by the model's inertias")
+        show_table(console, signals_table(explanation.model.effort_signals, units))
     show_list(console, "Notes", explanation.notes)
 
 

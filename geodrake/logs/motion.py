@@ -129,16 +129,21 @@ class JointLog(Short):
         return len(self.time)
 
     def columns(self) -> dict[str, Array]:
-        """What was measured, (N,) each, by the names that log files have for it."""
+        """What was measured, (N,) each, by the names that log files have for it.
+
+        Efforts of joints that have commands in their place are left out, as are commands where
+        there are none.
+        """
         columns = {"time": self.time}
         for quantity in QUANTITIES:
-            if (values := getattr(self, quantity)) is not None:
-                for joint, column in zip(self.joints, values.T, strict=True):
-                    if quantity == "effort":
-                        name = f"{joint}.{self.effort_kinds.get(joint, quantity)}"
-                    else:
-                        name = f"{joint}.{quantity}"
-                    columns[name] = column
+            if (values := getattr(self, quantity)) is None:
+                continue
+            for at, (joint, column) in enumerate(zip(self.joints, values.T, strict=True)):
+                kinds = self.effort_kinds if quantity == "effort" else {}
+                told = self.command is not None and not np.isnan(self.command[:, at]).all()
+                left_out = {"effort": told and np.isnan(column).all(), "command": not told}
+                if not left_out.get(quantity, False):
+                    columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
         return columns
 
     def to_dataframe(self) -> Any:

@@ -18,6 +18,7 @@ from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.certificate import Certificate
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable, Failing
 from geodrake.identification.models.results import BodyChange
+from geodrake.model.effort_signal import EffortSignal
 
 _APART = "the robot departs further than can be simulated"
 _NO_NOISE = "the logs show no sensor noise"
@@ -101,9 +102,16 @@ def explanation_dict(explanation: Explanation) -> dict[str, Any]:
         "error": {**_errors(**tables), "of_motion": dict(explanation.of_motion)},
         "bodies": bodies_dict(explanation.bodies),
         "certificate": certificate_dict(explanation.certificate),
+        "signals": [_signal(signal) for signal in explanation.model.effort_signals],
         "failing": [_failing(case) for case in explanation.after.failing],
         "notes": list(explanation.notes),
     }
+
+
+def _signal(signal: EffortSignal) -> dict[str, Any]:
+    """What makes efforts of a signal; an infinite limit is none."""
+    limit = number_or(signal.limit, "no limit is known")
+    return {**asdict(signal), "limit": limit}
 
 
 def certificate_dict(certificate: Certificate | None) -> dict[str, Any] | NoNumber:

@@ -183,6 +183,7 @@ def render_explanation(
         sections.failing_section(before, after, charts=charts),
         sections.parameters_section(explanation, units),
         sections.bodies_section(explanation),
+        sections.signals_section(explanation.model.effort_signals, units),
         with_picture(joints, "joint_errors", bars),
         *more,
         sections.dependence_section(models, units),

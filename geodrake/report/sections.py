@@ -7,13 +7,20 @@ from collections.abc import Mapping, Sequence
 from geodrake.diagnosis.ambiguity import distinguishing_commands
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import Comparison, ErrorTable
+from geodrake.model.effort_signal import EffortSignal
 from geodrake.report.charts import Chart, Stage
 from geodrake.report.dependence import residual_dependence
 from geodrake.report.effort_chart import AFTER, BEFORE
 from geodrake.report.identification_tables import bodies_table
 from geodrake.report.numbers import Units, is_noticed, number, percent
 from geodrake.report.page import ColoredList, Section, Tile
-from geodrake.report.tables import candidates_table, errors_table, parameters_table, steps_table
+from geodrake.report.tables import (
+    candidates_table,
+    errors_table,
+    parameters_table,
+    signals_table,
+    steps_table,
+)
 from geodrake.report.words import failing_list, removable_share, worst_joint
 
 NOTHING_FOUND = "No effect takes away enough of the error on held-out data to be believed."
@@ -106,6 +113,24 @@ def bodies_section(explanation: Explanation) -> Section:
         "parameters."
     )
     return Section("Bodies", (text,), (bodies_table(explanation.bodies),))
+
+
+def signals_section(signals: Sequence[EffortSignal], units: Units) -> Section:
+    """What makes efforts of currents, voltages and commands; empty where efforts were measured.
+
+    Args:
+        signals: Those of the model.
+        units: Units of the robot's joints.
+    """
+    if not signals:
+        return Section("Gains")
+    text = (
+        "No efforts were measured at these joints. Efforts are the gains times what was measured, "
+        "of servos the stiffness times how far the command is ahead, and the damping times how "
+        "much faster it is. The scale of the gains is that of the model's inertias; a log with a "
+        "payload of known mass, or a gain from a data sheet (--gain), tells it better."
+    )
+    return Section("Gains", (text,), (signals_table(signals, units),))
 
 
 def joints_section(stages: Mapping[str, ErrorTable], units: Units) -> Section:

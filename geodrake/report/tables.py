@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from geodrake.control.rollout import Rollout
@@ -11,6 +11,7 @@ from geodrake.diagnosis.drafting import Draft
 from geodrake.diagnosis.drafting.results import DraftedEffect
 from geodrake.diagnosis.results import Diagnosis, Explanation, Step
 from geodrake.identification.logs.model_errors import ErrorTable
+from geodrake.model.effort_signal import COMMAND, EffortSignal
 from geodrake.report.numbers import (
     UNKNOWN,
     Units,
@@ -242,6 +243,30 @@ def parameters_table(step: Step, units: Units) -> Table:
     rows = tuple(cells(place, *texts) for place, *texts in zip(places, *columns, strict=True))
     title = effect_label(step.effect)
     return Table(tuple(head), rows, title=title[:1].upper() + title[1:])
+
+
+def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
+    """What makes efforts of the currents, voltages and commands of logs.
+
+    Args:
+        signals: Those of a model.
+        units: Units of the joints of the model.
+    """
+    rows, served = [], any(signal.kind == COMMAND for signal in signals)
+    for signal in signals:
+        force, rate = units.at(signal.joint, "N·m"), units.at(signal.joint, "N·m·s/rad")
+        per = {"current": "/A", "voltage": "/V", "pwm": "", "effort": ""}
+        unit = units.at(signal.joint, "N·m/rad")
+        unit = unit if signal.kind == COMMAND else force + per[signal.kind]
+        row = [signal.joint, signal.kind, with_deviation(signal.gain, signal.deviation), unit]
+        if served:
+            damping = with_deviation(signal.damping, signal.damping_deviation)
+            row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
+            row += [f"{1e3 * signal.delay:.2g} ms"]
+        rows.append(cells(*row))
+    head = ("joint", "in place of efforts", "gain", "unit")
+    head += ("damping", "late by") if served else ()
+    return Table(head, tuple(rows), words=2)
 
 
 def formulas_table(draft: Draft) -> Table:

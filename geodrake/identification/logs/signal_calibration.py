@@ -57,6 +57,8 @@ def with_efforts(
         LogError: Something else stands for the efforts of a joint in one log than in another or in
             the model, or there is nothing at all.
     """
+    if not logs:
+        return model, [], []
     kinds = _kinds(model, logs)
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
@@ -70,32 +72,25 @@ def with_efforts(
         found = calibrated(model, logs, kinds)
         signals = (*model.effort_signals, *(s for s in found if s.joint in unknown))
         model = replace(model, effort_signals=signals)
-        notes = [gain_words(model, s) for s in found if s.joint in unknown]
+        notes = [gain_words(model, [s for s in found if s.joint in unknown])]
     return model, [in_efforts(log, model.effort_signals) for log in logs], notes
 
 
-def gain_words(model: RobotModel, signal: EffortSignal) -> str:
-    """What was found of the signal of a joint, in words.
+def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
+    """What was found of signals, in words.
 
     Args:
         model: The model.
-        signal: The signal.
+        signals: The signals.
     """
-    force = "N" if signal.joint in model.sliding_joints else "N·m"
-    angle = "m" if signal.joint in model.sliding_joints else "rad"
-    unit = {"current": f"{force}/A", "voltage": f"{force}/V", COMMAND: f"{force}/{angle}"}
-    unit_words = unit.get(signal.kind, force)
-    words = f"{signal.joint}: {signal.gain:.4g} ± {signal.deviation:.2g} {unit_words}"
-    if signal.kind == COMMAND:
-        words += " of its command's distance"
-        if signal.damping:
-            words += (
-                f", {signal.damping:.3g} ± {signal.damping_deviation:.2g} {force}·s/{angle} of its "
-                "speed's"
-            )
-        words += f", {1e3 * signal.delay:.2g} ms late" if signal.delay else ""
-        return f"{words}: by the model's inertias"
-    return f"{words} of {signal.kind}: by the model's inertias"
+    words = []
+    for signal in signals:
+        slides = signal.joint in model.sliding_joints
+        force, angle = ("N", "m") if slides else ("N·m", "rad")
+        per = {"current": "/A", "voltage": "/V", COMMAND: f"/{angle}"}.get(signal.kind, "")
+        words.append(f"{signal.joint} {signal.gain:.3g} ± {signal.deviation:.2g} {force}{per}")
+    kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in signals))
+    return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
 
 
 def calibrated(

@@ -1,0 +1,77 @@
+"""Servos of unknown gains: what `geodrake explain` says of logs without efforts.
+
+Pinocchio and MuJoCo simulate arms of one to seven joints whose servos follow commands. Stiffness,
+damping, delay, dry and viscous friction and armature are drawn at random; a log has positions and
+commands alone, and geodrake the model file. Told are how often all hidden effects are in the set of
+what it names, how often true values lie inside the intervals (two standard deviations), how far
+values are off, and how long it takes.
+
+    python diagrams/servo_gains.py --json servo_gains.json
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from adaptive.options import make_parser, positive_number, run_draws, show, write_json
+from rich.console import Console
+from servos.draws import ServoDraw, servo_draws
+from servos.scoring import score_servo
+
+
+def run_draw(draw: ServoDraw, *, seed: int) -> dict[str, Any]:
+    """A row of the table; the seed is in what was drawn."""
+    del seed
+    return score_servo(draw)
+
+
+def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Shares and medians over all logs."""
+    values = [value for row in rows for value in row["values"]]
+    table: dict[str, Any] = {
+        "logs": len(rows),
+        "all effects in the set": float(np.mean([row["in_set"] for row in rows])),
+        "other effects named, a log": float(np.mean([len(row["extra"]) for row in rows])),
+        "seconds a log, median": float(np.median([row["seconds"] for row in rows])),
+    }
+    for what in dict.fromkeys(value["what"] for value in values):
+        same = [value for value in values if value["what"] == what]
+        ratios = np.array([value["ratio"] for value in same if value["ratio"]])
+        table[what] = {
+            "inside": float(np.mean([value["inside"] for value in same])),
+            "median error": float(np.median(np.abs(ratios - 1.0))),
+            "values": len(same),
+        }
+    return table
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = make_parser(__doc__ or "")
+    parser.add_argument("--logs", type=positive_number, default=40, help="(%(default)s)")
+    options = parser.parse_args()
+    draws = servo_draws(options.logs, options.seed)
+    if options.quick:
+        draws = servo_draws(2, options.seed, duration=12.0)
+    rows = run_draws(parser, options, run_draw, draws)
+    table = summary(rows)
+    columns = {"figure": "", "value": ".3g", "inside": ".0%", "off by, median": ".1%", "of": ""}
+    lines = [
+        {"figure": name, "value": value}
+        if not isinstance(value, dict)
+        else {
+            "figure": name,
+            "inside": value["inside"],
+            "off by, median": value["median error"],
+            "of": value["values"],
+        }
+        for name, value in table.items()
+    ]
+    show(Console(), "Servos of unknown gains", columns, lines)
+    write_json(options.json, {"summary": table, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""Gains of signals in the place of efforts: against truth, and against changes of unit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from effort_logs import MODELS, effort_log
+from measurements import DATA, REFERENCE
+
+from geodrake import load_model, save_model
+from geodrake.diagnosis import explain
+from geodrake.errors import LogError
+from geodrake.identification.logs.case import open_case
+from geodrake.identification.logs.effort_gains import _GeodesicBodies
+from geodrake.identification.logs.signal_calibration import calibrated, with_efforts
+from geodrake.inertia import pseudo_inertia, riemannian_distance
+from geodrake.logs.files import read_log
+from geodrake.model import EffortSignal
+from geodrake.model.logged_joints import log_of_model
+
+GAINS = np.array([12.0, -7.5, 3.0, 5.0, 1.5, 0.8])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_model(MODELS / "arm6.urdf")
+
+
+def friction(seen):
+    """Dry and viscous friction in another formula than the library's."""
+    return 2.0 * seen.v / np.sqrt(seen.v**2 + 1e-4) + 1.5 * seen.v
+
+
+@pytest.fixture(scope="module")
+def torques():
+    return effort_log("arm6", 3, friction, off=0.05, duration=20.0, rate=100.0).log
+
+
+def currents(log, gains):
+    kinds = dict.fromkeys(log.joints, "current")
+    return replace(log, effort=log.effort / gains, effort_kinds=kinds)
+
+
+def test_gains_lie_in_their_intervals_and_near(arm, torques):
+    """Bodies 5 % off in the geometric distance, friction of every joint, one sign turned round."""
+    found = calibrated(arm, [currents(torques, GAINS)], ["current"] * 6)
+    ratio = np.array([s.gain for s in found]) / GAINS
+    spread = np.array([s.uncertainty for s in found])
+    told = spread < 0.4  # light wrists hardly show theirs
+    assert told[:3].all()
+    np.testing.assert_allclose(ratio[told], 1.0, atol=0.1)
+    assert (np.abs(np.log(np.abs(ratio))) < 2.0 * spread).all()
+
+
+def test_unit_and_signs_of_currents_do_not_matter(arm, torques):
+    one = calibrated(arm, [currents(torques, GAINS)], ["current"] * 6)
+    units = 1e3 * np.array([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+    other = calibrated(arm, [currents(torques, GAINS * units)], ["current"] * 6)
+    for a, b, unit in zip(one, other, units, strict=True):
+        assert b.gain == pytest.approx(unit * a.gain, rel=1e-3)
+        assert b.uncertainty == pytest.approx(a.uncertainty, rel=1e-2)
+
+
+def test_measured_efforts_tell_the_scale_of_the_others(arm, torques):
+    log = currents(torques, GAINS)
+    effort = log.effort.copy()
+    effort[:, 1] *= GAINS[1]
+    kinds = {joint: kind for joint, kind in log.effort_kinds.items() if joint != log.joints[1]}
+    mixed = replace(log, effort=effort, effort_kinds=kinds)
+    names = ["current", "effort", *["current"] * 4]
+    known = {s.joint: s.uncertainty for s in calibrated(arm, [mixed], names)}
+    alone = {s.joint: s.uncertainty for s in calibrated(arm, [log], ["current"] * 6)}
+    assert log.joints[1] not in known
+    assert known[log.joints[2]] < alone[log.joints[2]]
+
+
+def test_slopes_of_geodesic_bodies_are_those_of_differences(arm):
+    bodies = _GeodesicBodies.of(arm)
+    x = 0.3 * np.random.default_rng(0).normal(size=arm.phi.size)
+    x[:10] = 0.0  # where eigenvalues meet
+    slope = bodies.at(x)[1]
+    step = 1e-6
+    columns = [
+        (bodies.at(x + step * e)[0] - bodies.at(x - step * e)[0]) / (2.0 * step)
+        for e in np.eye(len(x))
+    ]
+    np.testing.assert_allclose(slope, np.stack(columns, 1), atol=1e-6 * np.abs(slope).max())
+
+
+def test_coordinates_of_geodesic_bodies_have_the_length_of_the_geometric_distance(arm):
+    bodies = _GeodesicBodies.of(arm)
+    x = 0.2 * np.random.default_rng(1).normal(size=(len(arm.bodies), 10))
+    phi = bodies.at(x.ravel())[0].reshape(-1, 10)
+    distance = [riemannian_distance(a, b) for a, b in zip(arm.phi, phi, strict=True)]
+    assert (np.linalg.eigvalsh(pseudo_inertia(phi)) > 0.0).all()
+    np.testing.assert_allclose(distance, np.linalg.norm(x, axis=1), rtol=1e-6)
+
+
+def test_a_case_is_of_efforts_and_its_model_knows_the_gains(arm, torques, tmp_path):
+    case = open_case(arm, [currents(torques, GAINS)], candidates=False)
+    assert [s.kind for s in case.model.effort_signals] == ["current"] * 6
+    assert any("gains from the model's inertias" in note for note in case.notes)
+    save_model(case.model, tmp_path / "model.yaml")
+    saved = load_model(tmp_path / "model.yaml")
+    assert saved.effort_signals == case.model.effort_signals
+    again = open_case(saved, [currents(torques, GAINS)], candidates=False)
+    assert again.model.effort_signals == saved.effort_signals
+    assert again.fingerprints == case.fingerprints
+
+
+def test_known_gains_are_taken_as_they_are(arm, torques):
+    signals = tuple(
+        EffortSignal(joint, "current", gain, 0.02 * abs(gain))
+        for joint, gain in zip(torques.joints, GAINS.tolist(), strict=True)
+    )
+    model, logs, notes = with_efforts(
+        replace(arm, effort_signals=signals), [currents(torques, GAINS)]
+    )
+    np.testing.assert_allclose(logs[0].effort, torques.effort)
+    np.testing.assert_allclose(logs[0].gain_deviations, 0.02)
+    assert model.effort_signals == signals and not notes
+
+
+def test_logs_of_two_kinds_are_refused_together(arm, torques):
+    with pytest.raises(LogError, match=r"current in .* and effort in"):
+        with_efforts(arm, [currents(torques, GAINS), replace(torques, name="other")])
+
+
+def test_a_model_of_voltages_refuses_currents(arm, torques):
+    signals = tuple(EffortSignal(joint, "voltage", 2.0) for joint in torques.joints)
+    with pytest.raises(LogError, match="knows what makes efforts of its voltage"):
+        with_efforts(replace(arm, effort_signals=signals), [currents(torques, GAINS)])
+
+
+@pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")
+def test_ur10e_gains_lie_in_their_intervals():
+    """The model file is 28 % off in what gravity needs, and its gains know that they may be."""
+    model = load_model(REFERENCE / "ur10e.urdf")
+    log = log_of_model(read_log(DATA / "ur10e_free_c.csv"), model)
+    found = calibrated(model, [currents(log, GAINS)], ["current"] * 6)
+    off = np.log([s.gain / gain for s, gain in zip(found, GAINS, strict=True)])
+    assert (np.abs(off) < 2.0 * np.array([s.uncertainty for s in found])).all()
+
+
+@pytest.mark.thorough
+@pytest.mark.measurements("data/ur10e_free_a.csv", "data/ur10e_free_c.csv", "reference/ur10e.urdf")
+def test_ur10e_gains_by_inertias_fitted_on_another_day():
+    """A model fitted to efforts tells the gains of joints that gravity loads to 5 %."""
+    model = load_model(REFERENCE / "ur10e.urdf")
+    logs = [read_log(DATA / f"ur10e_free_{day}.csv") for day in "ac"]
+    fitted = explain(model, logs[:1]).model
+    log = log_of_model(logs[1], fitted)
+    found = calibrated(fitted, [currents(log, GAINS)], ["current"] * 6)
+    ratio = np.array([s.gain for s in found]) / GAINS
+    np.testing.assert_allclose(ratio[1:4], 1.0, atol=0.05)

@@ -1,0 +1,184 @@
+"""Servos found by the motion: against exact integration, and against MuJoCo's actuators."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from geodrake import load_model
+from geodrake.errors import LogError
+from geodrake.identification.logs.servo_fit import (
+    JointMotions,
+    fit_servo,
+    motions_of,
+)
+from geodrake.identification.logs.signal_calibration import (
+    calibrated,
+    signals_as_efforts,
+    with_efforts,
+)
+from geodrake.logs.motion import JointLog
+from geodrake.logs.preparation import prepare_logs
+from geodrake.model import EffortSignal
+from geodrake.model.signal_efforts import in_efforts, servo_effort
+
+PENDULUM = """
+<robot name="pendulum">
+  <link name="base"/>
+  <link name="rod"><inertial><origin xyz="0 0 -0.4"/><mass value="2.0"/>
+    <inertia ixx="0.05" iyy="0.05" izz="0.002" ixy="0" iyz="0" ixz="0"/></inertial></link>
+  <joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="100" velocity="10"/></joint>
+</robot>
+"""
+PERIOD, LATE = 0.004, 0.009
+TRUTH = np.array([60.0, 0.0, 4.0, 0.9, 0.08, LATE])
+
+
+def command(time):
+    """Slow swings, and small fast ones at which a servo lags."""
+    t = np.asarray(time)
+    return 0.9 * np.sin(1.1 * t) + 0.4 * np.sin(2.7 * t + 1.0) + 0.02 * np.sin(23.0 * t)
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("pendulum") / "pendulum.urdf"
+    path.write_text(PENDULUM)
+    return load_model(path)
+
+
+@pytest.fixture(scope="module")
+def log():
+    """By MuJoCo: a position actuator with velocity feedback, armature, damping, friction."""
+    spec = mujoco.MjSpec.from_string(PENDULUM)
+    spec.option.timestep = 2.5e-4
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    joint = spec.joints[0]
+    joint.limited = 0
+    kp, _, damping, coulomb, armature, late = TRUTH.tolist()
+    size = np.zeros(np.shape(joint.damping))
+    if size.ndim:
+        size[0] = 1.0
+    joint.damping = size if size.ndim else 1.0
+    joint.armature, joint.frictionloss = armature, coulomb
+    actuator = spec.add_actuator(name="servo", target="hinge")
+    actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0], actuator.biasprm[1], actuator.biasprm[2] = kp, -kp, 1.0 - damping
+    engine = spec.compile()
+    data, count = mujoco.MjData(engine), round(16.0 / engine.opt.timestep)
+    data.qpos[0] = command(-late)
+    position = np.empty(count)
+    for k in range(count):
+        position[k] = data.qpos[0]
+        data.ctrl[0] = command(k * engine.opt.timestep - late)
+        mujoco.mj_step(engine, data)
+    rows = slice(1000, None, round(PERIOD / engine.opt.timestep))
+    time = np.arange(count)[rows] * engine.opt.timestep
+    noise = 1e-5 * np.random.default_rng(0).normal(size=len(time))
+    return JointLog(
+        "servo",
+        ("hinge",),
+        time,
+        (position[rows] + noise)[:, None],
+        np.full((len(time), 1), np.nan),
+        command=command(time)[:, None],
+    )
+
+
+@pytest.fixture(scope="module")
+def motions(model, log):
+    sharp = prepare_logs(signals_as_efforts([log], ["command"]), bandwidth=5.0, motion_bandwidth=20)
+    return motions_of(model, [log], sharp, 0)
+
+
+def test_simulation_is_that_of_the_equation():
+    """A linear servo whose bodies have b, M, D and K of their own, by SciPy."""
+    period, count = 0.002, 2500
+    time = period * np.arange(count)
+    b, M, K, D = 0.7, 0.5, 3.0, 0.2
+    kp, kr, d, armature, late = 40.0, 2.0, 3.0, 0.1, 0.007
+
+    def told(t):
+        return np.sin(3.0 * t)
+
+    rows = np.zeros((count, 8))
+    rows[:, :4], rows[:, 7] = (b, M, K, D), told(time)
+
+    def rates(t, state):
+        x, v = state
+        c, rate = told(t - late), 3.0 * np.cos(3.0 * (t - late))
+        force = kp * (c - x) + kr * rate - d * v - b - K * x - D * v
+        return [v, force / (M + armature)]
+
+    exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-9, atol=1e-10)
+    motions = JointMotions((rows,), (exact.y[0],), period)
+    residual = motions.residual(np.array([kp, kr, d, 0.0, armature, late]))
+    after = time > 2.0  # before the log there was no command
+    assert np.abs(residual[after]).max() < 2e-3 * np.abs(exact.y[0]).max()
+
+
+def test_a_joint_sticks_until_friction_is_overcome():
+    rows = np.zeros((400, 8))
+    rows[:, 1] = 1.0
+    rows[:, 7] = 0.01 * np.arange(400) / 400
+    motions = JointMotions((rows,), (np.zeros(400),), 0.005)
+    (x,) = motions.simulated(np.array([100.0, 0.0, 20.0, 0.5, 0.0, 0.0]))
+    assert not x[:199].any()
+    assert x[-1] == pytest.approx(0.01 - 0.005, abs=2e-3)
+
+
+def test_it_finds_what_mujoco_has(motions):
+    fit = fit_servo(motions, 50.0)
+    kp, rate, damping, coulomb, armature, late = fit.parameters
+    assert kp == pytest.approx(TRUTH[0], rel=0.01)
+    assert damping == pytest.approx(TRUTH[2], rel=0.05)
+    assert coulomb == pytest.approx(TRUTH[3], rel=0.05)
+    assert armature == pytest.approx(TRUTH[4], rel=0.25)
+    assert late - rate / kp == pytest.approx(LATE, abs=0.002)
+    assert fit.error < 2e-3 * fit.moved
+    assert fit.error < 0.1 * fit.start
+
+
+def test_a_motion_of_no_servo_is_no_fit(motions):
+    """Windows that were not seen must be predicted better than from where the search began."""
+    rng = np.random.default_rng(0)
+    wild = tuple(q + np.cumsum(rng.normal(size=len(q))) for q in motions.positions)
+    fit = fit_servo(replace(motions, positions=wild), 50.0)
+    assert fit is None or fit.error < fit.start
+
+
+def test_a_log_of_commands_gives_servos_and_efforts(model, log):
+    (signal,) = calibrated(model, [log], ["command"])
+    assert signal.kind == "command"
+    assert abs(signal.gain - TRUTH[0]) < 2.0 * signal.deviation
+    assert signal.gain == pytest.approx(TRUTH[0], rel=0.1)
+    known, (efforts,), notes = with_efforts(model, [log])
+    assert known.effort_signals == (signal,)
+    assert np.isfinite(efforts.effort).all() and "commands" in notes[0]
+
+
+def test_efforts_of_a_servo_are_its_equation(log):
+    signal = EffortSignal("hinge", "command", 60.0, damping=2.0, delay=LATE, limit=5.0)
+    effort = servo_effort(log, 0, signal)
+    inner = slice(10, -10)
+    t = log.time
+    rate = (command(t - LATE + 1e-5) - command(t - LATE - 1e-5)) / 2e-5
+    velocity = np.gradient(log.position[:, 0], t)
+    exact = 60.0 * (command(t - LATE) - log.position[:, 0]) + 2.0 * (rate - velocity)
+    np.testing.assert_allclose(effort[inner], np.clip(exact, -5.0, 5.0)[inner], atol=0.02)
+    same = in_efforts(log, [signal])
+    np.testing.assert_array_equal(same.effort[:, 0], effort)
+
+
+def test_a_limit_is_held(log):
+    signal = EffortSignal("hinge", "command", 60.0, limit=0.5)
+    assert np.abs(in_efforts(log, [signal]).effort).max() == 0.5
+
+
+def test_a_joint_with_nothing_is_refused(model, log):
+    with pytest.raises(LogError):
+        prepare_logs(with_efforts(model, [replace(log, command=None)])[1])
