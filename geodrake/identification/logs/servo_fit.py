@@ -164,8 +164,6 @@ def fit_servo(motions: JointMotions, stiffness: float) -> ServoFit | None:
     if not _rms(motions, half, tested) < _rms(motions, start, tested):
         return None
     best = _best(motions, [half], scale, every)
-    if not _rms(motions, best, every) < _rms(motions, start, every):
-        return None
     bare = _best(motions, [np.where(_FREE, best, 0.0)], scale, every, free=_FREE)
     errors = [motions.residual(each) for each in (bare, best)]
     ends = np.cumsum([len(each) for each in motions.rows])[:-1]
@@ -173,6 +171,8 @@ def fit_servo(motions: JointMotions, stiffness: float) -> ServoFit | None:
     squares = [float(each @ each) for each in errors]
     if worth * np.log(squares[0] / squares[1]) < PENALTY:
         best, errors[1] = bare, errors[0]
+    if not _rms(motions, best, every) < _rms(motions, start, every):
+        return None
     return ServoFit(
         best,
         _deviations(motions, best, scale),
