@@ -1,19 +1,23 @@
 """Rollouts under commands: the servo closes the loop around the simulated robot; by MuJoCo."""
 
+import json
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from geodrake.cli.app import app
 from geodrake.control import command_rollout, roll_out
 from geodrake.control.rollout import case_rollout
 from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
+from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
-from geodrake.model.saved_model import load_model
+from geodrake.model.saved_model import load_model, save_model
 from geodrake.robot import gears
 from geodrake.robot.transmission import Drive
 
@@ -172,6 +176,20 @@ def test_a_case_that_is_open_gives_the_same(arm):
     again = command_rollout(model, [silent], most=2)
     for ours, theirs in zip(found.windows, again.windows, strict=True):
         np.testing.assert_array_equal(ours.simulated, theirs.simulated)
+
+
+def test_the_command_line(arm, tmp_path):
+    log, model = arm
+    save_model(model, tmp_path / "arm.yaml")
+    write_log(log, tmp_path / "log.csv")
+    page, numbers = tmp_path / "r.html", tmp_path / "r.json"
+    line = ["rollout", tmp_path / "arm.yaml", tmp_path / "log.csv", "--commands", "--windows", "2"]
+    line += ["--json", numbers, "--report", page]
+    result = CliRunner().invoke(app, [str(word) for word in line])
+    assert result.exit_code == 0, result.output
+    found = json.loads(numbers.read_text())
+    assert found["under"] == "commands" and found["relative"] < 0.01
+    assert "under the commands of" in page.read_text()
 
 
 def test_logs_without_commands_are_refused(arm):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -159,7 +160,8 @@ def case_rollout(
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
         notes |= dict.fromkeys(simulation(log).notes)
-    return _rollout(model, windows, horizon, (*case.notes, *notes))
+    found = _rollout(model, windows, horizon, (*case.notes, *notes))
+    return replace(found, commands=commands)
 
 
 def _unheard(case: Case) -> list[str]:
