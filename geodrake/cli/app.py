@@ -163,7 +163,7 @@ def explain(options: ExplainOptions) -> None:
 @app.command()
 @taking(RolloutOptions)
 def rollout(options: RolloutOptions) -> None:
-    """Simulate the model under the logged efforts, and show where its motion departs."""
+    """Simulate the model under logged efforts or commands; show where its motion departs."""
     from geodrake.cli.rollout import run_rollout
 
     run_rollout(options)

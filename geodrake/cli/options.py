@@ -195,6 +195,14 @@ class RolloutOptions(LogOptions):
     windows: Annotated[
         int, typer.Option(metavar="N", help="Most windows, spread evenly over the logs.")
     ] = 12
+    commands: Annotated[
+        bool,
+        typer.Option(
+            "--commands",
+            help="Servos of the simulated robot follow the logged commands, instead of the logged "
+            "efforts at their joints.",
+        ),
+    ] = False
     series: SeriesFile = None
     meshcat: Annotated[
         Path | None,

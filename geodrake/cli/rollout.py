@@ -1,4 +1,4 @@
-"""The command `geodrake rollout`: the model simulated under the logged efforts."""
+"""The command `geodrake rollout`: the model simulated under logged efforts or commands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from geodrake.boundary.input_files import regular_file
 from geodrake.cli.options import RolloutOptions
 from geodrake.cli.session import Command, Input, run
 from geodrake.cli.tables import head, say, show_list, show_table
-from geodrake.control.rollout import Rollout, roll_out
+from geodrake.control.rollout import Rollout, command_rollout, roll_out
 from geodrake.errors import ModelError
 from geodrake.model.holding import holding
 from geodrake.model.robot_model import RobotModel
@@ -41,7 +41,8 @@ def run_rollout(options: RolloutOptions) -> None:
         return rolled_out(given.model, given, ""), before
 
     def rolled_out(model: RobotModel, given: Input, prefix: str) -> Rollout:
-        return roll_out(
+        simulate = command_rollout if options.commands else roll_out
+        return simulate(
             model,
             given.logs,
             horizon=options.horizon,

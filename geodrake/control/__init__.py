@@ -12,16 +12,18 @@ from geodrake.control.adaptation import (
 from geodrake.control.loops import AdaptiveLoop, add_adaptive_loop
 from geodrake.control.online_estimation import FilteredRegressor, SampleUpdate
 from geodrake.control.regressor import ControlModel
-from geodrake.control.rollout import Rollout, roll_out
+from geodrake.control.rollout import Rollout, command_rollout, roll_out
 from geodrake.control.systems import (
     AdaptiveComputedTorqueController,
     BregmanProjectionEstimator,
+    DcMotor,
     DelayedEffort,
     EffectForce,
     FixedGains,
     LogSource,
     ModelResidual,
     PassivityBasedAdaptiveController,
+    PositionServo,
     PredictionError,
     VaryingGains,
     add_tracking_drives,
@@ -32,6 +34,7 @@ __all__ = [
     "AdaptiveLoop",
     "BregmanProjectionEstimator",
     "ControlModel",
+    "DcMotor",
     "DelayedEffort",
     "EffectForce",
     "FilteredRegressor",
@@ -40,6 +43,7 @@ __all__ = [
     "ModelResidual",
     "PartialLaw",
     "PassivityBasedAdaptiveController",
+    "PositionServo",
     "PredictionError",
     "ProjectedLaw",
     "Rollout",
@@ -48,6 +52,7 @@ __all__ = [
     "adapted_parameters",
     "add_adaptive_loop",
     "add_tracking_drives",
+    "command_rollout",
     "euclidean_adaptation",
     "natural_adaptation",
     "parameter_manifold",

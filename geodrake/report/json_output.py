@@ -204,6 +204,7 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
         rollout: The result of `geodrake.control.rollout.roll_out`.
     """
     return {
+        "under": rollout.under,
         "horizon": rollout.horizon,
         "windows": [{"log": w.log, "start": float(w.time[0])} for w in rollout.windows],
         "broken": rollout.broken,

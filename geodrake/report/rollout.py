@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 _CAPTION = (
     "Positions, window after window. Each window starts at the measured state; from there on the "
-    "simulated robot is alone with the logged efforts. Lines are cut off where they leave the axes."
+    "simulated robot is alone with the logged {under}. Lines are cut off where they leave the axes."
 )
 SIMULATED = Stage("after", "simulated", "after")
 BEFORE = Stage("before", "before", "before")
@@ -66,14 +66,15 @@ def render_rollout(
     )
     page = Page(
         title,
-        f"{model_name} under the efforts of {', '.join(log_names)}",
+        f"{model_name} under the {after.under} of {', '.join(log_names)}",
         "compared",
         "simulated",
         f"The simulated model departs by {departure(after.relative)} of the motion.",
         ("Root mean square over joints of RMS departure over RMS motion.",),
         tiles,
         (Section("Joint by joint", (text,), (table,), charts=charts),),
-        "Made by geodrake: a plant with the model's inertias and effects under the logged efforts.",
+        f"Made by geodrake: a plant with the model's inertias and effects under the logged "
+        f"{after.under}.",
         links or {},
     )
     return render(page)
@@ -107,7 +108,8 @@ def rollout_chart(after: Rollout, before: Rollout | None, units: Units) -> Chart
         (f"{w.log} {w.time[0]:.1f} s", float(w.time[0]), float(w.time[-1]), float(s - w.time[0]))
         for s, w in zip(starts, after.windows, strict=True)
     )
-    return Chart("rollout", _CAPTION, (MEASURED, *rollouts), _shown(panels, after), spans)
+    caption = _CAPTION.format(under=after.under)
+    return Chart("rollout", caption, (MEASURED, *rollouts), _shown(panels, after), spans)
 
 
 def _within(span: tuple[float, float], values: Array) -> Array:

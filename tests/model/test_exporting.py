@@ -422,7 +422,8 @@ def test_isaac_has_a_value_for_everything_that_it_would_read_elsewhere(tmp_path)
         "friction": 0.0,
         "dynamic_friction": 0.0,
         "viscous_friction": pytest.approx(1.1),
-        "delay": 0.012,
+        "delay": 0.0,
+        "effort_delay": 0.012,
     }
     assert joints[a]["friction"] == pytest.approx(joints[a]["dynamic_friction"] + 0.2)
 

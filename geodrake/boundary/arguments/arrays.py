@@ -55,7 +55,13 @@ def real_array(
 
 
 def one_or_each(
-    value: Any, name: str, count: int, *, lower: float = 0.0, strict: bool = False
+    value: Any,
+    name: str,
+    count: int,
+    *,
+    lower: float = 0.0,
+    strict: bool = False,
+    finite: bool = True,
 ) -> Array:
     """Numbers (count,) from one for all, or one for each.
 
@@ -65,11 +71,12 @@ def one_or_each(
         count: How many numbers there must be, unless there is one for all.
         lower: Least value.
         strict: Whether `lower` itself is refused.
+        finite: Whether infinity is refused; NaN always is.
 
     Raises:
         ArgumentError: They are something else, not as many, or below `lower` (or at it, if strict).
     """
-    array = real_array(value, name)
+    array = real_array(value, name, finite=finite)
     if array.shape not in ((), (count,)):
         raise ArgumentError(
             f"{name} must be one number or {count}; it has the shape {array.shape}.", name=name

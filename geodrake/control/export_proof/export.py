@@ -21,6 +21,7 @@ from geodrake.logs.motion import JointLog
 from geodrake.model.exporting.export_format import Exported, ExportFormat
 from geodrake.model.exporting.held import held_by
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
 
 _SEVERAL = (
     "the robot has joints of several degrees of freedom, so the export was not tried in simulators"
@@ -116,6 +117,11 @@ def export_with_proof(
         costs = costs_of(case, held, form, motions, proof.ignored)
     lacks = costs.effects if costs else tuple(Cost(lost, None) for lost in held.lost)
     notes = [*(model.notes if case is None else case.notes), *exported.notes, *proof.notes]
+    if told := [servo.joint for servo in servos_of(model) if servo and not form.servos]:
+        notes.append(
+            f"{form.name} does not have the gains of servos, such as those of {', '.join(told)}; "
+            "mjcf and isaac do, and PositionServo in a Drake diagram"
+        )
     if "drake" in form.engines and (proof.ignored or held.lost):
         notes.append(_IN_DRAKE)
     return ProvenExport(form, exported, held.model, lacks, costs, proof, tuple(notes))

@@ -144,7 +144,7 @@ def _of_rollouts(
     if not starts:
         return None
     with np.errstate(all="ignore"):
-        ours = roll_out_all(without(held, loaded.ignores), starts, STEP)
+        ours = roll_out_all(without(held, loaded.ignores), starts, STEP, loaded.drives)
     if not np.abs(ours - ours[:, :1]).max() < _FARTHEST:  # NaN neither
         raise RuntimeError("the model moves too fast for steps of a millisecond")
     theirs = [loaded.roll_out(start.q, start.v, start.effort, STEP) for start in starts]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.control.export_proof.drives import Drives
 from geodrake.effects import Effect
 from geodrake.logs.motion import Motion
 from geodrake.model.file_terms import DryFriction
@@ -45,25 +46,35 @@ def without(model: RobotModel, kinds: tuple[type[Effect], ...]) -> RobotModel:
     return replace(model, effects=effects, information=None, fading_speed=None)
 
 
-def roll_out_all(model: RobotModel, starts: Sequence[Start], step: float) -> Array:
+def roll_out_all(
+    model: RobotModel, starts: Sequence[Start], step: float, drives: Drives | None = None
+) -> Array:
     """Rollouts of a model without dry friction, all at once, by the classic Runge–Kutta method.
 
     Args:
         model: The model, whose effects depend on nothing but q, v and v̇.
         starts: Where the W rollouts start, and their K efforts.
         step: Length of a step, s.
+        drives: Actuators that are told `Drives.controls` in the place of efforts, if any.
 
     Returns:
         (W, K + 1, nv) positions, rad or m.
     """
     smooth = without(model, (DryFriction,))
+    drives = Drives.of(model, ()) if drives is None else drives
     q, v = np.array([start.q for start in starts]), np.array([start.v for start in starts])
+    controls = np.array([drives.controls(start.q, start.effort) for start in starts])
+
+    def acceleration(q: Array, v: Array, k: int, share: float) -> Array:
+        told = drives.told(controls, k, share, step)
+        return _acceleration(smooth, q, v, drives.effort(told, q, v))
+
     found = [q]
-    for effort in np.array([start.effort for start in starts]).swapaxes(0, 1):
-        a1 = _acceleration(smooth, q, v, effort)
-        a2 = _acceleration(smooth, q + step / 2 * v, v2 := v + step / 2 * a1, effort)
-        a3 = _acceleration(smooth, q + step / 2 * v2, v3 := v + step / 2 * a2, effort)
-        a4 = _acceleration(smooth, q + step * v3, v4 := v + step * a3, effort)
+    for k in range(controls.shape[1]):
+        a1 = acceleration(q, v, k, 0.0)
+        a2 = acceleration(q + step / 2 * v, v2 := v + step / 2 * a1, k, 0.5)
+        a3 = acceleration(q + step / 2 * v2, v3 := v + step / 2 * a2, k, 0.5)
+        a4 = acceleration(q + step * v3, v4 := v + step * a3, k, 1.0)
         q = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
         found.append(q)

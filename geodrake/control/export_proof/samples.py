@@ -23,6 +23,7 @@ _COMPARED = 400  # samples at which efforts are compared
 _STARTS = 4
 _RANDOM, _PERIOD = 3000, 0.01  # samples where there is no log, and their distance, s
 _WAVES, _FREQUENCIES = 4, (0.1, 1.0)  # Hz
+_SWING, _SWING_FREQUENCY = 0.3, 7.0  # share of the efforts of random starts, Hz
 _LARGEST, _FASTEST = np.pi, 2.0  # rad or m, and per s
 
 
@@ -121,7 +122,7 @@ def _logged_start(held: RobotModel, part: Segment) -> Start:
 
 
 def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
-    """Starts of rollouts along a motion, under the efforts that would hold the posture there.
+    """Starts of rollouts along a motion, under efforts about those that hold the posture there.
 
     Args:
         held: The model that an export holds.
@@ -130,5 +131,6 @@ def random_starts(held: RobotModel, motion: Motion) -> list[Start]:
     every, order = len(motion.v) // _STARTS, position_order(held)
     q, v = motion.q[::every], motion.v[::every]
     effort = held.effort(Motion(q, np.zeros_like(v), np.zeros_like(v)))
-    steps = round(HORIZON / STEP)
-    return [Start(q[k][order], v[k], np.tile(effort[k], (steps, 1))) for k in range(len(v))]
+    time = np.arange(round(HORIZON / STEP)) * STEP
+    share = 1.0 + _SWING * np.sin(2 * np.pi * _SWING_FREQUENCY * time)  # so that delays are felt
+    return [Start(q[k][order], v[k], np.outer(share, effort[k])) for k in range(len(v))]

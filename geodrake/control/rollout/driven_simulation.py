@@ -8,24 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
-from pydrake.systems.primitives import TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
 
+from geodrake.control.rollout.acting import Acting, picked
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.rollout.simulation import FASTEST, positions_along
 from geodrake.model.robot_model import RobotModel
-from geodrake.model.simulation.driven_robot import Driving, JointEffort
+from geodrake.model.simulation.driven_robot import ActuatorState, Driving, JointEffort
 from geodrake.robot.plant import load_plant, set_inertial_parameters
 
 Array = NDArray[np.float64]
 
 
 class DrivenSimulation:
-    """The diagram: measured efforts of actuators, and the plant, in the time of a log.
+    """The diagram: efforts of actuators, and the plant, in the time of a log.
 
     Args:
         model: The model.
         driving: How its plant moves.
+        acting: What acts on the actuators.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
     """
@@ -33,29 +33,38 @@ class DrivenSimulation:
     notes: tuple[str, ...] = ()
 
     def __init__(
-        self, model: RobotModel, driving: Driving, fastest: Array, steps: Iterator[int]
+        self,
+        model: RobotModel,
+        driving: Driving,
+        acting: Acting,
+        *,
+        fastest: Array,
+        steps: Iterator[int],
     ) -> None:
         self._model, self._fastest, self._steps = model, fastest, steps
+        self._acting = acting
         builder = DiagramBuilder()
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
         self._plant = builder.AddSystem(loaded.plant)
         self._driving = driving.in_plant(self._plant)
-        none = PiecewisePolynomial(np.zeros(len(model.joints)))
-        self._effort = builder.AddSystem(TrajectorySource(none))
+        places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
+        self._order = np.argsort(places)  # where the position of each velocity stands
+        seen = builder.AddSystem(ActuatorState(self._driving))
         force = builder.AddSystem(JointEffort(self._driving))
-        builder.Connect(self._plant.get_state_output_port(), force.GetInputPort("plant_state"))
-        builder.Connect(self._effort.get_output_port(), force.GetInputPort("effort"))
+        for system in (seen, force):
+            port = system.GetInputPort("plant_state")
+            builder.Connect(self._plant.get_state_output_port(), port)
+        own = np.concatenate([self._order, len(places) + np.arange(len(places))])
+        state = picked(builder, seen.get_output_port(), own)
+        builder.Connect(acting.add(builder, state), force.GetInputPort("effort"))
         port = self._plant.get_applied_generalized_force_input_port()
         builder.Connect(force.get_output_port(), port)
         self._diagram = builder.Build()
-        places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
-        self._order = np.argsort(places)  # where the position of each velocity stands
 
     def positions(self, passage: Passage) -> Array:
         """(K, nv) positions from a passage's first state on; see `Simulation.positions`."""
         segment, time = passage.segment, passage.time
-        hold = PiecewisePolynomial.FirstOrderHold(time, np.asarray(segment.effort).T)
-        self._effort.UpdateTrajectory(hold)
+        self._acting.begin(passage)
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])

@@ -58,7 +58,7 @@ class JointDeparture:
 
 @dataclass(frozen=True, eq=False)
 class Rollout(Shown):
-    """A model simulated under measured efforts.
+    """A model simulated under logged efforts or commands.
 
     Attributes:
         joints: Departures of every joint.
@@ -66,6 +66,7 @@ class Rollout(Shown):
         horizon: Length of the windows, s.
         broken: Windows in which the simulation could not go on to the end, or left all reason.
         notes: What was done to the logs, noticed about the model, and assumed in the simulation.
+        commands: Whether servos closed the loop under logged commands.
     """
 
     joints: tuple[JointDeparture, ...]
@@ -73,6 +74,12 @@ class Rollout(Shown):
     horizon: float
     broken: int
     notes: tuple[str, ...] = ()
+    commands: bool = False
+
+    @property
+    def under(self) -> str:
+        """What the model was simulated under."""
+        return "commands" if self.commands else "efforts"
 
     @property
     def relative(self) -> float:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from geodrake.boundary.arguments import function, integer, real_array
+from geodrake.control.rollout.acting import LoggedEffort, ServoedCommand, told_joints
 from geodrake.control.rollout.driven_simulation import DrivenSimulation
 from geodrake.control.rollout.passages import moving_passages
 from geodrake.control.rollout.results import JointDeparture, Rollout, Window
 from geodrake.control.rollout.simulation import Simulation, allowed_steps
-from geodrake.errors import ArgumentError
-from geodrake.identification.logs.case import open_case
+from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
 from geodrake.model.carried_payloads import carrying
@@ -64,16 +66,75 @@ def roll_out(
         LogError: A log cannot be used, or none moves for as long as a window.
         ModelError: Joints follow others, and an effect depends on accelerations or loads.
     """
-    real_array(horizon, "horizon", (), finite=False)
-    integer(most, "most", upper=np.inf)
-    if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
-        raise ArgumentError(
-            f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "
-            f"it got a horizon of {horizon} s and {most} windows."
-        )
-    if progress is not None:
-        function(progress, "progress")
+    _check(horizon, most, progress)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    return case_rollout(case, horizon=horizon, most=most, progress=progress)
+
+
+def command_rollout(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    horizon: float = HORIZON,
+    most: int = MOST_WINDOWS,
+    bandwidth: float | None = None,
+    progress: Progress | None = None,
+) -> Rollout:
+    """Simulate a model under the commands of logs: its servos close the loop.
+
+    As `roll_out`, but a joint with a servo (`RobotModel.effort_signals` of the kind "command")
+    gets the effort that the servo makes of the command of the log, late by its delay, and of the
+    *simulated* position and velocity. Measured positions count where a window starts, and
+    afterwards only as what is compared: departures are those of the motion itself, in rad or m,
+    and as shares of what each joint moves. Joints without a servo, or without a command in a log,
+    get the efforts of the log, as in `roll_out`.
+
+    Args:
+        model: The model; servos that it does not know are found by its inertias first.
+        logs: Logs or their files, one with commands at least.
+        horizon: Length of a window, s.
+        most: Most windows; they are spread evenly over all that moves.
+        bandwidth: As for `roll_out`.
+        progress: Called with each window: its log, and the share that is done.
+
+    Raises:
+        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
+        LogError: A log cannot be used, or none moves for as long as a window, or has commands of
+            servos.
+        ModelError: Joints follow others, and an effect depends on accelerations or loads.
+    """
+    _check(horizon, most, progress)
+    case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
+    return case_rollout(case, horizon=horizon, most=most, commands=True, progress=progress)
+
+
+def case_rollout(
+    case: Case,
+    *,
+    horizon: float = HORIZON,
+    most: int = MOST_WINDOWS,
+    commands: bool = False,
+    progress: Progress | None = None,
+) -> Rollout:
+    """The rollout of the model of a case, whose logs are prepared.
+
+    Args:
+        case: Model and logs.
+        horizon: Length of a window, s.
+        most: Most windows.
+        commands: Whether servos close the loop, as in `command_rollout`.
+        progress: Called with each window: its log, and the share that is done.
+
+    Raises:
+        LogError: No log moves for as long as a window, or none has commands of servos.
+        ModelError: Joints follow others, and an effect depends on accelerations or loads.
+    """
+    model, logs = case.model, {log.name: log for log in case.asked.logs}
+    if commands and not any(told_joints(model, log).any() for log in logs.values()):
+        raise LogError(
+            "No log has the commands of a servo that the model knows.",
+            advice="Roll out under efforts, or give logs with columns <joint>.command.",
+        )
     passages = moving_passages(case, horizon)
     count = min(most, len(passages))
     chosen = np.unique(np.linspace(0, len(passages) - 1, count).round().astype(int)).tolist()
@@ -85,11 +146,13 @@ def roll_out(
     @cache
     def simulation(log: str) -> Simulation | DrivenSimulation:
         loaded = carrying(model, carried[log])
+        servoed = commands and told_joints(model, logs[log]).any()
+        acting = ServoedCommand(model, logs[log]) if servoed else LoggedEffort(len(model.joints))
         if loaded.transmission and (driving := loaded.driving(width, log)) is not None:
-            return DrivenSimulation(loaded, driving, fastest, steps)
-        return Simulation(loaded, width, log, fastest, steps)
+            return DrivenSimulation(loaded, driving, acting, fastest=fastest, steps=steps)
+        return Simulation(loaded, width, log, acting, fastest=fastest, steps=steps)
 
-    windows, notes = list[Window](), dict[str, None]()
+    windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
     for count, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment
         if progress is not None:
@@ -97,7 +160,35 @@ def roll_out(
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
         notes |= dict.fromkeys(simulation(log).notes)
-    return _rollout(model, windows, horizon, (*case.notes, *notes))
+    found = _rollout(model, windows, horizon, (*case.notes, *notes))
+    return replace(found, commands=commands)
+
+
+def _unheard(case: Case) -> list[str]:
+    """A note on delays of efforts that servos make themselves."""
+    model = case.model
+    told = np.any([told_joints(model, log) for log in case.asked.logs], axis=0)
+    late = [model.joints[j] for j in np.flatnonzero(model.delays * told)]
+    if not late:
+        return []
+    return [f"effort_delay of {', '.join(late)} does not count: servos make these efforts at once"]
+
+
+def _check(horizon: float, most: int, progress: Progress | None) -> None:
+    """Refuses windows that cannot be.
+
+    Raises:
+        ArgumentError: The horizon is not from 1 ms to 1000 s, or there are no windows.
+    """
+    real_array(horizon, "horizon", (), finite=False)
+    integer(most, "most", upper=np.inf)
+    if not (_SHORTEST <= horizon <= _LONGEST and most >= 1):
+        raise ArgumentError(
+            f"A rollout needs a horizon of {_SHORTEST:g} to {_LONGEST:g} s and a window at least; "
+            f"it got a horizon of {horizon} s and {most} windows."
+        )
+    if progress is not None:
+        function(progress, "progress")
 
 
 def _rollout(

@@ -1,4 +1,4 @@
-"""The simulation behind rollouts: a Drake diagram of a model under measured efforts."""
+"""The simulation behind rollouts: a Drake diagram of a model under efforts or commands."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator, SimulatorStatus
-from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
-from pydrake.systems.primitives import Adder, TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, OutputPort
+from pydrake.systems.primitives import Adder, MatrixGain
 
+from geodrake.control.rollout.acting import Acting, picked
 from geodrake.control.rollout.following import FollowingEffort
 from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems import EffectForce
@@ -82,12 +82,13 @@ def positions_along(
 
 
 class Simulation:
-    """The diagram: measured efforts, effects, and the plant, in the time of a log.
+    """The diagram: efforts, effects, and the plant, in the time of a log.
 
     Args:
         model: The model.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
         log: Name of the log.
+        acting: What acts on the joints.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
     """
@@ -97,10 +98,12 @@ class Simulation:
         model: RobotModel,
         sign_width: Array,
         log: str,
+        acting: Acting,
+        *,
         fastest: Array,
         steps: Iterator[int],
     ) -> None:
-        self._model, self._sign_width = model, sign_width
+        self._model, self._sign_width, self._acting = model, sign_width, acting
         self._fastest, self._steps = fastest, steps
         builder = DiagramBuilder()
         loaded = load_plant(model.path, floating=model.floating, held=model.held, given=model.given)
@@ -116,24 +119,44 @@ class Simulation:
             )
         )
         _check_followers(model, implicit=self._force.implicit)
-        nv = self._plant.num_velocities()
-        self._effort = builder.AddSystem(TrajectorySource(PiecewisePolynomial(np.zeros(nv))))
-        total = builder.AddSystem(Adder(2, nv))
-        builder.Connect(self._plant.get_state_output_port(), self._force.GetInputPort("state"))
-        builder.Connect(self._effort.get_output_port(), self._force.GetInputPort("applied_effort"))
-        builder.Connect(self._effort.get_output_port(), total.get_input_port(0))
-        builder.Connect(self._force.GetOutputPort("generalized_force"), total.get_input_port(1))
-        acting = total.get_output_port()
-        if model.followers:
-            following = builder.AddSystem(FollowingEffort(model))
-            builder.Connect(self._plant.get_state_output_port(), following.GetInputPort("state"))
-            builder.Connect(acting, following.GetInputPort("effort"))
-            acting = following.get_output_port()
-        builder.Connect(acting, self._plant.get_applied_generalized_force_input_port())
-        self._diagram = builder.Build()
         # Where the position of each velocity stands.
         places = model.positions(np.arange(len(model.joints), dtype=float)[None])[0]
         self._order = model.coordinates.own_positions[np.argsort(places)]
+        nv = self._plant.num_velocities()
+        effort = self._whole_effort(builder, acting.add(builder, self._measured_state(builder)))
+        total = builder.AddSystem(Adder(2, nv))
+        builder.Connect(self._plant.get_state_output_port(), self._force.GetInputPort("state"))
+        builder.Connect(effort, self._force.GetInputPort("applied_effort"))
+        builder.Connect(effort, total.get_input_port(0))
+        builder.Connect(self._force.GetOutputPort("generalized_force"), total.get_input_port(1))
+        moving = total.get_output_port()
+        if model.followers:
+            following = builder.AddSystem(FollowingEffort(model))
+            builder.Connect(self._plant.get_state_output_port(), following.GetInputPort("state"))
+            builder.Connect(moving, following.GetInputPort("effort"))
+            moving = following.get_output_port()
+        builder.Connect(moving, self._plant.get_applied_generalized_force_input_port())
+        self._diagram = builder.Build()
+
+    def _measured_state(self, builder: DiagramBuilder) -> OutputPort:
+        """Positions and velocities (2 nv) of the motors, in the model's order."""
+        soft = self._force.soft_joints
+        port = (
+            self._force.GetOutputPort("motor_state")
+            if soft
+            else self._plant.get_state_output_port()
+        )
+        own = self._plant.num_positions() + self._model.coordinates.own_velocities
+        return picked(builder, port, np.concatenate([self._order, own]))
+
+    def _whole_effort(self, builder: DiagramBuilder, effort: OutputPort) -> OutputPort:
+        """Efforts (nv of the plant), of those of the model."""
+        to_plant = self._whole(np.eye(effort.size())).T
+        if np.array_equal(to_plant, np.eye(effort.size())):
+            return effort
+        gain = builder.AddSystem(MatrixGain(to_plant))
+        builder.Connect(effort, gain.get_input_port())
+        return gain.get_output_port()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -141,15 +164,13 @@ class Simulation:
         return self._force.notes
 
     def positions(self, passage: Passage) -> Array:
-        """(K, nv) positions from a passage's first state on, under its efforts.
+        """(K, nv) positions from a passage's first state on, under what acts in it.
 
         From where a joint is a million times as fast as it was measured, or no steps of the
         integrator are left, they are NaN.
         """
         segment, time = passage.segment, passage.time
-        self._effort.UpdateTrajectory(
-            PiecewisePolynomial.FirstOrderHold(time, self._whole(np.asarray(segment.effort)).T)
-        )
+        self._acting.begin(passage)
         simulator = Simulator(self._diagram)
         root = simulator.get_mutable_context()
         root.SetTime(time[0])

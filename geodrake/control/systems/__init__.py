@@ -7,6 +7,7 @@ from geodrake.control.systems.adaptive_computed_torque_controller import (
 )
 from geodrake.control.systems.adaptive_controller import AdaptiveController
 from geodrake.control.systems.bregman_projection_estimator import BregmanProjectionEstimator
+from geodrake.control.systems.dc_motor import DcMotor
 from geodrake.control.systems.log_source import LogSource
 from geodrake.control.systems.model_residual import ModelResidual
 from geodrake.control.systems.passivity_based_adaptive_controller import (
@@ -14,6 +15,7 @@ from geodrake.control.systems.passivity_based_adaptive_controller import (
     PassivityBasedAdaptiveController,
     VaryingGains,
 )
+from geodrake.control.systems.position_servo import PositionServo
 from geodrake.control.systems.prediction_error import PredictionError
 from geodrake.control.systems.safeguards import Safeguards
 from geodrake.control.systems.tracking import add_tracking_drives
@@ -24,12 +26,14 @@ __all__ = [
     "AdaptiveComputedTorqueController",
     "AdaptiveController",
     "BregmanProjectionEstimator",
+    "DcMotor",
     "DelayedEffort",
     "EffectForce",
     "FixedGains",
     "LogSource",
     "ModelResidual",
     "PassivityBasedAdaptiveController",
+    "PositionServo",
     "PredictionError",
     "Safeguards",
     "VaryingGains",

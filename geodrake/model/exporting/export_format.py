@@ -42,6 +42,7 @@ class ExportFormat:
         write: Makes the files.
         engines: Names of the simulators in which the files are tried.
         at_actuators: Whether the files have the efforts of actuators behind a transmission, too.
+        servos: Whether the files have the gains of servos.
     """
 
     name: str
@@ -49,3 +50,4 @@ class ExportFormat:
     write: Write
     engines: tuple[str, ...] = ()
     at_actuators: bool = False
+    servos: bool = False

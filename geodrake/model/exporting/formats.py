@@ -76,6 +76,7 @@ def _written(model: RobotModel) -> Callable[[Effect], bool]:
     return is_written
 
 
+_MJCF, _ISAAC = _and(_and(_joints("xml"), Tilt), Delay), _and(_joints("urdf"), Delay)
 _URDF_ENGINES = ("drake", "pinocchio")
 
 FORMATS = {
@@ -83,9 +84,11 @@ FORMATS = {
     for each in (
         ExportFormat("urdf", _joints("urdf"), _file("urdf"), _URDF_ENGINES),
         ExportFormat("sdf", _joints("sdf"), _file("sdf"), ("drake",)),
-        ExportFormat("mjcf", _and(_joints("xml"), Tilt), _file("xml"), ("mujoco",)),
+        ExportFormat("mjcf", _MJCF, _file("xml"), ("mujoco",), servos=True),
         ExportFormat("drake", _and(_joints(*KINDS), Tilt, stands_free), drake_files, ("drake",)),
-        ExportFormat("isaac", _and(_joints("urdf"), Delay), isaac_files, _URDF_ENGINES),
+        ExportFormat(
+            "isaac", _and(_joints("urdf"), Delay), isaac_files, _URDF_ENGINES, servos=True
+        ),
         ExportFormat("python", _written, _source("python"), ("python",), True),
         ExportFormat("cpp", _written, _source("cpp"), at_actuators=True),
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from geodrake.model.exporting.actuators import actuators_of
 from geodrake.model.exporting.export_format import Exported
 from geodrake.model.exporting.held import HeldModel
 from geodrake.model.exporting.joint_numbers import joint_numbers
@@ -24,8 +25,10 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     """A robot's URDF, and the values that Isaac Lab's actuators take.
 
     Viscous friction is `viscous_friction`, since `damping` is a gain; static `friction` is what
-    Stribeck friction makes of the dynamic one at rest. The delay is in seconds: `min_delay` and
-    `max_delay` of a DelayedPDActuatorCfg are it in steps of the simulation.
+    Stribeck friction makes of the dynamic one at rest. Stiffness and damping are those of servos,
+    0 for joints that are moved by efforts. `delay` is that of what a drive is told, in seconds:
+    `min_delay` and `max_delay` of a DelayedPDActuatorCfg are it in steps of the simulation.
+    `effort_delay` is that of measured efforts, which drives do not have.
 
     Args:
         model: The whole model.
@@ -34,25 +37,27 @@ def isaac_files(model: RobotModel, held: HeldModel, folder: Path) -> Exported:
     """
     name, data, notes = model_file(held.model, "urdf", folder)
     by_scoped = joint_numbers(held.model)
-    limits, delays = (model.effort_limits, model.velocity_limits), model.delays.tolist()
-    columns = zip(model.joints, model.scoped_joints, *limits, delays, strict=True)
+    speeds = dict(zip(model.joints, model.velocity_limits.tolist(), strict=True))
+    scoped = dict(zip(model.joints, model.scoped_joints, strict=True))
     static = _static_excess(model)
     joints = {}
-    for joint, scoped, effort, speed, delay in columns:
-        if (numbers := by_scoped.get(scoped)) is None:
+    for actuator in actuators_of(model):
+        joint, speed = actuator.joint, speeds[actuator.joint]
+        if (numbers := by_scoped.get(scoped[joint])) is None:
             continue
         joints[joint] = {
-            "effort_limit": float(effort) if np.isfinite(effort) else None,
-            "velocity_limit": float(speed) if np.isfinite(speed) else None,
-            "stiffness": 0.0,
-            "damping": 0.0,
+            "effort_limit": actuator.limit if np.isfinite(actuator.limit) else None,
+            "velocity_limit": speed if np.isfinite(speed) else None,
+            "stiffness": actuator.stiffness,
+            "damping": actuator.damping,
             "armature": numbers.armature,
             "friction": numbers.friction + static.get(joint, 0.0),
             "dynamic_friction": numbers.friction,
             "viscous_friction": numbers.damping,
-            "delay": delay,
+            "delay": actuator.delay,
+            "effort_delay": actuator.measured_late,
         }
-    table = {"urdf": name, "units": "SI; delay in s", "joints": joints}
+    table = {"urdf": name, "units": "SI; delays in s", "joints": joints}
     files = {
         name: data,
         f"{name.removesuffix('.urdf')}.actuators.json": (

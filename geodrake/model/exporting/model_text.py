@@ -16,6 +16,7 @@ from geodrake.model.exporting.joint_numbers import (
     joint_numbers,
     stated_numbers,
 )
+from geodrake.model.exporting.mjcf_actuators import with_actuators
 from geodrake.model.file_terms import Tilt
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.files.joint_text import with_gravity, with_joint_numbers
@@ -68,11 +69,15 @@ def model_file(model: RobotModel, kind: str, folder: Path) -> tuple[str, bytes, 
         f"{name} is made of the bodies and joints of {model.path.name}, without geometry; links "
         "that are welded together are one"
     )
-    return name, written_anew(model, kind, tilted_gravity(model)), (note,)
+    data = written_anew(model, kind, tilted_gravity(model))
+    if kind != "xml":
+        return name, data, (note,)
+    data, more = with_actuators(data, folder / name, model, anew=True)
+    return name, data, (note, *more)
 
 
 def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]:
-    """The user's file with inertias, friction, rotors and springs of a model; the rest stays.
+    """The user's file with what it holds of a model; the rest stays.
 
     Args:
         model: The model, of effects that the format of its file holds.
@@ -102,12 +107,15 @@ def model_text(model: RobotModel, folder: Path) -> tuple[bytes, tuple[str, ...]]
     data = with_joint_numbers(data, path, changes)
     if text.kind == "xml" and tilted(model):
         data = with_gravity(data, path, tilted_gravity(model))
+    acting: tuple[str, ...] = ()
+    if text.kind == "xml":
+        data, acting = with_actuators(data, path, model, anew=False)
     moved = with_references(data, path, folder)
     elsewhere = (
         f"meshes and other files that {path.name} names stay where they are; the copy names them "
         "from its folder"
     )
-    return moved, (*exported.notes, *([elsewhere] if moved != data else ()))
+    return moved, (*exported.notes, *acting, *([elsewhere] if moved != data else ()))
 
 
 def tilted(model: RobotModel) -> bool:

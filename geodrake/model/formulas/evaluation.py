@@ -126,7 +126,8 @@ def _root(x: Any) -> Any:
 
 def _if_then_else(condition: Any, first: Any, last: Any) -> Any:
     if isinstance(condition, symbolic.Formula):
-        return symbolic.if_then_else(condition, Expression(first), Expression(last))
+        each = (x if isinstance(x, Expression) else Expression(x) for x in (first, last))
+        return symbolic.if_then_else(condition, *each)
     return first if condition else last
 
 

@@ -87,7 +87,13 @@ def _sdf_joints(root: SourceElement, path: Path, scope: str = "") -> dict[str, S
     return found
 
 
-def _mjcf_joints(root: SourceElement, path: Path) -> dict[str, SourceElement]:
+def mjcf_joints(root: SourceElement, path: Path) -> dict[str, SourceElement]:
+    """The joints of an MJCF file by scoped name, nameless ones as geodrake calls them.
+
+    Args:
+        root: The root element.
+        path: The file, for the name of a model that has none.
+    """
     scope = root.attributes.get("model") or path.stem
     found = {}
     for k, body in enumerate(b for b in root.walk() if b.tag == "body"):
@@ -202,6 +208,6 @@ _Write = Callable[[SourceText, SourceElement, Change], None]
 _FORMATS: Mapping[str, tuple[_Find, _Write]] = {
     "robot": (_urdf_joints, _write_urdf),
     "sdf": (_sdf_joints, _write_sdf),
-    "mujoco": (_mjcf_joints, _write_mjcf),
+    "mujoco": (mjcf_joints, _write_mjcf),
 }
 """Root element -> the joints of a format by scoped name, and what writes into one."""

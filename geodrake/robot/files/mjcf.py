@@ -27,6 +27,7 @@ from geodrake.robot.transmission.statements import Followers, Statement
 
 _POSE = ("pos", "quat", "euler", "axisangle", "xyaxes", "zaxis")
 _OF_MOTORS = ("actuator", "tendon", "default")
+_ACTUATORS = ("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder")
 _IGNORED = ("tendon", "sensor", "keyframe", "visual", "statistic", "contact", "camera", "light")
 
 
@@ -66,6 +67,32 @@ class MjcfText(ModelText):
     def motors(self) -> tuple[Statement, ...]:
         """Gears of actuators, and fixed tendons."""
         return mjcf_motors(self._motors, self.path)
+
+    @property
+    def driven_joints(self) -> frozenset[str]:
+        """Names of joints that actuators of the file drive, by themselves or by fixed tendons."""
+        pulled = {
+            tendon.get("name"): {part.get("joint", "") for part in tendon}
+            for group in self._motors.findall("tendon")
+            for tendon in group.findall("fixed")
+        }
+        found = set[str]()
+        for motor in (each for group in self._motors.findall("actuator") for each in group):
+            found |= {motor.get("joint", ""), motor.get("jointinparent", "")}
+            found |= pulled.get(motor.get("tendon"), set())
+        return frozenset(found - {""})
+
+    @property
+    def actuator_defaults(self) -> bool:
+        """Whether actuators without a class have defaults other than MuJoCo's."""
+        mains = self._motors.findall("default")
+        return any(child.tag in _ACTUATORS for main in mains for child in main)
+
+    @property
+    def timestep(self) -> float:
+        """Step of the simulation, s."""
+        stated = [option.get("timestep") for option in self.root.findall("option")]
+        return float(numbers(next(filter(None, reversed(stated)), "0.002"), 1)[0])
 
     def _take_equalities(self, scope: str) -> None:
         """Joints that follow others by polynomials; other constraints are left out."""

@@ -16,6 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 from geodrake.errors import ModelError
 
 _SPACE = re.compile(rb"\s*?(\r?\n[ \t]*)(?=\S)")
+_LAST_SPACE = re.compile(rb"\r?\n[ \t]*\Z")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -139,6 +140,23 @@ class SourceText:
         if not before:
             lines = tuple(line.strip() for line in lines)
         self._edit(parent.inside, parent.inside, "".join(before + line for line in lines))
+
+    def append(self, parent: SourceElement, *lines: str) -> None:
+        """Puts lines of XML after all other children and comments, indented like the children.
+
+        Args:
+            parent: The element that the lines go into.
+            *lines: Lines of XML, escaped; spaces before them are indentation within the parent.
+        """
+        if not parent.children:
+            self.insert(parent, *lines)
+            return
+        space = _LAST_SPACE.search(self.data, 0, parent.children[-1].start)
+        before = space[0].decode() if space else ""
+        if not before:
+            lines = tuple(line.strip() for line in lines)
+        at = parent.inside + len(self.data[parent.inside : parent.end].rstrip())
+        self._edit(at, at, "".join(before + line for line in lines))
 
     def edited(self) -> bytes:
         """The bytes with all edits made."""

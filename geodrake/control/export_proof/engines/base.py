@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.control.export_proof.drives import Drives
 from geodrake.effects import Effect
 from geodrake.errors import ModelError
 from geodrake.model.robot_model import RobotModel
@@ -27,9 +28,11 @@ class Engine(abc.ABC):
         name: Name of the simulator and its version.
         ignores: Effects that may be in the file, but which the simulator does not act upon.
         messages: What it said about the file.
+        drives: Actuators of the file that efforts of rollouts pass through; None for none.
     """
 
     name: str
+    drives: Drives | None = None
     messages: tuple[str, ...] = ()
     ignores: ClassVar[tuple[type[Effect], ...]] = ()
 
@@ -48,6 +51,8 @@ class Engine(abc.ABC):
 
     def roll_out(self, q: Array, v: Array, effort: Array, step: float) -> Array | None:
         """Positions (K + 1, nv) from a state on, without dry friction; None if it cannot simulate.
+
+        Actuators are told `Drives.controls` of the efforts.
 
         Args:
             q: (nv,) first positions, rad or m.

@@ -7,15 +7,21 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from geodrake.control.export_proof.drives import Drives
 from geodrake.control.export_proof.engines.base import Array, Engine, Mask, order_of
 from geodrake.errors import ModelError
+from geodrake.model.exporting.actuators import Actuator, actuators_of
 from geodrake.model.robot_model import RobotModel
 
 _FULL = 1.0 - 1e-9  # share of dry friction from which on it counts as being there in full
 
 
 class MujocoEngine(Engine):
-    """A model of MuJoCo, whose joints feel no limits, contacts, closed loops and actuators.
+    """A model of MuJoCo, whose joints feel no limits, contacts and closed loops.
+
+    Efforts of rollouts pass through the actuators of joints, where those are what the model has:
+    motors, or servos, late or not. At other joints they are applied as they are, and other
+    actuators are without force.
 
     Args:
         file: The exported file.
@@ -37,7 +43,7 @@ class MujocoEngine(Engine):
             off.mjDSBL_CONTACT,
             off.mjDSBL_LIMIT,
             off.mjDSBL_EQUALITY,
-            off.mjDSBL_ACTUATION,
+            off.mjDSBL_CLAMPCTRL,
         ):
             self._model.opt.disableflags |= int(bit)
         places = self._places()
@@ -45,6 +51,9 @@ class MujocoEngine(Engine):
         self._positions = [self._qpos(at) for at in self._at]
         self._held = {places[n]: value for n, value in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
+        self._through = self._take_actuators(model)
+        through = zip(model.joints, self._at, strict=True)
+        self.drives = Drives.of(model, [joint for joint, at in through if at in self._through])
 
     def effort(self, q: Array, v: Array, vd: Array) -> tuple[Array, Mask]:
         """Inverse dynamics; where dry friction, a soft constraint, is not in full, it is masked."""
@@ -64,18 +73,66 @@ class MujocoEngine(Engine):
         """Positions by MuJoCo's Runge–Kutta integrator; see `Engine.roll_out`."""
         if self._held:
             return None  # nothing holds these joints
-        model, data = self._model, mujoco.MjData(self._model)
+        model, off = self._model, mujoco.mjtDisableBit
         before = model.opt.timestep, model.opt.integrator, model.opt.disableflags
         model.opt.timestep, model.opt.integrator = step, int(mujoco.mjtIntegrator.mjINT_RK4)
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+        model.opt.disableflags |= int(off.mjDSBL_FRICTIONLOSS)
+        data = mujoco.MjData(model)
         data.qpos[self._positions], data.qvel[self._at] = q, v
+        controls = effort if self.drives is None else self.drives.controls(q, effort)
+        self._start_history(data, controls[0])
         found = [q]
-        for own in effort:
-            data.qfrc_applied[self._at] = own
+        for own in controls:
+            for at, value in zip(self._at, own.tolist(), strict=True):
+                if (actuator := self._through.get(at)) is None:
+                    data.qfrc_applied[at] = value
+                else:
+                    data.ctrl[model.actuator_ctrladr[actuator]] = value
             mujoco.mj_step(model, data)
             found.append(data.qpos[self._positions].copy())
         model.opt.timestep, model.opt.integrator, model.opt.disableflags = before
         return np.array(found)
+
+    def _start_history(self, data: mujoco.MjData, controls: Array) -> None:
+        """Has late actuators be told the first signals all the time before."""
+        for at, value in zip(self._at, controls.tolist(), strict=True):
+            actuator = self._through.get(at)
+            count = 0 if actuator is None else int(self._model.actuator_history[actuator][0])
+            if count:
+                mujoco.mj_initCtrlHistory(self._model, data, actuator, None, np.full(count, value))
+
+    def _take_actuators(self, model: RobotModel) -> dict[int, int]:
+        """Degree of freedom -> its actuator, where the model has such a one; others do nothing."""
+        own, found = self._model, dict[int, int]()
+        joint_of = {int(own.jnt_dofadr[j]): j for j in range(own.njnt)}
+        kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        by_joint: dict[int, list[int]] = {}
+        for actuator in range(own.nu):
+            if own.actuator_trntype[actuator] in kinds:
+                by_joint.setdefault(int(own.actuator_trnid[actuator][0]), []).append(actuator)
+        wanted = {each.joint: each for each in actuators_of(model)}
+        for joint, at in zip(model.joints, self._at, strict=True):
+            actuators = by_joint.get(joint_of[at], [])
+            if len(actuators) == 1 and self._is_like(actuators[0], wanted[joint]):
+                found[at] = actuators[0]
+        for actuator in set(range(own.nu)).difference(found.values()):
+            own.actuator_gainprm[actuator], own.actuator_biasprm[actuator] = 0.0, 0.0
+        own.actuator_forcelimited[:] = False
+        own.jnt_actfrclimited[:] = False
+        return found
+
+    def _is_like(self, actuator: int, wanted: Actuator) -> bool:
+        """Whether an actuator is told what that of the model is told: an effort, or a position."""
+        own = self._model
+        plain = (
+            own.actuator_dyntype[actuator] == int(mujoco.mjtDyn.mjDYN_NONE)
+            and own.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
+            and own.actuator_gear[actuator][0] == 1.0
+        )
+        servo = own.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+        unlike = not wanted.is_servo and own.actuator_gainprm[actuator][0] != 1.0
+        late = bool(own.actuator_delay[actuator]) == bool(wanted.delay)
+        return bool(plain and servo == wanted.is_servo and not unlike and late)
 
     def _qpos(self, dof: int) -> int:
         """Where the position of a joint of one degree of freedom is, whose velocity is there."""

@@ -1,0 +1,161 @@
+"""What acts on a simulated robot: the efforts of a log, or its commands through servos."""
+
+from __future__ import annotations
+
+import abc
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.primitives import MatrixGain, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake.control.rollout.passages import Passage
+from geodrake.control.systems.position_servo import PositionServo
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import command_delays, servo_gains, servos_of
+
+Array = NDArray[np.float64]
+
+_APART = 1e-9  # s, between instants of a trajectory
+
+
+class Acting(abc.ABC):
+    """What acts on the joints of a model while a passage of a log is simulated."""
+
+    @abc.abstractmethod
+    def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
+        """Adds the systems that make the efforts.
+
+        Args:
+            builder: The builder of the simulation.
+            state: Positions and velocities (2n) as they are measured, in the model's order.
+
+        Returns:
+            The efforts (n), N·m or N.
+        """
+
+    @abc.abstractmethod
+    def begin(self, passage: Passage) -> None:
+        """Has a passage act, in the time since its log began.
+
+        Args:
+            passage: The passage.
+        """
+
+
+class LoggedEffort(Acting):
+    """The efforts of a log.
+
+    Args:
+        count: Number of joints.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._source = TrajectorySource(PiecewisePolynomial(np.zeros(count)))
+
+    def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
+        """See `Acting`."""
+        del state
+        self._source = builder.AddSystem(self._source)
+        return self._source.get_output_port()
+
+    def begin(self, passage: Passage) -> None:
+        """See `Acting`."""
+        effort = np.asarray(passage.segment.effort)
+        self._source.UpdateTrajectory(_lines(passage.time, effort))
+
+
+class ServoedCommand(Acting):
+    """The commands of a log, through the servos of a model; at other joints the log's efforts.
+
+    Commands and their rates are straight lines between the log's samples.
+
+    Args:
+        model: The model.
+        log: The log, joints in the model's order.
+
+    Raises:
+        ModelError: The model has no servos, or joints of several degrees of freedom.
+    """
+
+    def __init__(self, model: RobotModel, log: JointLog) -> None:
+        kp, kd, limit = servo_gains(model)
+        self._log, self._delays = log, command_delays(model)
+        self._told = told_joints(model, log)
+        gains = np.where(self._told, kp, 0.0), np.where(self._told, kd, 0.0)
+        limits = np.where(self._told, limit, np.inf)
+        self._servo = PositionServo(gains[0], kd=gains[1], limit=limits)
+        zero = PiecewisePolynomial(np.zeros(len(kp)))
+        names = ("commanded_position", "commanded_velocity", "feedforward")
+        self._sources = {name: TrajectorySource(zero) for name in names}
+
+    def add(self, builder: DiagramBuilder, state: OutputPort) -> OutputPort:
+        """See `Acting`."""
+        self._servo = builder.AddSystem(self._servo)
+        builder.Connect(state, self._servo.GetInputPort("estimated_state"))
+        for name, source in self._sources.items():
+            self._sources[name] = builder.AddSystem(source)
+            builder.Connect(source.get_output_port(), self._servo.GetInputPort(name))
+        return self._servo.get_output_port()
+
+    def begin(self, passage: Passage) -> None:
+        """See `Acting`."""
+        effort = np.where(self._told, 0.0, np.asarray(passage.segment.effort))
+        time, command, rate = self._commands(passage)
+        self._sources["feedforward"].UpdateTrajectory(_lines(passage.time, effort))
+        self._sources["commanded_position"].UpdateTrajectory(_lines(time, command))
+        self._sources["commanded_velocity"].UpdateTrajectory(_lines(time, rate))
+
+    def _commands(self, passage: Passage) -> tuple[Array, Array, Array]:
+        """Instants (K,) at which late commands bend, commands and their rates (K, n)."""
+        whole, command = self._log.time - passage.began, self._log.command
+        first, last = passage.time[0], passage.time[-1]
+        series, bends = {}, [np.array([first, last])]
+        for j in np.flatnonzero(self._told).tolist():
+            column = np.empty(0) if command is None else command[:, j]
+            known = np.isfinite(column) & np.isfinite(whole)
+            late = whole[known] + self._delays[j]
+            rate = np.gradient(column[known], late) if len(late) > 1 else np.zeros(len(late))
+            series[j] = late, column[known], rate
+            bends.append(late[(late > first + _APART) & (late < last - _APART)])
+        time = np.unique(np.concatenate(bends))
+        time = time[np.append(np.diff(time) > _APART, True)]
+        commands, rates = np.zeros((2, len(time), len(self._told)))
+        for j, (late, column, rate) in series.items():
+            commands[:, j], rates[:, j] = np.interp(time, late, column), np.interp(time, late, rate)
+        return time, commands, rates
+
+
+def told_joints(model: RobotModel, log: JointLog) -> NDArray[np.bool_]:
+    """(n,) whether each joint has a servo, and a command in a log.
+
+    Args:
+        model: The model.
+        log: The log, joints in the model's order.
+    """
+    if log.command is None:
+        return np.zeros(len(model.joints), bool)
+    known = (np.isfinite(log.command) & np.isfinite(log.time)[:, None]).any(axis=0)
+    return np.array([servo is not None for servo in servos_of(model)]) & known
+
+
+def picked(builder: DiagramBuilder, port: OutputPort, places: NDArray[np.intp]) -> OutputPort:
+    """Some elements of an output.
+
+    Args:
+        builder: The builder.
+        port: The output.
+        places: Which elements, in which order.
+    """
+    if np.array_equal(places, np.arange(port.size())):
+        return port
+    gain = builder.AddSystem(MatrixGain(np.eye(port.size())[places]))
+    builder.Connect(port, gain.get_input_port())
+    return gain.get_output_port()
+
+
+def _lines(time: Array, values: Array) -> PiecewisePolynomial:
+    """Straight lines through values (K, n) at instants (K,)."""
+    return PiecewisePolynomial.FirstOrderHold(time, values.T)

@@ -1,0 +1,202 @@
+"""Rollouts under commands: the servo closes the loop around the simulated robot; by MuJoCo."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from geodrake.cli.app import app
+from geodrake.control import command_rollout, roll_out
+from geodrake.control.rollout import case_rollout
+from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
+from geodrake.errors import ArgumentError, LogError
+from geodrake.identification.logs.case import open_case
+from geodrake.logs.files import write_log
+from geodrake.logs.motion import JointLog
+from geodrake.model import EffortSignal
+from geodrake.model.saved_model import load_model, save_model
+from geodrake.robot import gears
+from geodrake.robot.transmission import Drive
+
+INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1.5"/>
+  <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
+URDF = """<robot name="arm"><link name="base"/>
+  <link name="one">INERTIAL</link><link name="two">INERTIAL</link>
+  <joint name="a" type="continuous"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
+    {}</joint>
+  <joint name="b" type="continuous"><parent link="one"/><child link="two"/><axis xyz="0 1 0"/>
+    <origin xyz="0 0 0.4"/>{}</joint>
+</robot>""".replace("INERTIAL", INERTIAL)
+KP, KD, LIMIT, VISCOUS, ARMATURE = (
+    np.array(values)
+    for values in ([90.0, 40.0], [5.0, 2.0], [14.0, np.inf], [0.6, 0.3], [0.05, 0.03])
+)
+DAMPING = [f'<dynamics damping="{value}"/>' for value in VISCOUS]
+DELAY, STEP, EVERY = 0.03, 5e-4, 10
+
+
+def simulated(seconds=8.0, seed=1):
+    """A log of commands, true efforts beside it, by MuJoCo; servos are computed here by hand."""
+    compiled = mujoco.MjModel.from_xml_string(URDF.format(*DAMPING))
+    compiled.opt.timestep = STEP
+    compiled.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    compiled.dof_armature[:] = ARMATURE
+    data, rng = mujoco.MjData(compiled), np.random.default_rng(seed)
+    rates, phases = rng.uniform(1.0, 6.0, (2, 3)), rng.uniform(0.0, 2 * np.pi, (2, 3))
+
+    def command(t):
+        angle = rates * t + phases
+        return 0.35 * np.sin(angle).sum(1), 0.35 * (rates * np.cos(angle)).sum(1)
+
+    data.qpos[:] = command(0.0)[0]
+    rows = []
+    for k in range(round(seconds / STEP)):
+        c, rate = command(max(k * STEP - DELAY, 0.0))
+        rate = rate if k * STEP > DELAY else 0.0 * rate
+        effort = np.clip(KP * (c - data.qpos) + KD * (rate - data.qvel), -LIMIT, LIMIT)
+        if k % EVERY == 0:
+            rows.append([data.time, *data.qpos, *data.qvel, *effort, *command(k * STEP)[0]])
+        data.qfrc_applied[:] = effort
+        mujoco.mj_step(compiled, data)
+    time, *columns = np.split(np.array(rows), [1, 3, 5, 7], axis=1)
+    position, velocity, effort, told = columns
+    return JointLog(
+        "arm", ("a", "b"), time[:, 0], position, effort, velocity=velocity, command=told
+    )
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A log, and the model that knows its servos and effects."""
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(URDF.format("", ""))
+    kinds = (ViscousFriction, VISCOUS), (RotorInertia, ARMATURE)
+    effects = tuple(
+        FittedEffect(kind(joint), np.array([value]))
+        for kind, values in kinds
+        for joint, value in zip("ab", values, strict=True)
+    )
+    signals = tuple(
+        EffortSignal(joint, "command", kp, damping=kd, delay=DELAY, limit=limit)
+        for joint, kp, kd, limit in zip("ab", KP, KD, LIMIT, strict=True)
+    )
+    model = replace(load_model(path), effects=effects, effort_signals=signals)
+    return simulated(), model
+
+
+def without_efforts(log, *joints):
+    effort = log.effort.copy()
+    for joint in joints:
+        effort[:, log.joints.index(joint)] = np.nan
+    return replace(log, effort=effort)
+
+
+def test_the_true_servos_move_the_model_as_the_robot(arm):
+    log, model = arm
+    silent = without_efforts(log, "a", "b")
+    rollout = command_rollout(model, [silent], most=4)
+    assert rollout.broken == 0 and len(rollout.windows) == 4
+    assert rollout.relative < 0.002
+    for joint in rollout.joints:
+        assert joint.rms == pytest.approx(joint.relative * joint.moved)
+        assert joint.moved > 0.05
+
+
+def test_wrong_servos_depart(arm):
+    log, model = arm
+    silent = without_efforts(log, "a", "b")
+    true = command_rollout(model, [silent], most=2).relative
+    a, b = model.effort_signals
+    for wrong in (
+        replace(b, gain=0.5 * b.gain),
+        replace(b, damping=0.0),
+        replace(b, delay=0.0),
+        replace(b, limit=3.0),
+    ):
+        worse = command_rollout(replace(model, effort_signals=(a, wrong)), [silent], most=2)
+        assert worse.joints[1].relative > max(10 * true, 0.05)
+
+
+def test_servos_at_motors_behind_gears(arm):
+    """Motors that turn N times as fast need stiffness and damping over N²."""
+    log, model = arm
+    N = np.array([5.0, -3.0])
+    drive = Drive(("m1", "m2"), ("a", "b"), gears(N))
+    numbers = dict(zip("ab", zip(drive.actuators, N.tolist(), strict=True), strict=True))
+    effects, signals = list[FittedEffect](), list[EffortSignal]()
+    for fitted in model.effects:
+        name, n = numbers[fitted.effect.joint]
+        effects.append(FittedEffect(type(fitted.effect)(name), fitted.parameters / n**2))
+    for signal in model.effort_signals:
+        name, n = numbers[signal.joint]
+        own = {"joint": name, "gain": signal.gain / n**2, "damping": signal.damping / n**2}
+        signals.append(replace(signal, **own, limit=signal.limit / abs(n)))
+    geared = load_model(model.path, transmission=[drive])
+    geared = replace(geared, effects=tuple(effects), effort_signals=tuple(signals))
+    turned = JointLog(
+        "arm",
+        ("m1", "m2"),
+        log.time,
+        N * log.position,
+        np.full_like(log.effort, np.nan),
+        velocity=N * log.velocity,
+        command=N * log.command,
+    )
+    assert command_rollout(geared, [turned], most=2, horizon=0.2).relative < 0.01
+
+
+def test_joints_without_a_servo_get_their_efforts(arm):
+    log, model = arm
+    mixed = replace(model, effort_signals=model.effort_signals[:1])
+    rollout = command_rollout(mixed, [without_efforts(log, "a")], most=2)
+    assert rollout.relative < 0.02
+    # The efforts of the other joint matter: without what they carry, it falls.
+    loads = log.effort * [1.0, 0.5]
+    half = command_rollout(mixed, [without_efforts(replace(log, effort=loads), "a")], most=2)
+    assert half.joints[1].relative > 0.1
+
+
+def test_the_loop_is_closed(arm):
+    """A push that the model lacks drives an open loop away, and a servo holds against it."""
+    log, model = arm
+    heavier = replace(model, phi=1.3 * model.phi)
+    closed = command_rollout(heavier, [log], most=2, horizon=1.0)
+    opened = roll_out(heavier, [log], most=2, horizon=1.0)
+    assert closed.relative < 0.5 * opened.relative
+
+
+def test_a_case_that_is_open_gives_the_same(arm):
+    log, model = arm
+    silent = without_efforts(log, "a", "b")
+    case = open_case(model, [silent], candidates=False)
+    found = case_rollout(case, most=2, commands=True)
+    again = command_rollout(model, [silent], most=2)
+    for ours, theirs in zip(found.windows, again.windows, strict=True):
+        np.testing.assert_array_equal(ours.simulated, theirs.simulated)
+
+
+def test_the_command_line(arm, tmp_path):
+    log, model = arm
+    save_model(model, tmp_path / "arm.yaml")
+    write_log(log, tmp_path / "log.csv")
+    page, numbers = tmp_path / "r.html", tmp_path / "r.json"
+    line = ["rollout", tmp_path / "arm.yaml", tmp_path / "log.csv", "--commands", "--windows", "2"]
+    line += ["--json", numbers, "--report", page]
+    result = CliRunner().invoke(app, [str(word) for word in line])
+    assert result.exit_code == 0, result.output
+    found = json.loads(numbers.read_text())
+    assert found["under"] == "commands" and found["relative"] < 0.01
+    assert "under the commands of" in page.read_text()
+
+
+def test_logs_without_commands_are_refused(arm):
+    log, model = arm
+    with pytest.raises(LogError, match="commands of a servo"):
+        command_rollout(replace(model, effort_signals=()), [log])
+    with pytest.raises(LogError, match="commands of a servo"):
+        command_rollout(model, [replace(log, command=None)])
+    with pytest.raises(ArgumentError, match="horizon"):
+        command_rollout(model, [log], horizon=0.0)

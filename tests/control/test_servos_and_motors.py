@@ -1,0 +1,351 @@
+"""Servos and motors: against closed forms, MuJoCo's actuators, and exact integration by SciPy."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
+from pydrake.symbolic import Evaluate, MakeVectorContinuousVariable
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    LinearSystem,
+    LogVectorOutput,
+    TrajectorySource,
+)
+from pydrake.trajectories import PiecewisePolynomial
+from scipy.integrate import solve_ivp
+
+from geodrake.control import DcMotor, PositionServo
+from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
+from geodrake.errors import ArgumentError, ModelError
+from geodrake.model import EffortSignal
+from geodrake.model.saved_model import load_model
+from geodrake.model.simulation.scalars import scalars
+
+GAINS = {
+    "kp": [20.0, 8.0],
+    "kd": [1.5, 0.4],
+    "ki": [3.0, 0.7],
+    "limit": [5.0, np.inf],
+    "dead_band": [0.02, 0.0],
+}
+MOTOR = {
+    "torque_constant": [0.05, 0.08],
+    "resistance": [1.2, 0.7],
+    "gear_ratio": [30.0, 80.0],
+    "back_emf_constant": [0.05, 0.07],
+    "inductance": [0.0, 2e-3],
+    "voltage_limit": 24.0,
+    "current_limit": [15.0, np.inf],
+}
+SEEN = {
+    "commanded_position": [0.3, -0.2],
+    "commanded_velocity": [0.5, 0.1],
+    "estimated_state": [0.1, 0.4, -0.3, 1.1],
+    "feedforward": [0.2, -0.6],
+    "voltage": [9.0, -5.0],
+}
+SYSTEMS = {"servo": lambda: PositionServo(**GAINS), "motor": lambda: DcMotor(**MOTOR)}
+
+
+def seen(system, **inputs):
+    context = system.CreateDefaultContext()
+    for name, values in {**SEEN, **inputs}.items():
+        if system.HasInputPort(name):
+            system.GetInputPort(name).FixValue(context, values)
+    if context.num_continuous_states():
+        context.SetContinuousState(0.3 * np.arange(1, context.num_continuous_states() + 1))
+    return context
+
+
+def everything(system, context):
+    """All outputs, and rates."""
+    ports = (system.get_output_port(i) for i in range(system.num_output_ports()))
+    parts = [port.Eval(context) for port in ports]
+    return np.concatenate([*parts, system.EvalTimeDerivatives(context).CopyToVector()])
+
+
+def servoed(servo, position, velocity, command, rate):
+    context = seen(
+        servo,
+        commanded_position=command,
+        commanded_velocity=rate,
+        estimated_state=np.concatenate([position, velocity]),
+    )
+    return servo.get_output_port().Eval(context)
+
+
+def test_a_servo_by_hand():
+    servo = PositionServo(**GAINS)
+    first = 20.0 * (0.2 - 0.02) + 1.5 * 0.8 + 3.0 * 0.3 + 0.2  # 5.9, which is beyond the limit
+    second = 8.0 * -0.6 + 0.4 * -1.0 + 0.7 * 0.6 - 0.6
+    found = everything(servo, seen(servo))
+    np.testing.assert_allclose(found, [5.0, second, 0.0, -0.6])
+    context = seen(servo)
+    servo.set_gains(context, limit=np.inf)
+    np.testing.assert_allclose(everything(servo, context), [first, second, 0.18, -0.6])
+
+
+def test_an_integral_does_not_wind_up():
+    servo = PositionServo([20.0, 20.0], ki=1.0, limit=2.0)
+    context = seen(servo, feedforward=[0.0, 0.0], commanded_velocity=[0.0, 0.0])
+    context.SetContinuousState([0.0, 9.0])
+    servo.GetInputPort("commanded_position").FixValue(context, [0.9, 0.2])  # errors 0.8, −0.2
+    rates = servo.EvalTimeDerivatives(context).CopyToVector()
+    np.testing.assert_allclose(rates, [0.0, -0.2])  # the second effort is at +2 and falls
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.tuples(*[st.floats(-3.0, 3.0)] * 4),
+    st.floats(0.1, 200.0),
+    st.floats(0.0, 10.0),
+    st.floats(0.5, 50.0),
+)
+def test_mujoco_s_position_actuators(values, kp, kv, limit):
+    """Without a commanded velocity, kd damps the motion as kv does."""
+    q, v, c, _ = values
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><worldbody><body>
+      <joint name="a" axis="0 1 0"/><geom size="0.1"/></body></worldbody>
+      <actuator><position joint="a" kp="{kp}" kv="{kv}" forcerange="{-limit} {limit}"/></actuator>
+      </mujoco>""")
+    data = mujoco.MjData(model)
+    data.qpos[0], data.qvel[0], data.ctrl[0] = q, v, c
+    mujoco.mj_forward(model, data)
+    servo = PositionServo([kp], kd=kv, limit=limit)
+    context = servo.CreateDefaultContext()
+    servo.GetInputPort("commanded_position").FixValue(context, [c])
+    servo.GetInputPort("estimated_state").FixValue(context, [q, v])
+    found = servo.get_output_port().Eval(context)
+    np.testing.assert_allclose(found, data.actuator_force, rtol=1e-12, atol=1e-12)
+
+
+def dcmotor(inductance="", gear=30.0, load=""):
+    return mujoco.MjModel.from_xml_string(f"""<mujoco><option timestep="2e-6" gravity="0 0 0"/>
+      <worldbody><body><joint name="a" axis="0 1 0" {load}/><geom size="0.1"/></body></worldbody>
+      <actuator><dcmotor joint="a" motorconst="0.05 0.05" resistance="1.2" gear="{gear}"
+        {inductance}/></actuator></mujoco>""")
+
+
+def test_mujoco_s_motor():
+    compiled = dcmotor()
+    data, motor = mujoco.MjData(compiled), DcMotor([0.05], 1.2, gear_ratio=30.0)
+    context = motor.CreateDefaultContext()
+    for voltage, v in ((12.0, 0.0), (12.0, 5.0), (-3.0, 9.0), (0.0, -2.0)):
+        data.ctrl[0], data.qvel[0] = voltage, v
+        mujoco.mj_forward(compiled, data)
+        motor.GetInputPort("voltage").FixValue(context, [voltage])
+        motor.GetInputPort("estimated_state").FixValue(context, [0.0, v])
+        found = motor.GetOutputPort("torque").Eval(context)
+        np.testing.assert_allclose(found, data.qfrc_actuator, rtol=1e-12, atol=1e-14)
+
+
+def test_a_current_rises_as_mujoco_s_and_as_the_closed_form():
+    """A motor that is held: i = u/R (1 − e^(−R t / L))."""
+    compiled = dcmotor('inductance="0.003"', load='armature="1e12"')
+    data = mujoco.MjData(compiled)
+    data.ctrl[0], end = 6.0, 3e-3
+    while data.time < end - 1e-9:
+        mujoco.mj_step(compiled, data)
+    mujoco.mj_forward(compiled, data)
+    builder = DiagramBuilder()
+    motor = builder.AddSystem(DcMotor([0.05], 1.2, gear_ratio=30.0, inductance=0.003))
+    for name, values in (("voltage", [6.0]), ("estimated_state", [0.0, 0.0])):
+        source = builder.AddSystem(ConstantVectorSource(values))
+        builder.Connect(source.get_output_port(), motor.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    ResetIntegratorFromFlags(simulator, "runge_kutta3", 1e-3)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
+    simulator.AdvanceTo(end)
+    context = motor.GetMyContextFromRoot(simulator.get_context())
+    torque, current = (motor.GetOutputPort(name).Eval(context) for name in ("torque", "current"))
+    np.testing.assert_allclose(current, 5.0 * (1.0 - np.exp(-1.2)), rtol=1e-8)
+    np.testing.assert_allclose(torque, 30.0 * 0.05 * current)
+    np.testing.assert_allclose(torque, data.qfrc_actuator, rtol=2e-3)
+
+
+def test_a_flywheel_comes_up_to_the_speed_without_load():
+    """J v̇ = τ_stall (1 − v / v₀): v = v₀ (1 − e^(−t τ_stall / (J v₀)))."""
+    J, builder = 0.4, DiagramBuilder()
+    motor = builder.AddSystem(DcMotor([0.05], 1.2, gear_ratio=30.0, voltage_limit=24.0))
+    assert motor.no_load_speed == pytest.approx(24.0 / 1.5)
+    assert motor.stall_torque == pytest.approx(1.5 * 20.0)
+    voltage = builder.AddSystem(ConstantVectorSource([400.0]))  # as much as there is
+    builder.Connect(voltage.get_output_port(), motor.GetInputPort("voltage"))
+    plant = builder.AddSystem(_double_integrator(J))
+    builder.Connect(motor.GetOutputPort("torque"), plant.get_input_port())
+    builder.Connect(plant.get_output_port(), motor.GetInputPort("estimated_state"))
+    simulator = Simulator(builder.Build())
+    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
+    simulator.AdvanceTo(0.2)
+    v0, torque = motor.no_load_speed[0], motor.stall_torque[0]
+    v = simulator.get_context().get_continuous_state_vector().CopyToVector()[-1]
+    assert v == pytest.approx(v0 * (1.0 - np.exp(-0.2 * torque / (J * v0))), rel=1e-8)
+
+
+def _double_integrator(J):
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / J]])
+    return LinearSystem(A, B, np.eye(2), np.zeros((2, 1)))
+
+
+def test_a_servo_moves_a_plant_as_the_differential_equation_says(arm):
+    """Command along a ramp, servo with an integral; friction and rotor in the model, by SciPy."""
+    kp, kd, ki = 60.0, 4.0, 30.0
+    builder = DiagramBuilder()
+    robot = arm.add_to_builder(builder)
+    servo = builder.AddSystem(PositionServo([kp], kd=kd, ki=ki))
+    ramp = PiecewisePolynomial.FirstOrderHold([0.0, 0.1, 1.0], [[0.1, 0.8, 0.8]])
+    for name, trajectory in (
+        ("commanded_position", ramp),
+        ("commanded_velocity", ramp.derivative()),
+    ):
+        source = builder.AddSystem(TrajectorySource(trajectory))
+        builder.Connect(source.get_output_port(), servo.GetInputPort(name))
+    builder.Connect(robot.state, servo.GetInputPort("estimated_state"))
+    builder.Connect(servo.get_output_port(), robot.effort)
+    simulator = Simulator(builder.Build())
+    robot.set_state(simulator.get_mutable_context(), [0.1])
+    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    simulator.AdvanceTo(0.1)
+    simulator.AdvanceTo(0.2)
+
+    def rates(t, x):
+        q, v, z = x
+        e, rate = ramp.value(t).item() - q, (7.0 if t < 0.1 else 0.0) - v
+        effort = kp * e + kd * rate + ki * z
+        return [v, (effort - 0.3 * v - 2.0 * 9.81 * 0.3 * np.sin(q)) / (0.2 + 0.05), e]
+
+    found = [0.1, 0.0, 0.0]
+    for start, end in ((0.0, 0.1), (0.1, 0.2)):
+        found = solve_ivp(rates, (start, end), found, rtol=1e-11, atol=1e-12).y[:, -1]
+    context = simulator.get_context()
+    state = robot.state.Eval(robot.plant.GetMyContextFromRoot(context))
+    np.testing.assert_allclose(state, found[:2], atol=1e-5)
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """A pendulum of 2 kg, 0.2 kg·m² about its axis, with a rotor and friction."""
+    path = tmp_path / "arm.urdf"
+    path.write_text("""<robot name="arm"><link name="base"/><link name="rod"><inertial>
+      <origin xyz="0 0 -0.3"/><mass value="2"/>
+      <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="elbow" type="continuous"><parent link="base"/><child link="rod"/>
+      <axis xyz="0 1 0"/></joint></robot>""")
+    effects = (
+        FittedEffect(RotorInertia("elbow"), np.array([0.05])),
+        FittedEffect(ViscousFriction("elbow"), np.array([0.3])),
+    )
+    return replace(load_model(path), effects=effects)
+
+
+def test_servos_of_a_model_take_late_commands(arm):
+    signal = EffortSignal("elbow", "command", 60.0, damping=4.0, delay=0.013, limit=9.0)
+    model = replace(arm, effort_signals=(signal,))
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    ramp = PiecewisePolynomial.FirstOrderHold([0.0, 1.0], [[0.1, 2.1]])
+    command, rate = (
+        builder.AddSystem(TrajectorySource(each)) for each in (ramp, ramp.derivative())
+    )
+    servo = PositionServo.AddToBuilder(
+        builder, model, robot, command.get_output_port(), rate.get_output_port()
+    )
+    log = LogVectorOutput(servo.get_output_port(), builder, 0.01)
+    simulator = Simulator(builder.Build())
+    root = simulator.get_mutable_context()
+    gains = servo.gains(servo.GetMyContextFromRoot(root))
+    assert [gains.kp, gains.kd, gains.limit] == [60.0, 4.0, 9.0]
+    robot.set_state(root, [0.1], [2.0])
+    simulator.AdvanceTo(0.06)
+    own = servo.GetMyContextFromRoot(simulator.get_context())
+    told = servo.GetInputPort("commanded_position").Eval(own)
+    assert told == pytest.approx(0.1 + 2.0 * (0.06 - 0.013), abs=1e-12)
+    q, v = servo.GetInputPort("estimated_state").Eval(own)
+    effort = servo.get_output_port().Eval(own)
+    assert effort == pytest.approx(np.clip(60.0 * (told - q) + 4.0 * (2.0 - v), -9.0, 9.0))
+    assert np.abs(log.FindLog(simulator.get_context()).data()).max() <= 9.0
+
+
+def test_models_without_servos_have_none(arm):
+    with pytest.raises(ModelError, match="no servos"):
+        PositionServo.of(arm)
+    current = replace(arm, effort_signals=(EffortSignal("elbow", "current", 0.7),))
+    with pytest.raises(ModelError, match="no servos"):
+        PositionServo.of(current)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_clones_and_other_scalars_do_the_same(name):
+    system = SYSTEMS[name]()
+    context = seen(system)
+    wanted = everything(system, context)
+    clone = system.Clone()
+    np.testing.assert_array_equal(everything(clone, seen(clone)), wanted)
+    other = system.ToSymbolic()
+    state = MakeVectorContinuousVariable(4, "x")
+    symbolic = everything(other, seen(other, estimated_state=state))
+    at = dict(zip(state, SEEN["estimated_state"], strict=True))
+    np.testing.assert_allclose(Evaluate(symbolic, at).ravel(), wanted, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_slopes_are_those_of_differences(name):
+    system = SYSTEMS[name]()
+    other, x = system.ToAutoDiffXd(), np.array(SEEN["estimated_state"])
+    plain = {
+        key: scalars(values, AutoDiffXd) for key, values in SEEN.items() if key != "estimated_state"
+    }
+    context = seen(other, **plain, estimated_state=InitializeAutoDiff(x).ravel())
+    found = ExtractGradient(everything(other, context))
+
+    def at(y):
+        return everything(system, seen(system, estimated_state=y))
+
+    steps = 1e-6 * np.eye(4)
+    wanted = np.stack([(at(x + e) - at(x - e)) / 2e-6 for e in steps], axis=1)
+    np.testing.assert_allclose(found, wanted, atol=1e-7)
+    assert np.abs(wanted).max() > 0.1
+
+
+def test_numbers_of_the_context():
+    servo, motor = PositionServo([1.0, 2.0]), DcMotor([0.1], 2.0, inductance=1e-3)
+    context = seen(servo)
+    servo.set_gains(context, kp=[5.0, 6.0], limit=1.5)
+    gains = servo.gains(context)
+    np.testing.assert_array_equal([gains.kp, gains.limit], [[5.0, 6.0], [1.5, 1.5]])
+    context = motor.CreateDefaultContext()
+    motor.set_constants(context, resistance=3.0)
+    assert motor.constants(context).resistance == [3.0]
+    with pytest.raises(ArgumentError, match="without an integral"):
+        servo.set_gains(seen(servo), ki=1.0)
+    with pytest.raises(ArgumentError, match="inductance"):
+        motor.set_constants(context, inductance=0.0)
+    with pytest.raises(ArgumentError, match="no stiffness"):
+        servo.set_gains(seen(servo), stiffness=1.0)
+    with pytest.raises(ArgumentError, match="no turns"):
+        motor.set_constants(context, turns=1.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments"),
+    [
+        (PositionServo, {"kp": -1.0}),
+        (PositionServo, {"kp": [1.0, np.nan]}),
+        (PositionServo, {"kp": [1.0, 2.0], "kd": [1.0, 2.0, 3.0]}),
+        (PositionServo, {"kp": 1.0, "limit": 0.0}),
+        (PositionServo, {"kp": 1.0, "dead_band": np.inf}),
+        (DcMotor, {"torque_constant": 0.0, "resistance": 1.0}),
+        (DcMotor, {"torque_constant": 1.0, "resistance": -1.0}),
+        (DcMotor, {"torque_constant": [[1.0]], "resistance": 1.0}),
+        (DcMotor, {"torque_constant": 1.0, "resistance": 1.0, "current_limit": np.nan}),
+    ],
+)
+def test_wrong_numbers_are_refused(make, arguments):
+    with pytest.raises(ArgumentError):
+        make(**arguments)

@@ -1,0 +1,302 @@
+"""Motors, servos and delays in MJCF and for Isaac Lab: as MuJoCo reads and simulates them."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from geodrake.control import PositionServo
+from geodrake.control.export_proof import export_to
+from geodrake.control.export_proof.proof import prove
+from geodrake.control.export_proof.samples import compared, random_motion, random_starts
+from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.errors import ModelError
+from geodrake.model import EffortSignal
+from geodrake.model.exporting.formats import export_format
+from geodrake.model.exporting.held import held_by
+from geodrake.model.exporting.mjcf_actuators import samples_of
+from geodrake.model.saved_model import load_model
+
+INERTIAL = """<inertial><origin xyz="0 0 0.2"/><mass value="1"/>
+  <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>"""
+URDF = f"""<robot name="arm"><link name="base"/>
+  <link name="one">{INERTIAL}</link><link name="two">{INERTIAL}</link>
+  <joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="10" velocity="2"/></joint>
+  <joint name="b" type="revolute"><parent link="one"/><child link="two"/><axis xyz="0 1 0"/>
+    <origin xyz="0 0 0.4"/><limit lower="-3" upper="3" effort="50" velocity="2"/></joint>
+</robot>"""
+MJCF = """<mujoco model="arm"><!-- my arm -->
+  {before}
+  <worldbody>
+    <body name="one"><joint name="a" axis="0 1 0"/>
+      <inertial pos="0 0 0.2" mass="1" diaginertia="0.02 0.02 0.01"/>
+      <body pos="0 0 0.4"><joint axis="0 1 0"/>
+        <inertial pos="0 0 0.2" mass="1" diaginertia="0.02 0.02 0.01"/></body>
+    </body>
+  </worldbody>
+  {after}<!-- the end -->
+</mujoco>
+"""
+DELAY = 0.0137
+
+
+def loaded(folder, before="", after="", *, text=None):
+    (folder / "own").mkdir(exist_ok=True)
+    path = folder / "own" / ("arm.xml" if text is None else "arm.urdf")
+    path.write_text(MJCF.format(before=before, after=after) if text is None else text)
+    return load_model(path)
+
+
+def servoed(model, delay=DELAY, effects=()):
+    """The model with a servo at its second joint."""
+    signal = EffortSignal(
+        model.joints[1], "command", 30.0, damping=2.0, delay=delay, limit=20.0, deviation=1.0
+    )
+    return replace(model, effort_signals=(signal,), effects=(*model.effects, *effects))
+
+
+def delayed(seconds, joint=None):
+    return FittedEffect(EffortDelay(seconds, joint), np.zeros(0))
+
+
+def exported(model, folder, to="mjcf"):
+    """The first file of an export, and its notes in one line."""
+    form = export_format(to)
+    made = form.write(model, held_by(model, form.holding(model), ()), folder)
+    folder.mkdir()
+    for name, content in made.files.items():
+        (folder / name).write_bytes(content)
+    return folder / next(iter(made.files)), " ".join(made.notes)
+
+
+def names(compiled):
+    return [compiled.actuator(k).name for k in range(compiled.nu)]
+
+
+def test_a_robot_written_anew_has_a_motor_or_a_servo_at_every_joint(tmp_path):
+    model = servoed(loaded(tmp_path, text=URDF))
+    path, notes = exported(model, tmp_path / "out")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert names(compiled) == ["a", "b"]
+    assert compiled.actuator_trnid[:, 0].tolist() == [0, 1]
+    assert compiled.actuator_gainprm[:, 0].tolist() == [1.0, 30.0]
+    np.testing.assert_array_equal(compiled.actuator_biasprm[:, :3], [[0, 0, 0], [0, -30, -2]])
+    np.testing.assert_array_equal(compiled.actuator_forcerange, [[-10, 10], [-20, 20]])
+    np.testing.assert_array_equal(compiled.actuator_ctrlrange[0], [-10, 10])
+    assert compiled.actuator_forcelimited.tolist() == [1, 1]
+    assert compiled.actuator_ctrllimited.tolist() == [1, 0]
+    assert compiled.actuator_delay.tolist() == [0.0, DELAY]
+    assert compiled.actuator_history[1].tolist() == [15, 1]
+    assert "(kv / kp) dc/dt" in notes
+    again = load_model(path)
+    assert again.joints == model.joints
+    np.testing.assert_array_equal(again.effort_limits, [10.0, 20.0])
+    assert exported(again, tmp_path / "again")[0].read_bytes() == path.read_bytes()
+
+
+def test_a_file_of_the_users_gets_actuators_for_servos_and_delays_alone(tmp_path):
+    model = loaded(tmp_path)
+    assert exported(model, tmp_path / "plain")[0].read_text() == MJCF.format(before="", after="")
+    path, _ = exported(servoed(model), tmp_path / "out")
+    text, own = path.read_text(), MJCF.format(before="", after="")
+    head = own[: own.index("</mujoco>")].rstrip()
+    named = head.replace('<joint axis="0 1 0"/>', '<joint axis="0 1 0" name="body_1_joint_0"/>')
+    assert text.startswith(f"{named}\n  <actuator>\n    <motor")
+    assert text.endswith("  </actuator>\n</mujoco>\n")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert names(compiled) == ["a", "body_1_joint_0"]
+    late = replace(model, effects=(delayed(-0.02, "a"),))
+    compiled = mujoco.MjModel.from_xml_path(str(exported(late, tmp_path / "late")[0]))
+    assert compiled.actuator_delay.tolist() == [0.02, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("", '<actuator><motor name="mine" joint="body_1_joint_0" gear="3"/></actuator>'),
+        ("", '<actuator><general name="mine" jointinparent="body_1_joint_0"/></actuator>'),
+        (
+            '<tendon><fixed name="t"><joint joint="body_1_joint_0" coef="2"/></fixed></tendon>',
+            '<actuator><position name="mine" tendon="t" kp="7"/></actuator>',
+        ),
+    ],
+)
+def test_actuators_of_the_users_stay(before, after, tmp_path):
+    model = loaded(tmp_path, before, after)
+    path = model.path
+    path.write_text(path.read_text().replace("<joint axis", '<joint name="body_1_joint_0" axis'))
+    model = servoed(load_model(path))
+    out, notes = exported(model, tmp_path / "out")
+    assert out.read_text() == path.read_text()
+    assert 'body_1_joint_0: kp="30.0" kv="2.0" delay="0.0137" nsample="15"' in notes
+    more = replace(model, effects=(delayed(-0.01, "a"),))
+    out, notes = exported(more, tmp_path / "more")
+    compiled = mujoco.MjModel.from_xml_path(str(out))
+    assert names(compiled) == ["mine", "a"]  # control signals of the first keep their place
+    assert compiled.actuator_delay.tolist() == [0.0, 0.01]
+    assert "stay as they are" in notes
+
+
+def test_defaults_of_actuators_would_change_what_is_added(tmp_path):
+    before = '<default><position timeconst="0.1"/></default>'
+    model = servoed(loaded(tmp_path, before))
+    path, notes = exported(model, tmp_path / "out")
+    assert path.read_text() == MJCF.format(before=before, after="")
+    assert "defaults of actuators" in notes
+    classes = '<default><default class="mine"><motor gear="3"/></default></default>'
+    path, _ = exported(servoed(loaded(tmp_path, classes)), tmp_path / "classes")
+    assert mujoco.MjModel.from_xml_path(str(path)).nu == 2
+
+
+def test_joints_of_included_files_are_refused(tmp_path):
+    body = MJCF[MJCF.index("<body name") : MJCF.index("  </worldbody>")]
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "inner.xml").write_text(f"<mujoco>{body}</mujoco>")
+    path = tmp_path / "own" / "arm.xml"
+    own = MJCF.format(before="", after="")
+    path.write_text(own.replace(body, '<include file="inner.xml"/>'))
+    with pytest.raises(ModelError, match="is not in"):
+        exported(servoed(load_model(path)), tmp_path / "out")
+
+
+def test_samples_are_enough_for_the_delay():
+    for steps in (1, 2.5, 7, 20, 33.3):
+        for step in (1e-3, 2e-3, 0.7e-3):
+            assert (samples_of(steps * step, step) - 1) * step >= steps * step - 1e-12
+    assert samples_of(0.005, 0.001) == 6
+
+
+def test_delays_shorter_than_a_step_are_said(tmp_path):
+    model = loaded(tmp_path, '<option timestep="0.004"/>')
+    _, notes = exported(servoed(model, delay=0.003), tmp_path / "out")
+    assert "step of 0.004 s is longer than the delay of body_1_joint_0" in notes
+    _, notes = exported(servoed(model, delay=0.004), tmp_path / "long")
+    assert "is longer than" not in notes
+    fine = loaded(tmp_path, '<option timestep="0.0005"/>')
+    path, notes = exported(servoed(fine, delay=0.003), tmp_path / "fine")
+    assert mujoco.MjModel.from_xml_path(str(path)).actuator_history[1][0] == 7
+    assert "steps of the simulation of 0.0005 s and more" in notes
+
+
+def test_efforts_that_are_measured_late_are_so_by_a_sensor(tmp_path):
+    model = replace(loaded(tmp_path), effects=(delayed(0.0065, "a"),))
+    path, notes = exported(model, tmp_path / "out")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    assert compiled.nu == 0 and compiled.sensor(0).name == "a_effort"
+    assert "a_effort" in notes or "<joint>_effort" in notes
+    model = replace(loaded(tmp_path, text=URDF), effects=(delayed(0.0065, "a"),))
+    path, _ = exported(model, tmp_path / "anew")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    compiled.opt.timestep = 1e-3
+    data = mujoco.MjData(compiled)
+    for k in range(30):
+        data.ctrl[0] = 0.1 * k
+        mujoco.mj_step(compiled, data)
+    assert data.sensor("a_effort").data[0] == pytest.approx(0.1 * (29 - 6.5))
+
+
+def ours(model, command, end):
+    """Positions at the end, by Drake: the plant, and servos under a late command."""
+    builder = DiagramBuilder()
+    robot = model.add_to_builder(builder)
+    told = builder.AddSystem(TrajectorySource(command))
+    PositionServo.AddToBuilder(builder, model, robot, told.get_output_port())
+    simulator = Simulator(builder.Build())
+    robot.set_state(simulator.get_mutable_context(), command.value(0.0).ravel())
+    simulator.get_mutable_integrator().set_target_accuracy(1e-6)
+    simulator.AdvanceTo(end)
+    context = robot.plant.GetMyContextFromRoot(simulator.get_context())
+    return robot.plant.GetPositions(context)
+
+
+def theirs(compiled, command, end, samples=None):
+    """The same by MuJoCo."""
+    compiled.opt.timestep = 1e-3
+    compiled.opt.integrator = int(mujoco.mjtIntegrator.mjINT_RK4)
+    data = mujoco.MjData(compiled)
+    data.qpos[:] = command.value(0.0).ravel()
+    for k, told in enumerate(data.qpos):
+        count = int(compiled.actuator_history[k][0])
+        mujoco.mj_initCtrlHistory(compiled, data, k, None, np.full(count, told))
+    for k in range(round(end / 1e-3)):
+        data.ctrl[:] = command.value(1e-3 * k).ravel()
+        mujoco.mj_step(compiled, data)
+    return data.qpos.copy()
+
+
+def test_a_late_servo_in_mujoco_moves_as_ours(tmp_path):
+    model, end = loaded(tmp_path, text=URDF), 0.25
+    effects = [FittedEffect(RotorInertia(joint), np.array([0.05])) for joint in "ab"]
+    effects += [FittedEffect(ViscousFriction(joint), np.array([0.4])) for joint in "ab"]
+    signals = [
+        EffortSignal("a", "command", 40.0, damping=1.5, delay=DELAY, limit=9.0),
+        EffortSignal("b", "command", 25.0, damping=0.8, delay=0.04, limit=4.0),
+    ]
+    model = replace(model, effects=tuple(effects), effort_signals=tuple(signals))
+    time = np.linspace(0.0, 0.4, 41)
+    command = PiecewisePolynomial.CubicShapePreserving(
+        time, np.stack([0.5 * np.cos(15 * time), 0.8 * np.sin(20 * time)]), False
+    )
+    path, _ = exported(model, tmp_path / "out")
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    found = ours(model, command, end)
+    np.testing.assert_allclose(theirs(compiled, command, end), found, atol=2e-5)
+    prompt = replace(model, effort_signals=tuple(replace(s, delay=0.0) for s in signals))
+    assert np.abs(ours(prompt, command, end) - found).max() > 0.02  # what a delay is worth
+    # What the file would do with samples that do not reach back as far as the delay.
+    short = path.read_text().replace('nsample="41"', 'nsample="20"')
+    compiled = mujoco.MjModel.from_xml_string(short)
+    assert np.abs(theirs(compiled, command, end) - found).max() > 0.01
+
+
+def test_the_proof_tells_efforts_and_commands_to_actuators(tmp_path):
+    for k, model in enumerate((loaded(tmp_path, text=URDF), loaded(tmp_path))):
+        acting = servoed(model, effects=(delayed(-0.0223, "a"),))
+        proven = export_to("mjcf", acting, tmp_path / f"out{k}")
+        assert proven.lacks == ()
+        effort, position = proven.proof.differences
+        assert effort.is_rounding and position.is_rounding and position.typical > 0.01
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('kp="30.0"', 'kp="30.3"'),
+        ('kv="2.0"', 'kv="2.1"'),
+        ('delay="0.0137"', 'delay="0.0147"'),
+        ('nsample="15"', 'nsample="9"'),
+        ('delay="0.02"', 'delay="0.025"'),
+    ],
+)
+def test_the_proof_sees_wrong_actuators(old, new, tmp_path):
+    model = servoed(loaded(tmp_path, text=URDF), effects=(delayed(-0.02, "a"),))
+    path, _ = exported(model, tmp_path / "out")
+    motion = random_motion(model)
+    arguments = ["mujoco"], compared([motion]), random_starts(model, motion)
+    assert prove(model, path, *arguments).differences[1].is_rounding
+    text = path.read_text()
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new))
+    assert not prove(model, path, *arguments).differences[1].is_rounding
+
+
+def test_isaac_has_gains_and_delays_of_servos(tmp_path):
+    model = servoed(loaded(tmp_path, text=URDF), effects=(delayed(0.012, "a"),))
+    exported(model, tmp_path / "out", "isaac")
+    joints = json.loads((tmp_path / "out" / "arm.actuators.json").read_text())["joints"]
+    keys = ("stiffness", "damping", "delay", "effort_delay", "effort_limit")
+    assert [joints["a"][key] for key in keys] == [0.0, 0.0, 0.0, 0.012, 10.0]
+    assert [joints["b"][key] for key in keys] == [30.0, 2.0, DELAY, 0.0, 20.0]
+
+
+def test_formats_without_servos_say_so(tmp_path):
+    model = servoed(loaded(tmp_path, text=URDF))
+    notes = " ".join(export_to("sdf", model, tmp_path / "out").notes)
+    assert "sdf does not have the gains of servos, such as those of b" in notes
