@@ -1,6 +1,5 @@
 """Rollouts under commands: the servo closes the loop around the simulated robot; by MuJoCo."""
 
-import json
 from dataclasses import replace
 
 import mujoco
@@ -18,6 +17,8 @@ from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model, save_model
+from geodrake.report.json_output import rollout_dict
+from geodrake.report.rollout import render_rollout
 from geodrake.robot import gears
 from geodrake.robot.transmission import Drive
 
@@ -178,18 +179,27 @@ def test_a_case_that_is_open_gives_the_same(arm):
         np.testing.assert_array_equal(ours.simulated, theirs.simulated)
 
 
-def test_the_command_line(arm, tmp_path):
+def test_reports_say_what_the_model_was_under(arm):
+    log, model = arm
+    found = command_rollout(model, [log], most=1, horizon=0.2)
+    assert rollout_dict(found)["under"] == "commands"
+    page = render_rollout((found, None), title="t", model_name="arm", log_names=["log"])
+    assert "arm under the commands of log" in page
+    opened = roll_out(model, [log], most=1, horizon=0.2)
+    assert rollout_dict(opened)["under"] == "efforts"
+    assert "arm under the efforts of log" in render_rollout(
+        (opened, None), title="t", model_name="arm", log_names=["log"]
+    )
+
+
+def test_the_command_line_refuses_logs_without_commands(arm, tmp_path):
     log, model = arm
     save_model(model, tmp_path / "arm.yaml")
-    write_log(log, tmp_path / "log.csv")
-    page, numbers = tmp_path / "r.html", tmp_path / "r.json"
-    line = ["rollout", tmp_path / "arm.yaml", tmp_path / "log.csv", "--commands", "--windows", "2"]
-    line += ["--json", numbers, "--report", page]
-    result = CliRunner().invoke(app, [str(word) for word in line])
-    assert result.exit_code == 0, result.output
-    found = json.loads(numbers.read_text())
-    assert found["under"] == "commands" and found["relative"] < 0.01
-    assert "under the commands of" in page.read_text()
+    write_log(replace(log, command=None), tmp_path / "log.csv")
+    line = ["rollout", str(tmp_path / "arm.yaml"), str(tmp_path / "log.csv"), "--commands"]
+    result = CliRunner().invoke(app, line)
+    assert result.exit_code == 2
+    assert "No log has the commands of a servo" in result.stderr and not result.stdout
 
 
 def test_logs_without_commands_are_refused(arm):
