@@ -9,15 +9,17 @@ from rich.console import Console
 from geodrake.cli.options import Options
 from geodrake.cli.progress import step_teller
 from geodrake.cli.session import Command, Input, run
-from geodrake.cli.tables import show_explanation
+from geodrake.cli.tables import head, show_explanation, show_table
+from geodrake.control.rollout import Rollout, commanded_motions
 from geodrake.diagnosis.drafting import Correlate, rest_correlates
 from geodrake.diagnosis.explain import investigate
 from geodrake.diagnosis.results import Explanation
 from geodrake.identification.logs.case import open_case
 from geodrake.model.robot_model import RobotModel
-from geodrake.report.json_output import correlates_list, explanation_dict
+from geodrake.report.json_output import correlates_list, explanation_dict, motions_dict
 from geodrake.report.numbers import Units
-from geodrake.report.words import correlate_words
+from geodrake.report.tables import departures_table
+from geodrake.report.words import MOTIONS, correlate_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +28,7 @@ class _Explained:
 
     explanation: Explanation
     correlates: tuple[Correlate, ...]
+    motions: tuple[Rollout, Rollout] | None = None
 
     @property
     def model(self) -> RobotModel:
@@ -55,10 +58,11 @@ def run_explaining(options: Options, promise: str = "") -> None:
         lambda found: {
             **explanation_dict(found.explanation),
             "correlates": correlates_list(found.correlates),
+            **motions_dict(found.motions),
         },
         "render_explained",
         _show,
-        paged=lambda found: (found.explanation, found.correlates),
+        paged=lambda found: (found.explanation, found.correlates, found.motions),
         sampled=lambda found: found.explanation,
         promise=promise,
     )
@@ -68,12 +72,20 @@ def run_explaining(options: Options, promise: str = "") -> None:
 def _explained(given: Input) -> _Explained:
     case = open_case(given.model, given.logs, candidates=True, extra=given.extra, **given.settings)
     found = investigate(case, progress=step_teller(given.progress))
-    if found.explanation.verdict != "unexplained" or found.explanation.is_interrupted:
-        return _Explained(found.explanation, ())
+    explanation = found.explanation
+    if explanation.is_interrupted:
+        return _Explained(explanation, ())
+    motions = commanded_motions(given.model, explanation.model, given.logs)
+    if explanation.verdict != "unexplained":
+        return _Explained(explanation, (), motions)
     given.progress("Looking what the rest goes with")
-    return _Explained(found.explanation, rest_correlates(found))
+    return _Explained(explanation, rest_correlates(found), motions)
 
 
 def _show(console: Console, found: _Explained, units: Units) -> None:
     rest = [*map(correlate_words, found.correlates)]
     show_explanation(console, found.explanation, units, rest=rest)
+    if found.motions is not None:
+        before, after = found.motions
+        head(console, f"{MOTIONS}, RMS in windows of {after.horizon:g} s")
+        show_table(console, departures_table(after, before, units))

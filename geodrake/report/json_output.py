@@ -222,6 +222,18 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
     }
 
 
+def motions_dict(motions: tuple[Rollout, Rollout] | None) -> dict[str, Any]:
+    """Rollouts under commands before and after, by the key `motion`; nothing without commands.
+
+    Args:
+        motions: The result of `geodrake.control.rollout.commanded_motions`.
+    """
+    if motions is None:
+        return {}
+    before, after = motions
+    return {"motion": {"before": rollout_dict(before), "after": rollout_dict(after)}}
+
+
 def to_json(result: Mapping[str, Any]) -> str:
     """Text of a result; every number in it is finite, or null with a reason.
 

@@ -264,8 +264,8 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
             row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
             row += [f"{1e3 * signal.delay:.2g} ms"]
         rows.append(cells(*row))
-    head = ("joint", "in place of efforts", "gain", "unit")
-    head += ("damping", "late by") if served else ()
+    more = ("damping", "late by") if served else ()
+    head = ("joint", "in place of efforts", "gain", "unit", *more)
     return Table(head, tuple(rows), words=2)
 
 

@@ -30,6 +30,10 @@ _MOST_PLACES = 3
 _PROPER_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck", "com": "CoM"}
 
 
+MOTIONS = "Departure from the motion under the commands"
+"""What stands above rollouts under commands."""
+
+
 def listed(names: Sequence[str], last: str = "and") -> str:
     """`a`, `a and b`, `a, b and c`.
 

@@ -8,11 +8,17 @@ is alone with the efforts, or the commands, that were logged, until the window e
 from __future__ import annotations
 
 from geodrake.control.rollout.results import Rollout
-from geodrake.control.rollout.roll_out import case_rollout, command_rollout, roll_out
+from geodrake.control.rollout.roll_out import (
+    case_rollout,
+    command_rollout,
+    commanded_motions,
+    roll_out,
+)
 
 __all__ = [
     "Rollout",
     "case_rollout",
     "command_rollout",
+    "commanded_motions",
     "roll_out",
 ]

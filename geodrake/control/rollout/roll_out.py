@@ -21,6 +21,7 @@ from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
+from geodrake.model.servos import servos_of
 
 HORIZON = 0.5
 """Length of a window, s."""
@@ -28,6 +29,7 @@ HORIZON = 0.5
 MOST_WINDOWS = 12
 """Windows that are simulated, spread evenly over the logs."""
 
+_COMPARED = 6  # windows for what servos are like before and after a fit
 _SHORTEST, _LONGEST = 1e-3, 1e3  # horizons, s
 _SIGN_WIDTH = 5e-3  # share of a joint's peak speed below which dry friction fades
 
@@ -106,6 +108,26 @@ def command_rollout(
     _check(horizon, most, progress)
     case = open_case(model, logs, candidates=False, bandwidth=bandwidth)
     return case_rollout(case, horizon=horizon, most=most, commands=True, progress=progress)
+
+
+def commanded_motions(
+    model: RobotModel, after: RobotModel, logs: Sequence[JointLog | str | Path]
+) -> tuple[Rollout, Rollout] | None:
+    """How far a robot departs from its motion under the commands of logs, before and after a fit.
+
+    Args:
+        model: The model before.
+        after: The model after, which knows the servos.
+        logs: Logs or their files.
+
+    Returns:
+        Rollouts of both models, with the same servos; None if they have none.
+    """
+    if not any(servos_of(after)):
+        return None
+    before = replace(model, effort_signals=after.effort_signals)
+    motions = [command_rollout(each, logs, most=_COMPARED) for each in (before, after)]
+    return motions[0], motions[1]
 
 
 def case_rollout(
