@@ -125,6 +125,11 @@ def test_mujoco_s_position_actuators(values, kp, kv, limit):
     np.testing.assert_allclose(found, data.actuator_force, rtol=1e-12, atol=1e-12)
 
 
+has_motors = pytest.mark.skipif(
+    not hasattr(mujoco.mjtGain, "mjGAIN_DCMOTOR"), reason="this MuJoCo has no motors"
+)
+
+
 def dcmotor(inductance="", gear=30.0, load=""):
     return mujoco.MjModel.from_xml_string(f"""<mujoco><option timestep="2e-6" gravity="0 0 0"/>
       <worldbody><body><joint name="a" axis="0 1 0" {load}/><geom size="0.1"/></body></worldbody>
@@ -132,6 +137,7 @@ def dcmotor(inductance="", gear=30.0, load=""):
         {inductance}/></actuator></mujoco>""")
 
 
+@has_motors
 def test_mujoco_s_motor():
     compiled = dcmotor()
     data, motor = mujoco.MjData(compiled), DcMotor([0.05], 1.2, gear_ratio=30.0)
@@ -145,6 +151,7 @@ def test_mujoco_s_motor():
         np.testing.assert_allclose(found, data.qfrc_actuator, rtol=1e-12, atol=1e-14)
 
 
+@has_motors
 def test_a_current_rises_as_mujoco_s_and_as_the_closed_form():
     """A motor that is held: i = u/R (1 − e^(−R t / L))."""
     compiled = dcmotor('inductance="0.003"', load='armature="1e12"')

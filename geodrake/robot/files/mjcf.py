@@ -90,9 +90,10 @@ class MjcfText(ModelText):
 
     @property
     def timestep(self) -> float:
-        """Step of the simulation, s."""
+        """Step of the simulation, s; MuJoCo's own where the file states none that can be."""
         stated = [option.get("timestep") for option in self.root.findall("option")]
-        return float(numbers(next(filter(None, reversed(stated)), "0.002"), 1)[0])
+        step = float(numbers(next(filter(None, reversed(stated)), ""), 1)[0])
+        return step if step > 0.0 and np.isfinite(step) else 0.002
 
     def _take_equalities(self, scope: str) -> None:
         """Joints that follow others by polynomials; other constraints are left out."""

@@ -44,6 +44,7 @@ class MujocoEngine(Engine):
             off.mjDSBL_LIMIT,
             off.mjDSBL_EQUALITY,
             off.mjDSBL_CLAMPCTRL,
+            off.mjDSBL_ACTUATION,  # but in rollouts
         ):
             self._model.opt.disableflags |= int(bit)
         places = self._places()
@@ -51,6 +52,10 @@ class MujocoEngine(Engine):
         self._positions = [self._qpos(at) for at in self._at]
         self._held = {places[n]: value for n, value in model.held.items() if n in places}
         self._friction = self._model.dof_frictionloss[self._at].copy()
+        # Older versions have no delays, and one signal for each actuator.
+        count = self._model.nu
+        self._delays = getattr(self._model, "actuator_delay", np.zeros(count))
+        self._signals = getattr(self._model, "actuator_ctrladr", np.arange(count))
         self._through = self._take_actuators(model)
         through = zip(model.joints, self._at, strict=True)
         self.drives = Drives.of(model, [joint for joint, at in through if at in self._through])
@@ -77,6 +82,7 @@ class MujocoEngine(Engine):
         before = model.opt.timestep, model.opt.integrator, model.opt.disableflags
         model.opt.timestep, model.opt.integrator = step, int(mujoco.mjtIntegrator.mjINT_RK4)
         model.opt.disableflags |= int(off.mjDSBL_FRICTIONLOSS)
+        model.opt.disableflags &= ~int(off.mjDSBL_ACTUATION)
         data = mujoco.MjData(model)
         data.qpos[self._positions], data.qvel[self._at] = q, v
         controls = effort if self.drives is None else self.drives.controls(q, effort)
@@ -87,7 +93,7 @@ class MujocoEngine(Engine):
                 if (actuator := self._through.get(at)) is None:
                     data.qfrc_applied[at] = value
                 else:
-                    data.ctrl[model.actuator_ctrladr[actuator]] = value
+                    data.ctrl[self._signals[actuator]] = value
             mujoco.mj_step(model, data)
             found.append(data.qpos[self._positions].copy())
         model.opt.timestep, model.opt.integrator, model.opt.disableflags = before
@@ -97,8 +103,8 @@ class MujocoEngine(Engine):
         """Has late actuators be told the first signals all the time before."""
         for at, value in zip(self._at, controls.tolist(), strict=True):
             actuator = self._through.get(at)
-            count = 0 if actuator is None else int(self._model.actuator_history[actuator][0])
-            if count:
+            if actuator is not None and self._delays[actuator]:
+                count = int(self._model.actuator_history[actuator][0])
                 mujoco.mj_initCtrlHistory(self._model, data, actuator, None, np.full(count, value))
 
     def _take_actuators(self, model: RobotModel) -> dict[int, int]:
@@ -131,7 +137,7 @@ class MujocoEngine(Engine):
         )
         servo = own.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE)
         unlike = not wanted.is_servo and own.actuator_gainprm[actuator][0] != 1.0
-        late = bool(own.actuator_delay[actuator]) == bool(wanted.delay)
+        late = bool(self._delays[actuator]) == bool(wanted.delay)
         return bool(plain and servo == wanted.is_servo and not unlike and late)
 
     def _qpos(self, dof: int) -> int:
