@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from geodrake.cli.app import app
 from geodrake.control import command_rollout, roll_out
 from geodrake.control.rollout import case_rollout
-from geodrake.effects import FittedEffect, RotorInertia, ViscousFriction
+from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
 from geodrake.logs.files import write_log
@@ -181,7 +181,11 @@ def test_a_case_that_is_open_gives_the_same(arm):
 
 def test_reports_say_what_the_model_was_under(arm):
     log, model = arm
-    found = command_rollout(model, [log], most=1, horizon=0.2)
+    late = replace(
+        model, effects=(*model.effects, FittedEffect(EffortDelay(0.002, "b"), np.zeros(0)))
+    )
+    found = command_rollout(late, [log], most=1, horizon=0.2)
+    assert any("effort_delay of b does not count" in note for note in found.notes)
     assert rollout_dict(found)["under"] == "commands"
     page = render_rollout((found, None), title="t", model_name="arm", log_names=["log"])
     assert "arm under the commands of log" in page
