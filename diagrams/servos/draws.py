@@ -154,7 +154,12 @@ def servo_file(name: str) -> RobotFile:
 @cache
 def servo_model(name: str) -> RobotModel:
     """What geodrake knows of a robot: its model file."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.urdf"
-        path.write_text(servo_file(name).text, encoding="utf-8")
-        return load_model(path)
+    path = Path(_folder().name) / f"{name}.urdf"
+    path.write_text(servo_file(name).text, encoding="utf-8")
+    return load_model(path)
+
+
+@cache
+def _folder() -> TemporaryDirectory[str]:
+    """Where model files are as long as the process runs, as simulations read them again."""
+    return TemporaryDirectory()

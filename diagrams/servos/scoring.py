@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
+from geodrake.control.rollout import command_rollout
 from geodrake.diagnosis import Explanation, explain
-from geodrake.model import RobotModel
+from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
+from geodrake.model import EffortSignal, RobotModel
 from servos.draws import ServoDraw, ServoLog, make_servo_log, servo_model
 
+ARMATURE = "rotor_inertia"
 HIDDEN = {
     "coulomb_friction": "coulomb",
     "viscous_friction": "viscous",
-    "rotor_inertia": "inertia",
+    ARMATURE: "inertia",
 }
 """Effects that every joint has, and the parameter of each that is reported."""
 
 _NOTABLE = 0.05  # of a joint's torque, above which a hidden effect is to be named
+_WINDOWS = 6  # of rollouts
 _SIDES = 2.0  # standard deviations of an interval
 
 
@@ -40,6 +44,7 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
         "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
         **_in_set(made, model, found),
+        **_motion(made, model, found.model),
         "values": [*_gains(made, found.model), *_effects(made, model, found)],
     }
 
@@ -54,7 +59,7 @@ def _truths(made: ServoLog, model: RobotModel) -> Mapping[str, Mapping[str, floa
     values = {
         "coulomb_friction": servos.coulomb,
         "viscous_friction": viscous,
-        "rotor_inertia": servos.armature,
+        ARMATURE: servos.armature,
     }
     return {e: dict(zip(names, v.tolist(), strict=True)) for e, v in values.items()}
 
@@ -66,16 +71,50 @@ def _in_set(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
     motions = {
         "coulomb_friction": np.sign(velocity),
         "viscous_friction": velocity,
-        "rotor_inertia": np.gradient(velocity, made.log.time, axis=0),
+        ARMATURE: np.gradient(velocity, made.log.time, axis=0),
     }
     torque = made.torques.std(axis=0)
     named = {name for s in found.steps for name in (s.effect, *s.indistinguishable_from)}
     missing = []
     for effect, values in _truths(made, model).items():
         share = motions[effect].std(axis=0) * np.array([*values.values()]) / torque
+        if effect == ARMATURE:
+            share[0] = 0.0  # at the first joint it is as if its link were heavier
         if share.max() > _NOTABLE and effect not in named:
             missing.append(effect)
     return {"in_set": not missing, "missing": missing}
+
+
+def _motion(made: ServoLog, model: RobotModel, found: RobotModel) -> dict[str, Any]:
+    """Departure from the motion under the commands, of what was found and of the true model."""
+    servos, joints = made.servos, made.log.joints
+    true = [
+        *(CoulombFriction(joint) for joint in joints),
+        *(ViscousFriction(joint) for joint in joints),
+        *(RotorInertia(joint) for joint in joints),
+    ]
+    values = np.concatenate([servos.coulomb, servos.viscous, servos.armature])
+    damping = servos.damping if servos.knows_rate else np.zeros(len(joints))
+    if not servos.knows_rate:
+        values[len(joints) : 2 * len(joints)] += servos.damping
+    truth = replace(
+        model,
+        effects=tuple(
+            FittedEffect(effect, np.array([value]))
+            for effect, value in zip(true, values.tolist(), strict=True)
+        ),
+        effort_signals=tuple(
+            EffortSignal(joint, "command", kp, damping=kd, delay=servos.delay)
+            for joint, kp, kd in zip(
+                joints, servos.stiffness.tolist(), damping.tolist(), strict=True
+            )
+        ),
+    )
+    ours, best = (command_rollout(each, [made.log], most=_WINDOWS) for each in (found, truth))
+    return {
+        "motion": [joint.relative for joint in ours.joints],
+        "motion of the true model": [joint.relative for joint in best.joints],
+    }
 
 
 def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:

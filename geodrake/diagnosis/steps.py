@@ -29,6 +29,7 @@ from geodrake.identification.logs.hypothesis import Hypothesis
 from geodrake.identification.logs.model_errors import Series
 from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric
+from geodrake.model.effort_signal import signal_of
 
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
@@ -374,10 +375,18 @@ def _systematic(case: Case, group: _Group, fit: ModelFit) -> Values:
             shifts = [factor_of(fit.unexplained_covariance[span, span])]
             if fitted.effect.role is not Role.SCALE:
                 shifts.append(case.gain_deviations[:, None] * fit.gain_shifts[:, span])
+            if fitted.effect.damps:
+                shifts.append(_servo_damping(case, fitted.effect.where[0]))
             if any(each.any() for each in shifts):
                 found = systematic_parameters(fitted, np.concatenate(shifts))
                 values.setdefault(fitted.effect.place, {}).update(found)
     return values
+
+
+def _servo_damping(case: Case, joint: str) -> Array:
+    """(1, 1) how well the damping of a joint's servo is known, which friction takes the rest of."""
+    signal = signal_of(case.model.effort_signals, joint)
+    return np.array([[0.0 if signal is None else signal.damping_deviation]])
 
 
 def _inertias(moved: Mapping[str, float], fit: ModelFit) -> Values:

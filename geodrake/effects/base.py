@@ -95,6 +95,7 @@ class Effect(CheckedFields, abc.ABC):
         at_each_joint: What the same actuator adds to either joint of a pair alone.
         jumps: Whether it jumps where a joint reverses, as dry friction does.
         usual: Whether a real robot is hardly without it.
+        damps: Whether its one column is the velocity of its joint, as that of a servo's damping is.
         beside_gains: Whether unknown gains of efforts are found beside it, as any joint may have
             it.
     """
@@ -127,6 +128,7 @@ class Effect(CheckedFields, abc.ABC):
     at_each_joint: ClassVar[tuple[type[Effect], ...]] = ()
     jumps: ClassVar[bool] = False
     usual: ClassVar[bool] = False
+    damps: ClassVar[bool] = False
     beside_gains: ClassVar[bool] = False
 
     @property

@@ -23,6 +23,7 @@ class ViscousFriction(JointEffect):
     complexity = 0
     stated_as = "damping"
     usual = True
+    damps = True
     beside_gains = True
     parameters = (Parameter("viscous", "N·m·s/rad", lower=0.0),)
     signature = "grows in proportion to the joint's speed and changes sign with it"
