@@ -18,6 +18,7 @@ import numpy as np
 from adaptive.options import make_parser, positive_number, run_draws, show, write_json
 from rich.console import Console
 from servos.draws import ServoDraw, servo_draws
+from servos.figures import save_ratios
 from servos.scoring import score_servo
 
 
@@ -79,6 +80,8 @@ def main() -> None:
         for name, value in table.items()
     ]
     show(Console(), "Servos of unknown gains", columns, lines)
+    if options.figures is not None:
+        save_ratios(rows, options.figures)
     write_json(options.json, {"summary": table, "rows": rows})
 
 

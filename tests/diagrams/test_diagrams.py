@@ -66,6 +66,13 @@ def shows_what_friction_is_worth(table):
         assert 3.0 * fitted < rms["fitted bodies", joint] < rms["model file", joint]
 
 
+def finds_servos(table):
+    assert table["summary"]["all effects in the set"] == 1.0
+    assert table["summary"]["kp"]["inside"] == 1.0
+    assert table["summary"]["kp"]["median error"] < 0.1
+    assert table["summary"]["departure over that of the true model, median"] < 1.2
+
+
 def orders_laws_as_the_source(table):
     """Tracking: the natural law best, then the Euclidean one, then none."""
     rows = table.get("summary", table["rows"])
@@ -100,6 +107,7 @@ SHOWS = {
     "wam_adaptation": orders_laws_as_the_source,
     "wam_payload": orders_laws_as_the_source,
     "hidden_effects": reaches_its_bars,
+    "servo_gains": finds_servos,
     "long_log": takes_little_memory,
     "simulate_fitted": shows_what_friction_is_worth,
     "real_robots": says_what_diagnose_names_and_days_tell,
