@@ -414,7 +414,7 @@ def test_mapping(tmp_path):
         (("column: i_e", "column: phi_e"), "names column 'phi_e' twice"),
         (("unit: ms", "unit: fortnight"), "'fortnight' is no known unit of time"),
         (("gain: 3.0", "gain: 0"), "other than 0"),
-        (("gain: 3.0", "gain: many"), "other than 0"),
+        (("gain: 3.0", "gain: many"), "which is not a number"),
         (("time:", "zeit:"), "has the key 'zeit'"),
         (("time: {column: ticks, unit: ms}", ""), "neither `time` nor `rate`"),
         (("column: 4", "column: [4]"), "no name or number"),

@@ -102,10 +102,11 @@ def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
     """The number in which the columns differ, if that is all in which they do."""
     if list(keys) == [()]:
         return {(): 0}
-    if not all(keys) or len({key[:-1] for key in keys}) > 1:
+    told = [key for key in keys if key]  # one without any is of the whole robot
+    if len({key[:-1] for key in told}) > 1:
         return {}
-    found = {key: key[-1] for key in keys if isinstance(key[-1], int)}
-    return found if len(found) == len(keys) else {}
+    found = {key: key[-1] for key in told if isinstance(key[-1], int)}
+    return found if len(found) == len(told) else {}
 
 
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:
