@@ -75,7 +75,7 @@ def test_episodes_of_a_dataset_are_one_log_with_gaps_or_one_of_them(tmp_path, lo
 
 def test_dataset_without_efforts(tmp_path, log):
     with pytest.raises(LogError, match=r"no effort of joints; its features are observation\.state"):
-        read_log(lerobot(tmp_path, log, efforts=False))
+        read_log(lerobot(tmp_path, log, efforts=False, actions=False))
 
 
 def test_torques_of_an_iiwa_have_the_sign_of_drakes_plant(tmp_path):
