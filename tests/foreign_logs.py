@@ -102,7 +102,10 @@ def controller_state(
         for k, since in enumerate(nanoseconds(log)):
             numbers = {name: [none, none, none] for name in points}
             numbers[measured][:2] = log.position[k], log.velocity[k]
-            numbers[effort_at or measured][2] = log.effort[k]
+            if log.command is None:
+                numbers[effort_at or measured][2] = log.effort[k]
+            else:
+                numbers["reference" if "reference" in points else "desired"][0] = log.command[k]
             state = [Point(q, v, none, effort, now) for q, v, effort in numbers.values()]
             bodies = [[], *(Bodies([], [], [], now) for _ in more)] if more else []
             yield (

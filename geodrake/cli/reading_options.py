@@ -59,8 +59,8 @@ class ReadingOptions:
         list[str] | None,
         typer.Option(
             metavar="JOINT=VALUE[±DEVIATION]",
-            help="What makes efforts of a joint's currents, voltages or duty cycles, such as torque "
-            "constant × gear ratio; found from the model's inertias if absent. Repeatable.",
+            help="What makes efforts of a joint's currents, voltages or duty cycles, such as "
+            "torque constant × gear ratio; found from the model's inertias if absent. Repeatable.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -144,7 +144,7 @@ class ReadingOptions:
                 f"--kind is {' and '.join(of_all)} of all joints.", advice="Write JOINT=KIND."
             )
         named = _pairs("--kind", [part for part in parts if "=" in part], "elbow_joint=current")
-        return {**{"": kind for kind in of_all}, **dict(named)}
+        return dict([*(("", kind) for kind in of_all), *named])
 
 
 def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:

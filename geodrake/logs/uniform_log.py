@@ -106,7 +106,8 @@ def _never_measured(log: JointLog) -> str:
     for quantity in ("position", "effort"):
         empty = ~np.isfinite(getattr(log, quantity)).any(axis=0)
         if empty.any():
-            or_command = " and no command" if quantity == "effort" and log.command is not None else ""
+            told = quantity == "effort" and log.command is not None
+            or_command = " and no command" if told else ""
             joint = log.joints[int(np.argmax(empty))]
             return f": there is no {quantity}{or_command} of {joint} in any"
     return ""

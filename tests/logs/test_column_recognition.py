@@ -156,6 +156,14 @@ def test_fewer_columns_than_joints_only_by_their_numbers(first):
     assert not set(UR).intersection(found.values())
 
 
+def test_some_numbered_columns_are_of_the_joints_that_all_others_have():
+    names = [*(f"actual_q_{k}" for k in range(6)), "actual_current_1", "target_q_4"]
+    found, _ = joints_of(names, UR)
+    assert (found["actual_current_1"], found["target_q_4"]) == (UR[1], UR[4])
+    found, _ = joints_of([*names, "tau_7"], UR)
+    assert found["tau_7"] not in UR
+
+
 def test_names_that_may_be_of_two_joints_are_of_none():
     joints = ("left_wrist_1", "right_wrist_1")
     found, _ = joints_of(["wrist_1_pos"], joints)
@@ -172,7 +180,13 @@ def test_positions_that_were_asked_for(name):
 
 @pytest.mark.parametrize(
     "name",
-    ["current_limit_1", "actual_main_voltage", "present_input_voltage_2", "max_pwm_1", "bus_current"],
+    [
+        "current_limit_1",
+        "actual_main_voltage",
+        "present_input_voltage_2",
+        "max_pwm_1",
+        "bus_current",
+    ],
 )
 def test_limits_and_supplies_are_no_signals_of_joints(name):
     assert meaning_of(name) is None

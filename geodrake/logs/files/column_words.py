@@ -66,8 +66,8 @@ def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]
                 f"JOINT=VALUE gives them{_CONSTANT if kind == 'current' else ''}"
             )
     measured = {name.rpartition(".")[0] for name in sources if name.endswith(".effort")}
-    told = [name.rpartition(".")[0] for name in same["command"]]
-    bare = [joint for joint in told if joint not in measured]
+    commanded = [name.rpartition(".")[0] for name in same["command"]]
+    bare = [joint for joint in commanded if joint not in measured]
     if bare:
         yield (
             f"no efforts of {listed(bare)}: commands are in their place, and what servos make of "

@@ -115,7 +115,6 @@ class Meaning:
         return only if isinstance(only, int) else None
 
 
-
 def meaning_of(name: str) -> Meaning | None:
     """What a column of that name is; None if it is none of a joint, and no time."""
     own = _own(name)

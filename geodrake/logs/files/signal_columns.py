@@ -78,7 +78,9 @@ def _preference(meaning: Meaning, said: str | None) -> tuple[bool, bool, bool, i
     return other, not _is_own(meaning), meaning.role >= DESIRED, kind, meaning.role
 
 
-def effort_source(path: Path, meaning: Meaning, joint: str, reading: Reading, stated: str) -> Source:
+def effort_source(
+    path: Path, meaning: Meaning, joint: str, reading: Reading, stated: str
+) -> Source:
     """Where the efforts of a joint come from, and what they are.
 
     Args:
@@ -108,12 +110,12 @@ def effort_source(path: Path, meaning: Meaning, joint: str, reading: Reading, st
             advice="Name another column by --mapping, or leave --kind out.",
             joint=joint,
         )
+    unit = named
     if kind in units:
         unit = unit_of(units[kind], kind)
-    elif asked is not None and (asked.signal or "effort") == kind:
-        unit = asked
-    else:
-        unit = named
+    elif asked is not None:
+        is_meant = (asked.signal or "effort") == kind
+        unit = asked if is_meant or (asked.signal and meaning.quantity == "effort") else named
     if kind != "effort" or joint not in reading.gains:
         check_kind(path, meaning.column, joint, kind, unit)
     return Source(meaning.column, unit.factor if unit else 1.0, unit, kind=kind)
