@@ -102,7 +102,10 @@ def controller_state(
         for k, since in enumerate(nanoseconds(log)):
             numbers = {name: [none, none, none] for name in points}
             numbers[measured][:2] = log.position[k], log.velocity[k]
-            numbers[effort_at or measured][2] = log.effort[k]
+            if log.command is None:
+                numbers[effort_at or measured][2] = log.effort[k]
+            else:
+                numbers["reference" if "reference" in points else "desired"][0] = log.command[k]
             state = [Point(q, v, none, effort, now) for q, v, effort in numbers.values()]
             bodies = [[], *(Bodies([], [], [], now) for _ in more)] if more else []
             yield (
@@ -304,8 +307,11 @@ def mat_v73(folder, log):
     return path
 
 
-def lerobot(folder, log, *, version="v3.0", episodes=2, efforts=True):
-    """A dataset of equal episodes: of version 3 in one file, of version 2 in one each."""
+def lerobot(folder, log, *, version="v3.0", episodes=2, efforts=True, actions=True):
+    """A dataset of equal episodes: of version 3 in one file, of version 2 in one each.
+
+    Actions are the log's commands, or its positions if it has none.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -317,7 +323,9 @@ def lerobot(folder, log, *, version="v3.0", episodes=2, efforts=True):
     if efforts:
         features["observation.effort"] = feature
     features["observation.images.top"] = {"dtype": "video", "shape": [3, 48, 64], "names": None}
-    features["action"] = feature
+    if actions:
+        features["action"] = feature
+    told = log.position if log.command is None else log.command
     (path / "meta").mkdir(parents=True)
     info = {"codebase_version": version, "total_episodes": episodes, "features": features}
     (path / "meta" / "info.json").write_text(json.dumps(info))
@@ -325,7 +333,7 @@ def lerobot(folder, log, *, version="v3.0", episodes=2, efforts=True):
     for k, rows in enumerate(np.array_split(np.arange(len(log)), episodes)):
         columns = {
             "observation.state": list(log.position[rows].astype(np.float32)),
-            "action": list(log.position[rows].astype(np.float32)),
+            "action": list(told[rows].astype(np.float32)),
             "timestamp": (log.time[rows] - log.time[rows[0]]).astype(np.float32),
             "episode_index": np.full(len(rows), k),
         }

@@ -8,7 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from geodrake.boundary.arguments import number
 from geodrake.errors import ArgumentError
+from geodrake.logs.files import Reading
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
 from geodrake.model.carried_payloads import carried_phi
@@ -47,14 +49,24 @@ def with_known_payloads(
     )
 
 
-def with_facts(logs: Sequence[JointLog], facts: Mapping[str, Any]) -> tuple[JointLog, ...]:
+def with_facts(
+    logs: Sequence[JointLog], facts: Mapping[str, Any], reading: Reading
+) -> tuple[JointLog, ...]:
     """The logs with what is known of all of them.
 
     Args:
         logs: The logs.
-        facts: Fields of `JointLog` by name.
+        facts: Fields of `JointLog` by name; of gains whose deviations were stated, these count.
+        reading: How the logs were read.
     """
-    return tuple(replace(log, **facts) for log in logs)
+    found = []
+    for log in logs:
+        own = dict(facts)
+        if (share := own.get("effort_uncertainty")) is not None:
+            number(share, "effort_uncertainty", lower=0.0, upper=1.0)
+            own["effort_uncertainty"] = reading.effort_uncertainty(log.joints, share)
+        found.append(replace(log, **own))
+    return tuple(found)
 
 
 def _parsed(text: str, logs: Sequence[Path]) -> tuple[Path, KnownPayload]:

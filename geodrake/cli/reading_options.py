@@ -51,16 +51,25 @@ class ReadingOptions:
         typer.Option(
             metavar="QUANTITY=UNIT,…",
             help="Units other than SI that names of columns do not say, such as "
-            "position=deg,velocity=rpm,time=ms,effort=mA.",
+            "position=deg,velocity=rpm,time=ms,current=mA.",
             rich_help_panel=_PANEL,
         ),
     ] = None
     gain: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="JOINT=VALUE",
-            help="What a joint's efforts are multiplied by, such as torque constant × gear ratio "
-            "for motor currents. Repeatable.",
+            metavar="JOINT=VALUE[±DEVIATION]",
+            help="What makes efforts of a joint's currents, voltages or duty cycles, such as "
+            "torque constant × gear ratio; found from the model's inertias if absent. Repeatable.",
+            rich_help_panel=_PANEL,
+        ),
+    ] = None
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[JOINT=]KIND",
+            help="What columns of efforts are: effort, current, voltage, pwm; or command, for what "
+            "a servo was told in their place. Repeatable.",
             rich_help_panel=_PANEL,
         ),
     ] = None
@@ -103,20 +112,39 @@ class ReadingOptions:
             raise ArgumentError(
                 "--columns and --mapping are given.", advice="A mapping has numbers of columns."
             )
+        gains = self._gains
         return Reading(
             mapping=None if self.mapping is None else read_mapping(self.mapping),
             columns=tuple(part.strip() for part in (self.columns or "").split(",") if part.strip()),
             rate=self.rate,
             units=dict(_pairs("--units", [self.units or ""], "position=deg,time=ms")),
-            gains={joint: _number(joint, text) for joint, text in self._gains},
+            gains={joint: gain for joint, (gain, _) in gains.items()},
+            gain_deviations={j: spread for j, (_, spread) in gains.items() if spread is not None},
+            kinds=self._kinds,
             skip_bad_rows=self.skip_bad_rows,
             topic=self.topic,
             episode=self.episode,
         )
 
     @property
-    def _gains(self) -> list[tuple[str, str]]:
-        return _pairs("--gain", self.gain or (), "elbow_joint=13.2")
+    def _gains(self) -> dict[str, tuple[float, float | None]]:
+        """Joint -> gain, and its deviation if there is one."""
+        from geodrake.logs.files.reading import parsed_gain
+
+        said = _pairs("--gain", self.gain or (), "elbow_joint=13.2")
+        return {joint: parsed_gain(text, f"--gain of {joint!r}") for joint, text in said}
+
+    @property
+    def _kinds(self) -> dict[str, str]:
+        """Joint -> kind; that of all joints by the name ""."""
+        parts = [part.strip() for part in ",".join(self.kind or ()).split(",")]
+        of_all = [part for part in parts if part and "=" not in part]
+        if len(of_all) > 1:
+            raise ArgumentError(
+                f"--kind is {' and '.join(of_all)} of all joints.", advice="Write JOINT=KIND."
+            )
+        named = _pairs("--kind", [part for part in parts if "=" in part], "elbow_joint=current")
+        return dict([*(("", kind) for kind in of_all), *named])
 
 
 def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -130,16 +158,6 @@ def _pairs(option: str, given: Sequence[str], example: str) -> list[tuple[str, s
             raise ArgumentError(f"{option} names {name!r} twice.", advice="Name it once.")
         found[name] = value
     return list(found.items())
-
-
-def _number(joint: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ArgumentError(
-            f"--gain of {joint!r} is {text!r}, which is not a number.",
-            advice="Write --gain JOINT=VALUE.",
-        ) from None
 
 
 @contextmanager

@@ -172,7 +172,7 @@ def _read(
     model = model_of_logs(model, logs)
     command.check(model)
     carrying = with_known_payloads(options.logs, logs, options.known_payload or (), model)
-    known_logs = with_facts(carrying, options.log_facts)
+    known_logs = with_facts(carrying, options.log_facts, reading)
     return Input(model, known_logs, extra, options.settings, update)
 
 

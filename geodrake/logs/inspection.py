@@ -30,7 +30,7 @@ class UnderstoodColumn:
 
     Attributes:
         joint: The joint.
-        quantity: What is measured.
+        quantity: What is measured; of efforts, their kind.
         column: Name of the column in the file.
         unit: The unit that it was in; "" for SI.
         factor: What its numbers were multiplied by.
@@ -135,13 +135,15 @@ def _known(values: Array) -> Array:
 def _columns(raw: JointLog, log: JointLog, columns: Columns) -> Iterator[UnderstoodColumn]:
     for place, joint in enumerate(log.joints):
         for quantity in columns.quantities:
-            source = columns.sources[f"{joint}.{quantity}"]
+            source = columns.sources.get(f"{joint}.{quantity}")
+            if source is None:
+                continue  # commands have the place of efforts, or the other way round
             known = _known(getattr(log, quantity)[:, place])
             cells = getattr(raw, quantity)[:, place]
             ends = (float(known.min()), float(known.max())) if len(known) else (np.nan, np.nan)
             yield UnderstoodColumn(
                 joint,
-                quantity,
+                source.kind if quantity == "effort" else quantity,
                 source.column,
                 source.unit.name if source.unit else "",
                 source.factor,

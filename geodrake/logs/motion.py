@@ -31,6 +31,9 @@ QUANTITIES = ("position", "velocity", "acceleration", "effort", "command")
 EFFORT_KINDS = ("effort", "current", "voltage", "pwm")
 """What efforts may be measured as: N·m or N, A, V, or a share of the supply's voltage."""
 
+USUAL_GAIN_DEVIATION = 0.05
+"""How well gains of efforts are known where nobody says it, as a share: as torque constants are."""
+
 _ROWS = 100_000  # of a log that are copied at once
 
 
@@ -71,7 +74,7 @@ class JointLog(Short):
     acceleration: Array | None = None
     notes: tuple[str, ...] = ()
     payloads: tuple[KnownPayload, ...] = ()
-    effort_uncertainty: float | Array = 0.05
+    effort_uncertainty: float | Array = USUAL_GAIN_DEVIATION
     standing: Mapping[str, float] = field(default_factory=dict)
     command: Array | None = None
     effort_kinds: Mapping[str, str] = field(default_factory=dict)

@@ -78,7 +78,8 @@ def make_uniform(log: JointLog) -> UniformLog:
         raise LogError(
             f"Log {log.name!r} has {np.count_nonzero(complete)} rows without empty cells out of "
             f"{len(log)}{_never_measured(log)}.",
-            advice="Log time, position and effort of every joint in the same row.",
+            advice="Log time, position and effort of every joint in the same row; in the place of "
+            "efforts, currents, voltages, duty cycles or commands.",
         )
     runs, period, note = _runs(log.time, complete)
     _check_period(log, period)
@@ -105,7 +106,10 @@ def _never_measured(log: JointLog) -> str:
     for quantity in ("position", "effort"):
         empty = ~np.isfinite(getattr(log, quantity)).any(axis=0)
         if empty.any():
-            return f": there is no {quantity} of {log.joints[int(np.argmax(empty))]} in any"
+            told = quantity == "effort" and log.command is not None
+            or_command = " and no command" if told else ""
+            joint = log.joints[int(np.argmax(empty))]
+            return f": there is no {quantity}{or_command} of {joint} in any"
     return ""
 
 

@@ -59,7 +59,8 @@ def log_of_model(log: JointLog, model: RobotModel) -> JointLog:
             raise LogError(
                 f"Log {log.name!r} is a log without effort of {joint}: the position is there, the "
                 "effort is not.",
-                advice=f"Log its effort too, or hold the joint: --lock {joint}=POSITION.",
+                advice=f"Log its effort too, or its current, voltage, duty cycle or command; or "
+                f"hold the joint: --lock {joint}=POSITION.",
                 joint=joint,
             )
     return match_joints(_with_followers(log, model).select(moving), model.joints)
@@ -98,6 +99,8 @@ def _says(log: JointLog, joint: str) -> bool:
         return False
     at = log.joints.index(joint)
     efforts, positions = (x[:, at] for x in (log.effort, log.position))
+    if log.command is not None and not np.isfinite(efforts).any():
+        efforts = log.command[:, at] - positions
     efforts, positions = (x[np.isfinite(x)] for x in (efforts, positions))
     if not len(efforts) or not len(positions):
         return True  # what is wrong there is told of later

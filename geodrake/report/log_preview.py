@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from geodrake.logs.inspection import LogInspection
 from geodrake.report import style
@@ -17,11 +18,14 @@ from geodrake.report.tables import Table, cells
 _MOST_POINTS = 4000  # of a curve
 _MOST_NAMED = 3  # gaps or rests that are named
 _EMPTY = "all its cells are empty"
+_SI = {"current": "A", "voltage": "V", "pwm": "share"}  # which names of quantities do not say
 
 
 @style.own_look()
 def preview_figure(found: LogInspection) -> Figure:
     """Positions and efforts of every joint over time, stretches at rest shaded.
+
+    Commands are broken lines over positions; without efforts, how far they are from there.
 
     Args:
         found: What was understood of the log.
@@ -32,20 +36,38 @@ def preview_figure(found: LogInspection) -> Figure:
     every = max(1, len(log) // _MOST_POINTS)
     time = log.time[::every]
     for row, joint in zip(range(len(axes)), log.joints, strict=True):
-        for ax, values, color in (
-            (axes[row, 0], log.position, style.AFTER),
-            (axes[row, 1], log.effort, style.BEFORE),
+        position = log.position[::every, row]
+        values, words = _effort_curve(found, row)
+        for ax, curve, color in (
+            (axes[row, 0], position, style.AFTER),
+            (axes[row, 1], values[::every], style.BEFORE),
         ):
             style.polish(ax)
-            ax.plot(time, values[::every, row], color=color, linewidth=0.8)
+            ax.plot(time, curve, color=color, linewidth=0.8)
             for first, last in found.rests:
                 ax.axvspan(first, last, color=style.RULE, alpha=0.5, linewidth=0)
-        style.joint_title(axes[row, 0], joint, "position, rad or m")
-        style.joint_title(axes[row, 1], "", "effort, N·m or N")
+        title = "position, rad or m"
+        if log.command is not None and np.isfinite(log.command[:, row]).any():
+            command = log.command[::every, row]
+            axes[row, 0].plot(time, command, color=style.QUIET, linewidth=0.8, linestyle="--")
+            title += "; broken: command"
+        style.joint_title(axes[row, 0], joint, title)
+        style.joint_title(axes[row, 1], "", words)
     for ax in axes[-1]:
         ax.set_xlabel("time, s", **style.plain(style.SMALL, style.QUIET))
     style.note_below(figure, "Grey: no joint moves." if found.rests else "")
     return figure
+
+
+def _effort_curve(found: LogInspection, row: int) -> tuple[NDArray[np.float64], str]:
+    """(N,) what a joint has for its effort, and what it is."""
+    log = found.log
+    kind = log.effort_kinds.get(log.joints[row], "effort")
+    effort = log.effort[:, row]
+    if log.command is not None and not np.isfinite(effort).any():
+        return log.command[:, row] - log.position[:, row], "command − position, rad or m"
+    words = {"pwm": "duty cycle, share of 1", "effort": "effort, N·m or N"}
+    return effort, words.get(kind, f"{kind}, {_SI.get(kind, '')}")
 
 
 def columns_table(found: LogInspection) -> Table:
@@ -59,7 +81,7 @@ def columns_table(found: LogInspection) -> Table:
             column.joint,
             column.quantity,
             column.column,
-            _unit_words(column.unit, column.factor),
+            _unit_words(column.unit or _SI.get(column.quantity, ""), column.factor),
             number(column.lowest),
             number(column.highest),
             str(column.empty or ""),

@@ -9,6 +9,8 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
+from geodrake.cli.known_payloads import with_facts
+from geodrake.cli.reading_options import ReadingOptions
 from geodrake.logs.files import read_log
 
 PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
@@ -76,6 +78,73 @@ def test_what_is_understood(tmp_path):
     assert np.nanmax(np.abs(again.position)) == pytest.approx(1.0, abs=1e-3)
 
 
+def test_currents_and_commands_are_shown_and_converted(tmp_path):
+    rows = table()
+    rows[:, 4] = rows[:, 2] + 0.01 * rows[:, 4]
+    log = write(tmp_path / "log.csv", "t,actual_q_0,actual_q_1,i_0_mA,target_q_1", rows)
+    saved = {name: tmp_path / f"x.{name}" for name in ("json", "csv", "png")}
+    result = run(
+        *("log", log, "--model", PENDULUM, "--json", saved["json"]),
+        *("--convert", saved["csv"], "--figure", saved["png"]),
+    )
+    assert result.exit_code == 0, result.output
+    output = " ".join(result.output.split())
+    for words in (
+        *("current", "mA × 0.001", "command", "target_q_1"),
+        *("motor currents, in A", "no efforts of elbow: commands are in their place"),
+    ):
+        assert words in output
+    columns = json.loads(saved["json"].read_text())["logs"][0]["columns"]
+    kinds = {c["joint"]: c["quantity"] for c in columns if c["quantity"] != "position"}
+    assert kinds == {"shoulder": "current", "elbow": "command"}
+    with Image.open(saved["png"]) as image:
+        assert image.size[0] > 800
+    header = saved["csv"].read_text().splitlines()[0].split(",")
+    assert set(header[3:]) == {"shoulder.current", "elbow.command"}
+    again = read_log(saved["csv"])
+    assert again.effort_kinds == {"shoulder": "current"}
+    assert np.allclose(again.effort[:, 0], 1e-3 * rows[:, 3])
+    assert np.allclose(again.command[:, 1], rows[:, 4])
+
+
+def test_gains_with_deviations_count_beside_what_is_said_of_all(tmp_path):
+    rows = table()
+    log = write(tmp_path / "log.csv", "t,q1,q2,i1,i2", rows)
+    known = ["--gain", "shoulder=2±0.2", "--gain", "elbow=4"]
+    result = run("log", log, "--model", PENDULUM, *known, "--kind", "current")
+    assert result.exit_code == 0, result.output
+    read = read_log(log, joints=("shoulder", "elbow"), reading=reading_of(known))
+    (told,) = with_facts([read], {"effort_uncertainty": 0.01}, reading_of(known))
+    assert np.allclose(told.effort_uncertainty, [0.1, 0.01])
+    assert not read.effort_kinds
+
+
+def reading_of(options):
+    return ReadingOptions(gain=options[1::2]).reading
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda q, s: (q, q), "never differs from its position"),
+        (lambda q, s: (q + 0.01 * s, q), "never differs from its position"),
+    ],
+)
+def test_commands_that_say_nothing(tmp_path, make, words):
+    rows = table(seconds=6.0)
+    rows[:, 3:] = np.column_stack([x[:, k] for k, x in enumerate(make(rows[:, 1:3], rows[:, 3:5]))])
+    header = OWN.replace("effort", "command")
+    log = write(tmp_path / "log.csv", header, rows)
+    assert words in refused("compare", PENDULUM, log)
+
+
+def test_saturated_currents(tmp_path):
+    rows = table(seconds=6.0)
+    rows[:, 3] = np.clip(rows[:, 3], -0.3, 0.3)
+    log = write(tmp_path / "log.csv", OWN.replace("effort", "current"), rows)
+    assert "it is saturated" in refused("compare", PENDULUM, log)
+
+
 def test_joints_of_the_model_that_the_log_lacks(tmp_path):
     log = write(tmp_path / "log.csv", "t,q1,tau1", table(seconds=1.0)[:, [0, 1, 3]])
     (tmp_path / "two.urdf").write_text(
@@ -124,6 +193,17 @@ def test_a_failed_reading_proposes_a_mapping(tmp_path):
         (("--gain", "shoulder"), "--gain has 'shoulder'"),
         (("--gain", "shoulder=much"), "which is not a number"),
         (("--gain", "wrist=2"), "gain of 'wrist'"),
+        (("--gain", "shoulder=0"), "other than 0"),
+        (("--gain", "shoulder=2±3"), "less than the gain"),
+        (("--gain", "shoulder=2±"), "which is not a number"),
+        (("--kind", "shoulder=power"), "no known kind of efforts of 'shoulder'"),
+        (("--kind", "power"), "no known kind of efforts"),
+        (("--kind", "current,voltage"), "--kind is current and voltage of all joints"),
+        (("--kind", "shoulder="), "--kind has 'shoulder='"),
+        (("--kind", "wrist=current"), "kind of 'wrist'"),
+        (("--kind", "shoulder=command"), "no column of 'shoulder' that could be 'command'"),
+        (("--kind", "voltage", "--units", "effort=mA"), "a unit of current"),
+        (("--units", "voltage=A"), "no known unit of voltage"),
         (("--rate", "-1"), "positive number"),
         (("--columns", "time,a"), "2 are named"),
         (("--mapping", "missing.yaml"), "missing.yaml does not exist"),

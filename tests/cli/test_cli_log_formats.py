@@ -142,7 +142,7 @@ BAD = {
     "empty folder": (empty_folder, "is a folder, and neither a rosbag2 nor a LeRobot dataset"),
     "bad JSON": (bad_info, "no LeRobot dataset that can be read"),
     "dataset without efforts": (
-        lambda f: lerobot(f, small_log(), efforts=False),
+        lambda f: lerobot(f, small_log(), efforts=False, actions=False),
         "no effort of joints",
     ),
 }

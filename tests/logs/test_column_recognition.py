@@ -17,7 +17,7 @@ NAMES = [
     ("elbow.position", "position", "elbow", None),
     ("actual_q_0", "position", "", 0),
     ("actual_qd_0", "velocity", "", 0),
-    ("actual_current_0", "effort", "", 0),
+    ("actual_current_0", "current", "", 0),
     ("target_moment_0", "effort", "", 0),
     ("q1", "position", "", 1),
     ("q_1", "position", "", 1),
@@ -32,14 +32,31 @@ NAMES = [
     ("shoulder_eff", "effort", "shoulder", None),
     ("AxisPos1", "position", "", 1),
     ("MeasuredJointPosition_A1", "position", "", 1),
-    ("MACur.A1", "effort", "", 1),
+    ("MACur.A1", "current", "", 1),
     ("joint_position_measured_3", "position", "", 3),
     ("field.effort4", "effort", "", 4),
     ("q1_torque", "effort", "", 1),
     ("present_position_2", "position", "", 2),
-    ("motor_current_2", "effort", "", 2),
+    ("motor_current_2", "current", "", 2),
     ("acc_2", "acceleration", "", 2),
+    ("i_3", "current", "", 3),
+    ("cur_elbow", "current", "elbow", None),
+    ("target_current_1", "current", "", 1),
+    ("actual_joint_voltage_2", "voltage", "", 2),
+    ("voltage_3", "voltage", "", 3),
+    ("duty_cycle_2", "pwm", "", 2),
+    ("present_pwm_4", "pwm", "", 4),
+    ("current_position_1", "position", "", 1),
+    ("action[2]", "command", "", 2),
+    ("/joint_states/elbow/command", "command", "elbow", None),
+    ("/arm_controller/command/data[2]", "command", "", 2),
+    ("/effort_controller/command[2]", "effort", "", 2),
+    ("elbow.current", "current", "elbow", None),
+    ("elbow.voltage", "voltage", "elbow", None),
+    ("elbow.pwm", "pwm", "elbow", None),
+    ("elbow.command", "command", "elbow", None),
 ]
+WANTED = ("q_cmd", "q_cmd_1", "target_q_0", "goal_position", "command/positions[2]", "action[0]")
 
 
 @pytest.mark.parametrize(("name", "quantity", "joint", "number"), NAMES)
@@ -88,6 +105,9 @@ def test_names_that_say_nothing_or_are_odd(name):
         ("Time[us]", "us", 1e-6),
         ("%time", "ns", 1e-9),
         ("pos_1 (mm)", "mm", 1e-3),
+        ("voltage_1 [mV]", "mV", 1e-3),
+        ("pwm_2 (%)", "%", 1e-2),
+        ("voltage_1 [mA]", "mA", 1e-3),  # which is refused when it is read
     ],
 )
 def test_units_in_names(name, unit, factor):
@@ -136,10 +156,46 @@ def test_fewer_columns_than_joints_only_by_their_numbers(first):
     assert not set(UR).intersection(found.values())
 
 
+def test_some_numbered_columns_are_of_the_joints_that_all_others_have():
+    names = [*(f"actual_q_{k}" for k in range(6)), "actual_current_1", "target_q_4"]
+    found, _ = joints_of(names, UR)
+    assert (found["actual_current_1"], found["target_q_4"]) == (UR[1], UR[4])
+    found, _ = joints_of([*names, "tau_7"], UR)
+    assert found["tau_7"] not in UR
+
+
 def test_names_that_may_be_of_two_joints_are_of_none():
     joints = ("left_wrist_1", "right_wrist_1")
     found, _ = joints_of(["wrist_1_pos"], joints)
     assert not set(joints).intersection(found.values())
+
+
+@pytest.mark.parametrize("name", WANTED)
+def test_positions_that_were_asked_for(name):
+    meaning = meaning_of(name)
+    assert meaning.quantity in ("position", "command")
+    assert meaning.is_wanted
+    assert not meaning_of("actual_q_0").is_wanted
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "current_limit_1",
+        "actual_main_voltage",
+        "present_input_voltage_2",
+        "max_pwm_1",
+        "bus_current",
+    ],
+)
+def test_limits_and_supplies_are_no_signals_of_joints(name):
+    assert meaning_of(name) is None
+
+
+def test_a_column_of_the_whole_robot_beside_numbered_ones():
+    names = [*(f"actual_current_{k}" for k in range(6)), "actual_robot_current"]
+    found, _ = joints_of(names, UR)
+    assert tuple(found[name] for name in names[:6]) == UR
 
 
 def test_measured_before_desired():

@@ -75,7 +75,7 @@ def test_episodes_of_a_dataset_are_one_log_with_gaps_or_one_of_them(tmp_path, lo
 
 def test_dataset_without_efforts(tmp_path, log):
     with pytest.raises(LogError, match=r"no effort of joints; its features are observation\.state"):
-        read_log(lerobot(tmp_path, log, efforts=False))
+        read_log(lerobot(tmp_path, log, efforts=False, actions=False))
 
 
 def test_torques_of_an_iiwa_have_the_sign_of_drakes_plant(tmp_path):
@@ -316,3 +316,48 @@ def test_channels_of_an_lcm_log(tmp_path, log):
     assert np.array_equal(read.effort, log.effort)
     assert np.allclose(read.time, log.time)
     assert "time is that of receipt" in " ".join(read.notes)
+
+
+@pytest.mark.parametrize("points", [("reference", "feedback"), ("desired", "actual", "error")])
+def test_what_a_controller_asked_for_where_nobody_measures_efforts(tmp_path, log, points):
+    told = replace(log, command=log.position + 0.01 * log.effort)
+    read = read_log(foreign_logs.controller_state(tmp_path, told, points=points), joints=JOINTS)
+    assert np.array_equal(read.command, told.command)
+    assert np.array_equal(read.position, log.position)
+    assert np.isnan(read.effort).all()
+    assert "commands are in their place" in " ".join(read.notes)
+
+
+def test_topics_with_efforts_come_before_those_with_commands(tmp_path, log):
+    store = ros2_store()
+    header = ros2_header(store)
+    topics = {"/joint_states": joint_states(store, log, header)}
+    (tmp_path / "a").mkdir()
+    told = replace(log, command=log.position + 0.01 * log.effort)
+    commands = foreign_logs.controller_state(tmp_path / "a", told)
+    assert read_log(commands).command is not None
+    assert read_log(write_rosbag2(tmp_path / "bag", topics, store)).command is None
+
+
+def test_actions_of_a_dataset_stand_for_efforts(tmp_path, log):
+    told = replace(log, command=log.position + 0.01 * log.effort)
+    for version in ("v2.1", "v3.0"):
+        path = lerobot(tmp_path, told, version=version, episodes=1, efforts=False)
+        read = read_log(path, joints=JOINTS)
+        assert np.allclose(read.command, told.command, atol=1e-6)
+        assert np.isnan(read.effort).all()
+    with_efforts = lerobot(tmp_path, told, episodes=2)
+    assert read_log(with_efforts, joints=JOINTS).command is None
+
+
+def test_positions_currents_and_commands_in_three_files(tmp_path, log):
+    for name, values in (("positions", log.position), ("commands", log.position + 0.1)):
+        rows = np.column_stack([log.time, values])
+        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q1,q2", comments="")
+    rows = np.column_stack([log.time, log.effort])
+    np.savetxt(tmp_path / "currents.csv", rows, delimiter=",", header="t,1,2", comments="")
+    parts = [str(tmp_path / name) for name in ("positions.csv", "commands.csv")]
+    assert np.allclose(read_log("+".join(parts), joints=JOINTS).command, log.position + 0.1)
+    read = read_log("+".join([parts[0], str(tmp_path / "currents.csv")]), joints=JOINTS)
+    assert set(read.effort_kinds.values()) == {"current"}
+    assert np.allclose(read.effort, log.effort)

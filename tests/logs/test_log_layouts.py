@@ -408,13 +408,47 @@ def test_mapping(tmp_path):
     assert np.allclose(log.time, time)
 
 
+def test_mapped_signals(tmp_path):
+    time, q, _, s = motion(("shoulder", "elbow"))
+    names = ["t", "a", "b", "ca", "cb", "told"]
+    write(tmp_path / "log.csv", names, [time, q, s, q[:, :1] + 0.1])
+    (tmp_path / "m.yaml").write_text(
+        "time: t\njoints:\n"
+        "  one: {position: {column: a, unit: deg}, current: {column: ca, unit: mA, gain: 2}, "
+        "command: told}\n"
+        "  two: {position: b, effort: {column: cb, unit: A, gain: 3 ± 0.6}}\n"
+    )
+    reading = Reading(mapping=read_mapping(tmp_path / "m.yaml"))
+    log = read_log(tmp_path / "log.csv", reading=reading)
+    assert log.effort_kinds == {"one": "current"}
+    assert np.allclose(log.effort, s * [2e-3, 3.0])
+    assert np.allclose(log.effort_uncertainty, [0.05, 0.2])
+    assert np.allclose(log.command[:, 0], np.deg2rad(q[:, 0] + 0.1))
+    assert np.isnan(log.command[:, 1]).all()
+    with pytest.raises(LogError, match="as current, and --kind says that it is voltage"):
+        kinds = {"one": "voltage"}
+        read_log(tmp_path / "log.csv", reading=Reading(mapping=reading.mapping, kinds=kinds))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (
+            ("column: i_e, gain: -2.0}}", "column: i_e}, current: i_f}"),
+            "effort and current of 'elb",
+        ),
+        (("effort: {column: 4", "pwm: x, voltage: {column: 4"), "voltage and pwm of 'shoulder'"),
+        (("effort: {column: 4", "voltage: {unit: mA, column: 4"), "'mA' is no known unit of volt"),
+        (("gain: 3.0", "gain: 3 ± x"), "which is not a number"),
+        (("gain: 3.0", "gain: 3 ± 4"), "less than the gain"),
+        (
+            ("effort: {column: 4, gain: 3.0", "pwm: {column: 4, gain: 3 ± 1"),
+            "only gains to efforts",
+        ),
         (("column: i_e", "column: phi_e"), "names column 'phi_e' twice"),
         (("unit: ms", "unit: fortnight"), "'fortnight' is no known unit of time"),
         (("gain: 3.0", "gain: 0"), "other than 0"),
-        (("gain: 3.0", "gain: many"), "other than 0"),
+        (("gain: 3.0", "gain: many"), "which is not a number"),
         (("time:", "zeit:"), "has the key 'zeit'"),
         (("time: {column: ticks, unit: ms}", ""), "neither `time` nor `rate`"),
         (("column: 4", "column: [4]"), "no name or number"),

@@ -29,6 +29,7 @@ from geodrake.identification.logs.signal_calibration import with_efforts
 from geodrake.identification.logs.unknowns import Unknowns
 from geodrake.logs.files import read_log
 from geodrake.logs.folds import Fold, validation_blocks
+from geodrake.logs.learnable import check_commands, check_saturation
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.preparation import prepare_logs
 from geodrake.logs.repeated_logs import check_repeated
@@ -337,6 +338,9 @@ def _matched(model: RobotModel, logs: Sequence[JointLog | str | Path]) -> list[J
         ]
     )
     check_repeated(matched)
+    for log in matched:
+        check_commands(log)
+        check_saturation(log)
     return matched
 
 

@@ -1,7 +1,9 @@
 """Readers and writers of joint logs, as CSV and NPZ.
 
 The columns are `time` and, for each joint, `<joint>.position`, `<joint>.effort` and, if measured,
-`<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. What
+`<joint>.velocity` and `<joint>.acceleration`: the words of ROS JointState, in SI units. In the
+place of efforts there may be `<joint>.current`, `.voltage`, `.pwm` (a share of the supply) or
+`.command`, the position that a servo was told to go to. What
 follows the last dot is the quantity, so joint names may contain dots. Columns of other names are
 understood as well, by `recognition`, or by what the user says of them, a `Reading`.
 """
@@ -15,7 +17,7 @@ from typing import Protocol
 
 from geodrake.boundary.arguments import file_path, instance, instances
 from geodrake.errors import LogError
-from geodrake.logs.files.column_names import Columns, is_used
+from geodrake.logs.files.column_names import Columns, is_used, listed
 from geodrake.logs.files.csv_file import read_csv
 from geodrake.logs.files.formats import check_log, read_table
 from geodrake.logs.files.joined_files import joined_table, parts_of
@@ -24,6 +26,7 @@ from geodrake.logs.files.npz_file import read_npz
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.recognition import is_time
 from geodrake.logs.files.recording import Recording
+from geodrake.logs.files.signal_columns import without_use
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.understanding import columns_of
 from geodrake.logs.files.writing import log_content, write_log
@@ -103,6 +106,31 @@ def understand(
     parts = parts_of(path)
     for part in parts:
         check_log(part)
+    log, columns = _read(path, parts, joints, reading, partial=partial)
+    if not (useless := without_use(log, columns)):
+        return log, columns
+    log, columns = _read(path, parts, joints, _ignoring(reading, useless), partial=partial)
+    return _noting(log, useless), columns
+
+
+def _ignoring(reading: Reading, columns: frozenset[str]) -> Reading:
+    return replace(reading, ignored=reading.ignored | columns)
+
+
+def _noting(log: JointLog, useless: frozenset[str]) -> JointLog:
+    words = f"columns {listed(sorted(useless))} say nothing of efforts, and are not used"
+    return replace(log, notes=(*log.notes, words))
+
+
+def _read(
+    path: Path,
+    parts: Sequence[Path],
+    joints: Sequence[str] | None,
+    reading: Reading,
+    *,
+    partial: bool,
+) -> tuple[JointLog, Columns]:
+    """The log in a file, or in several, and what its columns were taken for."""
     try:
         if len(parts) > 1:
             table = joined_table(parts, reading)  # whose time is in s
@@ -154,7 +182,12 @@ def log_of(
     Raises:
         LogError: A needed column or joint is missing or there twice, or time does not increase.
     """
-    return _understood(table, joints, reading or Reading(), partial=partial)[0]
+    reading = reading or Reading()
+    log, columns = _understood(table, joints, reading, partial=partial)
+    if not (useless := without_use(log, columns)):
+        return log
+    reading = _ignoring(reading, useless)
+    return _noting(_understood(table, joints, reading, partial=partial)[0], useless)
 
 
 def _understood(

@@ -10,10 +10,12 @@ from pathlib import Path
 from geodrake.errors import LogError
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.units import Unit
-from geodrake.logs.motion import QUANTITIES
+from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 HEADER = "time,<joint>.position,<joint>.velocity,<joint>.effort"
 HEADER_ADVICE = f"The first line names the columns: {HEADER}; velocity may be left out."
+SIGNAL_ADVICE = "In the place of efforts, <joint>.current, .voltage, .pwm or .command will do."
+"""What a joint may have whose efforts are not measured."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +27,14 @@ class Source:
         factor: What its numbers are multiplied by.
         unit: The unit that they are in; None for SI that nobody said.
         nanoseconds: Column of what is to be added to time, ns.
+        kind: Of efforts, what they are, of `EFFORT_KINDS`.
     """
 
     column: str
     factor: float = 1.0
     unit: Unit | None = None
     nanoseconds: str | None = None
+    kind: str = "effort"
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -45,13 +49,14 @@ class Columns:
     Attributes:
         path: The file.
         joints: Names of the n joints, in the order of the log to be.
-        quantities: Quantities that every joint has.
+        quantities: Quantities that every joint has; and efforts and commands, which some may lack.
         notes: What was left out or converted, in words.
         sources: `time` and `<joint>.<quantity>` -> where its numbers come from; no time where a
             rate says it.
         rate: Rows a second, Hz, where there is no column of time.
         reading: How the user said that the file is to be read.
         standing: Further joints, of which there is the position alone.
+        others: Joint -> further columns that could be taken for its efforts, or in their place.
     """
 
     path: Path
@@ -62,6 +67,17 @@ class Columns:
     rate: float | None = None
     reading: Reading = field(default_factory=Reading)
     standing: tuple[str, ...] = ()
+    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Joint -> what is in the place of its efforts, where it has none."""
+        found = {j: self.sources[f"{j}.effort"].kind for j in self.joints if self.has(j, "effort")}
+        return {joint: kind for joint, kind in found.items() if kind != "effort"}
+
+    def has(self, joint: str, quantity: str) -> bool:
+        """Whether there is a column of a quantity of a joint."""
+        return f"{joint}.{quantity}" in self.sources
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,7 +144,8 @@ def check_once(path: Path, names: Sequence[str]) -> None:
 
 def is_used(name: str) -> bool:
     """Whether a column is one of the format's."""
-    return name == "time" or ("." in name and name.rsplit(".", 1)[1] in QUANTITIES)
+    words = (*QUANTITIES, *EFFORT_KINDS)
+    return name == "time" or ("." in name and name.rsplit(".", 1)[1] in words)
 
 
 def listed(names: Sequence[str]) -> str:

@@ -7,9 +7,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from geodrake.logs.files.column_names import Source, listed
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import PLAIN, ROLES, Meaning, meaning_of
-from geodrake.logs.files.units import Unit
+from geodrake.logs.files.recognition import MOTOR, PLAIN, ROLES, SIGNALS, Meaning
 from geodrake.logs.motion import QUANTITIES
+
+_SI = {"current": "A", "voltage": "V", "pwm": "shares of the supply"}
+_UNITS_WITH = {**dict.fromkeys(SIGNALS, "effort"), "command": "position"}
+_CONSTANT = " (torque constant × gear ratio)"
+_KIND_WORDS = {"current": "motor currents", "voltage": "voltages", "pwm": "duty cycles"}
 
 
 def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[str]:
@@ -23,10 +27,16 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
         chosen, others = [s[0] for s in several], [m for s in several for m in s[1:]]
         if others:
             why = {ROLES[m.role] for m in others if m.role > PLAIN} - {""}
+            why |= {m.quantity for m in others} - {m.quantity for m in chosen}
             words = f" ({', '.join(sorted(why))})" if why else ""
             yield (f"{quantity}: {_span(chosen)} taken, and not {_span(others)}{words}")
-        if chosen and all(meaning.role > PLAIN for meaning in chosen):
+        if quantity != "command" and chosen and all(map(_is_doubtful, chosen)):
             yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
+
+
+def _is_doubtful(meaning: Meaning) -> bool:
+    """Whether a column may not be measured at the joint; currents are of motors anyway."""
+    return meaning.role > (MOTOR if meaning.quantity in SIGNALS else PLAIN)
 
 
 def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
@@ -36,36 +46,33 @@ def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]
         sources: Column of the log -> where it comes from.
         reading: What the user said of the log.
     """
-    for quantity in ("time", *QUANTITIES):
-        same = {n: s for n, s in sources.items() if n.rpartition(".")[2] == quantity}
-        units = dict.fromkeys(s.unit.name for s in same.values() if s.unit and s.unit.factor != 1.0)
+    same: dict[str, dict[str, Source]] = defaultdict(dict)
+    for name, source in sources.items():
+        quantity = name.rpartition(".")[2]
+        same[source.kind if quantity == "effort" else quantity][name] = source
+    for quantity in ("time", *QUANTITIES, *SIGNALS):
+        columns = same[quantity].values()
+        units = dict.fromkeys(s.unit.name for s in columns if s.unit and s.unit.factor != 1.0)
         if units:
-            told = "as asked for" if quantity in reading.units else "by the names of columns"
+            asked = {quantity, _UNITS_WITH.get(quantity, quantity)}.intersection(reading.units)
+            told = "as asked for" if asked else "by the names of columns"
             yield f"{quantity} is in {', '.join(units)}, {told}: converted"
-        if quantity != "effort":
-            continue
-        bare = [
-            n.rpartition(".")[0]
-            for n, s in same.items()
-            if _is_current(s) and not _gained(n, s, reading)
-        ]
-        if bare:
+    for kind in SIGNALS:
+        joints = [name.rpartition(".")[0] for name in same[kind]]
+        if joints:
             yield (
-                f"efforts of {listed(bare)} are motor currents, in A, and no efforts: give A to "
-                "N·m by --gain JOINT=VALUE (torque constant × gear ratio)"
+                f"efforts of {listed(joints)} are {_KIND_WORDS[kind]}, in {_SI[kind]}, and no "
+                "efforts: their gains are found from the model's inertias, unless --gain "
+                f"JOINT=VALUE gives them{_CONSTANT if kind == 'current' else ''}"
             )
-
-
-def _is_current(source: Source) -> bool:
-    if source.unit is not None:
-        return source.unit.is_current
-    meaning = meaning_of(source.column)
-    return meaning is not None and meaning.is_current
-
-
-def _gained(name: str, source: Source, reading: Reading) -> bool:
-    mapped = reading.mapping is not None and source.factor != (source.unit or Unit("A", 1.0)).factor
-    return mapped or name.rpartition(".")[0] in reading.gains
+    measured = {name.rpartition(".")[0] for name in sources if name.endswith(".effort")}
+    commanded = [name.rpartition(".")[0] for name in same["command"]]
+    bare = [joint for joint in commanded if joint not in measured]
+    if bare:
+        yield (
+            f"no efforts of {listed(bare)}: commands are in their place, and what servos make of "
+            "them is found from the model's inertias"
+        )
 
 
 def _span(meanings: Sequence[Meaning]) -> str:

@@ -13,7 +13,7 @@ from geodrake.logs.files.csv_file import csv_table
 from geodrake.logs.files.formats import read_table
 from geodrake.logs.files.npz_file import npz_table
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import Meaning, meaning_of, quantity_of
+from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of, quantity_of
 from geodrake.logs.files.table import LogTable
 from geodrake.logs.files.units import unit_of
 
@@ -83,10 +83,18 @@ def _table(path: Path, reading: Reading) -> LogTable:
     quantity = quantity_of(path.stem)
     if quantity is None or any(m.quantity == quantity for m in _meanings(table)):
         return table
+    if quantity == "command" and any(m.quantity in OF_JOINTS for m in _meanings(table)):
+        quantity = None  # positions by their names: of commands, as that of the file says
 
     def named(column: str) -> str:
+        meaning = meaning_of(column)
         if _is_time(column):
             return column
+        if quantity is None:
+            is_position = meaning is not None and meaning.quantity == "position"
+            own = column.removesuffix(".position")
+            named = f"{own}.command" if own != column else f"command_{column}"
+            return named if is_position else column
         return f"{quantity}_{column}" if column.isdecimal() else f"{column}.{quantity}"
 
     columns = {named(name): values for name, values in table.columns.items()}

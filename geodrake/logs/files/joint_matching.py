@@ -30,17 +30,41 @@ def matched(
         styles[meaning.style].append(meaning)
     found: dict[str, str] = {}
     spans: list[str] = []
-    for style in styles.values():
-        names, by_order = _match_style(style, joints)
+    ordered: dict[int, set[str]] = defaultdict(set)  # number -> joints
+    for style in sorted(styles.values(), key=len, reverse=True):
+        names, by_order = _as_others(style, ordered), False
+        if not names:
+            names, by_order = _match_style(style, joints)
         own = _by_their_own_words(style)
         kept = own if style[0].style[0] == "own" or not names else {}
         found |= kept | names
         if by_order:
+            for meaning in style:
+                if meaning.number is not None and meaning.column in names:
+                    ordered[meaning.number].add(names[meaning.column])
             spans.append(f"{style[0].column} … {style[-1].column}")
     if not spans:
         return found, ()
     order = f"in the model's order, from {joints[0]} to {joints[-1]}"
     return found, (f"columns {', '.join(spans)} have numbers alone: taken for joints {order}",)
+
+
+def _as_others(style: Sequence[Meaning], ordered: Mapping[int, set[str]]) -> dict[str, str]:
+    """Column -> joint of numbered columns of some joints, where those of all joints are in order.
+
+    Args:
+        style: Columns that are named alike.
+        ordered: Number -> joints that columns of others have under it.
+    """
+    found: dict[str, str] = {}
+    if len(style) == len(ordered):
+        return found
+    for meaning in style:
+        joints = ordered.get(-1 if meaning.number is None else meaning.number, set())
+        if meaning.role >= OTHER or len(joints) != 1:
+            return {}
+        found[meaning.column] = next(iter(joints))
+    return found
 
 
 def _by_their_own_words(meanings: Sequence[Meaning]) -> dict[str, str]:
@@ -102,10 +126,11 @@ def _numbers(keys: Sequence[Words]) -> dict[Words, int]:
     """The number in which the columns differ, if that is all in which they do."""
     if list(keys) == [()]:
         return {(): 0}
-    if not all(keys) or len({key[:-1] for key in keys}) > 1:
+    told = [key for key in keys if key]  # one without any is of the whole robot
+    if len({key[:-1] for key in told}) > 1:
         return {}
-    found = {key: key[-1] for key in keys if isinstance(key[-1], int)}
-    return found if len(found) == len(keys) else {}
+    found = {key: key[-1] for key in told if isinstance(key[-1], int)}
+    return found if len(found) == len(told) else {}
 
 
 def _by_number(numbers: Mapping[Words, int], joints: Sequence[str]) -> dict[Words, str] | None:

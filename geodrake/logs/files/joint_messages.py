@@ -11,13 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
-from geodrake.logs.files.joint_series import JointKey, JointSeries
+from geodrake.logs.files.joint_series import JointKey, JointSeries, is_complete
 
 Array = NDArray[np.float64]
 
 _NAMES = ("name", "names", "joint_name", "joint_names")
 _PLACES = ((), ("feedback",), ("actual",))  # of the arrays in a message
 _OUTPUT = ("output", "effort")  # of a controller, where nobody measures
+_COMMANDS = (
+    ("reference", "positions"),
+    ("desired", "positions"),
+    ("joint_position_commanded",),
+    ("joint_position_desired",),
+)
+"""Where messages have what joints were told, which stands for efforts that nobody measures."""
 _ARRAYS = {
     "position": (
         "position",
@@ -83,7 +90,9 @@ class JointFields:
         }
         if _at(message, _OUTPUT) is not None:
             arrays["effort"] += (_OUTPUT,)
-        return cls(names, arrays) if arrays["position"] and arrays["effort"] else None
+        arrays["command"] = tuple(path for path in _COMMANDS if np.ndim(_at(message, path)) == 1)
+        says = arrays["effort"] or arrays["command"]
+        return cls(names, arrays) if arrays["position"] and says else None
 
     def sample(self, message: Any) -> tuple[tuple[JointKey, ...], dict[str, Any], bool]:
         """Joints and arrays of a message, and whether efforts are those of a controller.
@@ -98,6 +107,8 @@ class JointFields:
                     found[quantity] = values
                     output |= path == _OUTPUT
                     break
+        if "effort" in found:
+            found.pop("command", None)
         if self.names is not None:
             return tuple(getattr(message, self.names)), found, output
         return tuple(range(len(found.get("position", ())))), found, output
@@ -192,7 +203,7 @@ class _Messages:
 
 
 def _completeness(quantities: Sequence[str]) -> tuple[bool, int]:
-    return {"position", "effort"}.issubset(quantities), len(quantities)
+    return is_complete(quantities), len(quantities)
 
 
 def _at(message: Any, path: Sequence[str]) -> Any:

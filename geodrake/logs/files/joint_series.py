@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,8 +54,18 @@ class JointSeries:
 
     @property
     def is_complete(self) -> bool:
-        """Whether it has positions and efforts."""
-        return {"position", "effort"}.issubset(self.values)
+        """Whether it has positions and efforts, or commands in the place of these."""
+        return is_complete(self.values)
+
+
+def is_complete(quantities: Iterable[str]) -> bool:
+    """Whether a joint with these quantities says something of its efforts.
+
+    Args:
+        quantities: Names of quantities.
+    """
+    known = set(quantities)
+    return "position" in known and not known.isdisjoint(("effort", "command"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,19 +17,26 @@ from geodrake.logs.files.damage import readable
 from geodrake.logs.files.parquet_file import arrow_table
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
+from geodrake.logs.motion import EFFORT_KINDS
 
 Array = NDArray[np.float64]
 
 INFO = "meta/info.json"
 """What makes a folder a dataset."""
 
+_ACTION = "action"  # what a policy or a person told the joints
 _BETWEEN = 1.0  # s between episodes, which is a gap
 _WORDS = {
     "position": re.compile(r"state|pos|position|positions|qpos|q|joint_positions?|angles?"),
     "velocity": re.compile(r"vel|velocity|velocities|qvel|dq|joint_velocit(y|ies)"),
     "effort": re.compile(r"efforts?|torques?|tau|joint_(efforts?|torques?)"),
+    "current": re.compile(r"(joint_|motor_)?currents?"),
+    "voltage": re.compile(r"(joint_|motor_)?voltages?"),
+    "pwm": re.compile(r"pwm|duty(_cycle)?"),
 }
 """Quantity -> the last words of features, and of names in a feature."""
+
+_SAY_EFFORTS = (*EFFORT_KINDS, "command")
 
 
 def read_lerobot(path: Path, reading: Reading) -> LogTable:
@@ -40,7 +47,7 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
     parquet = optional_package("pyarrow.parquet", "parquet", "LeRobot datasets", LogError)
     with readable(path, "LeRobot dataset"):
         features = json.loads((path / INFO).read_text(encoding="utf-8"))["features"]
-        meaning = dict(_meaning(features))
+        meaning = _without_spare_actions(dict(_meaning(features)))
         _check_efforts(path, features, meaning)
         wanted = ["timestamp", "episode_index", *dict.fromkeys(f for f, _ in meaning)]
         episode = reading.episode
@@ -66,21 +73,37 @@ def read_lerobot(path: Path, reading: Reading) -> LogTable:
 
 
 def _meaning(features: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str], str]]:
-    """Feature and column -> `<joint>.<quantity>`, for what is observed of joints."""
+    """Feature and column -> `<joint>.<quantity>`, for what is observed of joints, and actions."""
     for feature, description in features.items():
         head, _, last = feature.rpartition(".")
-        quantity = _quantity(last)
-        if quantity is None or not head.startswith("observation"):
+        is_action = feature == _ACTION
+        quantity = "command" if is_action else _quantity(last)
+        if quantity is None or not (is_action or head.startswith("observation")):
             continue
         (size,) = description["shape"]
         names = _names(description.get("names"), size)
         for k in range(size):
             joint, _, word = names[k].rpartition(".") if names else ("", "", "")
             own = _quantity(word) if joint else None
+            if is_action and own is not None:
+                if own != "position":
+                    continue  # no position that a servo goes to
+                own = "command"
             joint = joint if own else names[k] if names else ""
             column = feature if size == 1 else f"{feature}[{k}]"
             name = f"{joint}.{own or quantity}" if joint else f"{quantity}[{k}]"
             yield (feature, column), name
+
+
+def _without_spare_actions(
+    meaning: Mapping[tuple[str, str], str],
+) -> dict[tuple[str, str], str]:
+    """Actions are left out where efforts, or what else stands for them, are observed."""
+    kinds = "|".join(EFFORT_KINDS)
+    observed = any(re.search(rf"\b({kinds})(\[\d+\])?$", name) for name in meaning.values())
+    return {
+        place: name for place, name in meaning.items() if not (observed and place[0] == _ACTION)
+    }
 
 
 def _quantity(word: str) -> str | None:
@@ -101,13 +124,14 @@ def _names(names: Any, size: int) -> list[str] | None:
 def _check_efforts(
     path: Path, features: Mapping[str, Any], meaning: Mapping[tuple[str, str], str]
 ) -> None:
-    """Refuse datasets without positions or efforts."""
-    for quantity in ("position", "effort"):
-        if not any(re.search(rf"\b{quantity}(\[\d+\])?$", name) for name in meaning.values()):
+    """Refuse datasets without positions, or without efforts and what may stand for them."""
+    for quantity, words in (("position", "position"), ("effort", "|".join(_SAY_EFFORTS))):
+        if not any(re.search(rf"\b({words})(\[\d+\])?$", name) for name in meaning.values()):
             raise LogError(
                 f"LeRobot dataset {str(path)!r} has no {quantity} of joints; its features are "
                 f"{', '.join(list(features)[:12])}.",
-                advice="Record observation.state (positions) and observation.effort.",
+                advice="Record observation.state (positions), and observation.effort or .current, "
+                "or the action.",
             )
 
 

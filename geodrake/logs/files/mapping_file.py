@@ -16,16 +16,18 @@ from geodrake.logs.files.reading import (
     MappedColumn,
     check_gain,
     check_rate,
+    parsed_gain,
 )
-from geodrake.logs.files.recognition import Meaning, meaning_of
+from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of
 from geodrake.logs.files.units import UNITS, unit_of
-from geodrake.logs.motion import QUANTITIES
+from geodrake.logs.motion import EFFORT_KINDS
 
 MOST_COLUMNS = 500  # of a file for which a mapping is proposed
 _ASKED = ("position", "velocity", "effort")
 _FORM = (
-    "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` and "
-    "the name or number of a column, or {column: NAME, unit: deg, gain: 1.0}."
+    "Write `time: COLUMN` or `rate: HZ`, and `joints:`, each with `position:` and `effort:` (or "
+    "`current:`, `voltage:`, `pwm:`, `command:`) and the name or number of a column, or {column: "
+    "NAME, unit: deg, gain: 1.0}."
 )
 
 
@@ -56,7 +58,7 @@ def _mapping(path: Path, content: object) -> ColumnMapping:
     joints = {
         str(joint): {
             quantity: _column(column, quantity, f"{joint}.{quantity}")
-            for quantity, column in _table(columns, QUANTITIES, f"joint {joint!r}").items()
+            for quantity, column in _table(columns, OF_JOINTS, f"joint {joint!r}").items()
             if column is not None
         }
         for joint, columns in _table(content.get("joints"), None, "`joints`").items()
@@ -92,8 +94,16 @@ def _column(content: object, quantity: str, what: str) -> MappedColumn:
         raise ArgumentError(f"{what!r} has the column {column!r}, no name or number.", advice=_FORM)
     if unit is not None:
         unit_of(str(unit), quantity)
-    check_gain(gain, f"the gain of {what!r}")
-    return MappedColumn(column, None if unit is None else str(unit), float(gain))
+    deviation = None
+    if isinstance(gain, str):
+        gain, deviation = parsed_gain(gain, f"the gain of {what!r}")
+    check_gain(gain, f"the gain of {what!r}", deviation)
+    if deviation is not None and quantity != "effort":
+        raise ArgumentError(
+            f"the gain of {what!r} has a deviation, which only gains to efforts have.",
+            advice="Write it with `effort:`.",
+        )
+    return MappedColumn(column, None if unit is None else str(unit), float(gain), deviation)
 
 
 def _check_once(mapping: ColumnMapping) -> None:
@@ -126,7 +136,7 @@ def proposed_mapping(
         return None
     meanings = [m for name in names if headed and (m := meaning_of(name)) is not None]
     time = next((m.column for m in meanings if m.quantity == "time"), None)
-    of_joints = sorted((m for m in meanings if m.quantity in QUANTITIES), key=lambda m: m.role)
+    of_joints = sorted((m for m in meanings if m.quantity in OF_JOINTS), key=lambda m: m.role)
     found, _ = matched(of_joints, joints)
     places = {(found[m.column], m.quantity): m for m in reversed(of_joints) if m.column in found}
     own = joints or list(dict.fromkeys(found.values())) or ["JOINT"]
@@ -136,6 +146,7 @@ def proposed_mapping(
     lines += [f"#   {k}: {_word(name)}" for k, name in enumerate(names, 1)]
     units = (f"{quantity} {', '.join(known)}" for quantity, known in UNITS.items())
     lines += [f"# Units: {'; '.join(units)}."]
+    lines += ["# Without efforts, write current:, voltage:, pwm: or command: in their place."]
     lines += ["# gain: such as torque constant times gear ratio, for motor currents.", ""]
     if guessed:
         lines += ["# A guess by the count of the columns, to be checked:"]
@@ -143,10 +154,16 @@ def proposed_mapping(
     lines += [f"time: {timed}", "# rate: 500  # Hz, in place of time", "joints:"]
     for joint in own:
         lines.append(f"  {_word(joint)}:")
-        for quantity in _ASKED:
+        for quantity in _keys(joint, places):
             column = guessed.get((joint, quantity), _filled_column(places.get((joint, quantity))))
             lines.append(f"    {quantity}: {column}")
     return "\n".join(lines) + "\n"
+
+
+def _keys(joint: str, places: Mapping[tuple[str, str], Meaning]) -> list[str]:
+    """Quantities that a proposal has of a joint."""
+    kinds = [kind for kind in (*EFFORT_KINDS, "command") if (joint, kind) in places]
+    return ["position", "velocity", kinds[0] if kinds else "effort"]
 
 
 def _guess(

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
 
 from geodrake.boundary.arguments import instance, instances, integer
 from geodrake.errors import ArgumentError
 from geodrake.logs.files.units import unit_of
+from geodrake.logs.motion import EFFORT_KINDS, USUAL_GAIN_DEVIATION
+
+Array = NDArray[np.float64]
+
+KINDS = (*EFFORT_KINDS, "command")
+"""What efforts of a log may be said to be; commands where measured ones are not to be used."""
+
+_GAIN_FORM = "Write 13.2, or 13.2±0.5 if it is known so well."
 
 
 @dataclass(frozen=True)
@@ -18,12 +30,15 @@ class MappedColumn:
     Attributes:
         column: Name of the column in the file, or its number, from 1 on.
         unit: Its unit; None if its name says it, or it is SI.
-        gain: What its numbers are multiplied by, beside the unit.
+        gain: What its numbers are multiplied by, beside the unit: to N·m of an effort, to A of a
+            current.
+        deviation: Standard deviation of the gain; None if nothing is known of it.
     """
 
     column: str | int
     unit: str | None = None
     gain: float = 1.0
+    deviation: float | None = None
 
 
 @dataclass(frozen=True)
@@ -31,16 +46,29 @@ class ColumnMapping:
     """Which column of a file is which quantity of which joint.
 
     Attributes:
-        joints: Joint -> quantity -> column.
+        joints: Joint -> quantity -> column; quantities are those of a log, and the kinds of effort.
         time: The column of the time; None where a rate says it.
         rate: Rows a second, where there is no time.
         source: What messages call the mapping.
+
+    Raises:
+        ArgumentError: A joint has efforts of several kinds.
     """
 
     joints: Mapping[str, Mapping[str, MappedColumn]]
     time: MappedColumn | None = None
     rate: float | None = None
     source: str = "the mapping"
+
+    def __post_init__(self) -> None:
+        for joint, quantities in self.joints.items():
+            kinds = [kind for kind in EFFORT_KINDS if kind in quantities]
+            if len(kinds) > 1:
+                raise ArgumentError(
+                    f"{self.source} has {' and '.join(kinds)} of {joint!r}, of which one alone can "
+                    "stand for its efforts.",
+                    advice=f"Leave out {' and '.join(kinds[1:])}, or whichever is worse.",
+                )
 
     def __iter__(self) -> Iterator[tuple[str, MappedColumn]]:
         """Every column, by `time` or `<joint>.<quantity>`."""
@@ -59,14 +87,19 @@ class Reading:
         mapping: Which column is what.
         columns: Names of the columns of files without a header, in their order.
         rate: Rows a second, for logs without a column of time, Hz.
-        units: Quantity (time, position, velocity, acceleration or effort) -> its unit.
+        units: Quantity (time, position, velocity, acceleration, effort, current, voltage, pwm or
+            command) -> its unit.
         gains: Joint -> what its efforts are multiplied by, such as current · constant · ratio.
+        gain_deviations: Some of these joints -> standard deviation of the gain.
+        kinds: Joint -> what its efforts are, of `KINDS`; by the name "", those of all joints whose
+            columns do not say it.
         skip_bad_rows: Leave out rows that no recorder meant, if they are at most 1 %.
         topic: Topic of a bag or channel of an LCM log; None for the only one that fits.
         episode: Episode of a dataset; None for all of them, one after the other.
+        ignored: Columns that are not used.
 
     Raises:
-        ArgumentError: A rate or gain is no such number, or a unit is not known.
+        ArgumentError: A rate, gain or deviation is no such number, or a unit or kind is not known.
     """
 
     mapping: ColumnMapping | None = None
@@ -77,11 +110,15 @@ class Reading:
     skip_bad_rows: bool = False
     topic: str | None = None
     episode: int | None = None
+    gain_deviations: Mapping[str, float] = field(default_factory=dict)
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    ignored: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", instances(self.columns, "columns", str))
         instance(self.units, "units", Mapping)
-        instance(self.gains, "gains", Mapping)
+        for name in ("gains", "gain_deviations", "kinds"):
+            instance(getattr(self, name), name, Mapping)
         check_rate(self.rate, "A log's rate")
         if self.topic is not None:
             instance(self.topic, "topic", str)
@@ -90,7 +127,65 @@ class Reading:
         for quantity, unit in self.units.items():
             unit_of(unit, quantity)
         for joint, gain in self.gains.items():
-            check_gain(gain, f"the gain of {joint}")
+            check_gain(gain, f"the gain of {joint}", self.gain_deviations.get(joint))
+        for joint in self.gain_deviations:
+            if joint not in self.gains:
+                raise ArgumentError(f"There is a deviation of {joint!r}'s gain, and no gain.")
+        for joint, kind in self.kinds.items():
+            if kind not in KINDS:
+                whose = f" of {joint!r}" if joint else ""
+                raise ArgumentError(
+                    f"{kind!r} is no known kind of efforts{whose}.",
+                    advice=f"Kinds are {', '.join(KINDS)}.",
+                )
+
+    def kind_of(self, joint: str) -> str | None:
+        """What the efforts of a joint were said to be; None if nothing was."""
+        return self.kinds.get(joint, self.kinds.get(""))
+
+    def effort_uncertainty(
+        self, joints: Sequence[str], usual: float = USUAL_GAIN_DEVIATION
+    ) -> float | Array:
+        """How well the gains of efforts are known: a share of each (n,), or one of all.
+
+        Args:
+            joints: Names of the n joints.
+            usual: Of joints of which nothing was said.
+        """
+        stated = {joint: self._stated_uncertainty(joint) for joint in joints}
+        if all(share is None for share in stated.values()):
+            return usual
+        return np.array([usual if share is None else share for share in stated.values()])
+
+    def _stated_uncertainty(self, joint: str) -> float | None:
+        shares = []
+        if joint in self.gain_deviations:
+            shares.append(self.gain_deviations[joint] / abs(self.gains[joint]))
+        mapped = {} if self.mapping is None else self.mapping.joints.get(joint, {})
+        column = mapped.get("effort")
+        if column is not None and column.deviation is not None:
+            shares.append(column.deviation / abs(column.gain))
+        return float(np.linalg.norm(shares)) if shares else None
+
+
+def parsed_gain(text: str, what: str) -> tuple[float, float | None]:
+    """A gain and its standard deviation, if one was given, as in `13.2±0.5` or `13.2+-0.5`.
+
+    Args:
+        text: What was given.
+        what: What messages call it.
+
+    Raises:
+        ArgumentError: It is neither.
+    """
+    parts = re.split(r"±|\+/?-", text)
+    try:
+        numbers = [float(part) for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 2):
+        raise ArgumentError(f"{what} is {text!r}, which is not a number.", advice=_GAIN_FORM)
+    return numbers[0], numbers[1] if len(numbers) == 2 else None
 
 
 def check_rate(rate: object, what: str) -> None:
@@ -104,15 +199,24 @@ def check_rate(rate: object, what: str) -> None:
         raise ArgumentError(f"{what} is a positive number of rows a second; got {rate!r}.")
 
 
-def check_gain(gain: object, what: str) -> None:
-    """Raise an ArgumentError unless a gain is a number other than 0.
+def check_gain(gain: object, what: str, deviation: object = None) -> None:
+    """Raise an ArgumentError unless a gain is a number other than 0, of a sign that is known.
 
     Args:
         gain: What was given.
         what: What messages call it.
+        deviation: Its standard deviation, if one was given.
     """
     if not _is_number(gain) or gain == 0:
         raise ArgumentError(f"{what} must be a number other than 0; got {gain!r}.")
+    if deviation is not None and not (
+        _is_number(deviation) and 0 <= deviation < abs(gain)  # type: ignore[operator,arg-type]
+    ):
+        raise ArgumentError(
+            f"{what} is {gain!r} with the deviation {deviation!r}, which must be at least 0 and "
+            "less than the gain.",
+            advice="With a larger one nothing is known: leave the gain out, and it is found.",
+        )
 
 
 def _is_number(value: object) -> bool:

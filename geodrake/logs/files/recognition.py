@@ -13,9 +13,15 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from geodrake.logs.files.units import Unit, find_unit
-from geodrake.logs.motion import QUANTITIES
+from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
 
 Words = tuple[str | int, ...]
+
+SIGNALS = tuple(kind for kind in EFFORT_KINDS if kind != "effort")
+"""What may be measured in the place of efforts."""
+
+OF_JOINTS = (*QUANTITIES, *SIGNALS)
+"""What a column of a joint may be."""
 
 QUANTITY_WORDS: Mapping[str, str] = {
     **dict.fromkeys(["position", "positions", "pos", "q", "angle", "angles", "theta"], "position"),
@@ -26,13 +32,18 @@ QUANTITY_WORDS: Mapping[str, str] = {
         ["acceleration", "accelerations", "acc", "qdd", "ddq", "qddot"], "acceleration"
     ),
     **dict.fromkeys(["effort", "efforts", "eff", "torque", "torques", "tau", "moment"], "effort"),
-    **dict.fromkeys(["trq", "tq", "force", "load", "current", "currents", "cur", "i"], "effort"),
+    **dict.fromkeys(["trq", "tq", "force", "load"], "effort"),
+    **dict.fromkeys(["current", "currents", "cur", "curr", "i"], "current"),
+    **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
+    **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
 }
 """Words that name a quantity."""
 
-_STRONGEST = ("acceleration", "velocity", "effort", "position")  # as in q1_torque
+_COMMAND = frozenset(["command", "commands", "commanded", "cmd", "cmds", "action", "actions"])
+_COMMAND |= {"goal", "setpoint", "reference", "ref", "desired", "target"}  # of positions, alone
+_STRONGEST = ("acceleration", "velocity", "effort", *SIGNALS, "position")  # as in q1_torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
-_CURRENT = ("current", "currents", "cur", "i")
+_CURRENT = ("current", "currents", "cur", "curr", "i")
 _SHORT = ("v", "i")  # which say something before a number alone
 
 MEASURED, PLAIN, MOTOR, DESIRED, OTHER = range(5)
@@ -40,20 +51,22 @@ ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["measured", "meas", "msr", "actual", "act", "present", "feedback"], MEASURED),
     **dict.fromkeys(["fbk", "ai", "ma", "state", "sensed", "observed"], MEASURED),
     **dict.fromkeys(["motor", "theta", "dtheta", "drive", "rotor", "qm"], MOTOR),
-    **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd"], DESIRED),
+    **dict.fromkeys(["desired", "des", "commanded", "command", "commands", "cmd", "cmds"], DESIRED),
     **dict.fromkeys(["target", "tgt", "reference", "ref", "goal", "setpoint", "set", "d"], DESIRED),
-    **dict.fromkeys(["ipo", "as", "nominal", "planned", "action"], DESIRED),
+    **dict.fromkeys(["ipo", "as", "nominal", "planned", "action", "actions"], DESIRED),
     **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
     **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
-    **dict.fromkeys(["fraction", "scaling", "temperature", "voltage", "contact"], OTHER),
+    **dict.fromkeys(["fraction", "scaling", "temperature", "contact"], OTHER),
 }
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
 
 ROLES = ("measured", "", "of motors", "desired", "of something else")
 _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
-) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt"}
+) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle"}
+_NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors", "temperature"])
+_SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
 _TIMES |= {"datetime"}
 _NANOSECONDS = frozenset(("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"))
@@ -72,12 +85,13 @@ class Meaning:
 
     Attributes:
         column: Its name in the file.
-        quantity: time, position, velocity, acceleration or effort; nanoseconds beside seconds.
+        quantity: time, nanoseconds beside seconds, or of `OF_JOINTS`.
         joint: What the name calls the joint; "" if it has a number at most.
         words: The words of that, without those that say nothing, and its number.
         role: Whether it was measured: the least is the best.
         unit: Its unit, if the name says one.
         style: What columns have in common whose joints are told apart by words alone.
+        is_wanted: Whether it is what was asked for, and not what was.
     """
 
     column: str
@@ -87,19 +101,18 @@ class Meaning:
     role: int = PLAIN
     unit: Unit | None = None
     style: tuple[str, ...] = ()
+    is_wanted: bool = False
+
+    @property
+    def log_quantity(self) -> str:
+        """The quantity of a log that it may be: efforts have several kinds."""
+        return "effort" if self.quantity in EFFORT_KINDS else self.quantity
 
     @property
     def number(self) -> int | None:
         """The number of the joint, where the name has nothing else of it."""
         only = self.words[0] if len(self.words) == 1 else None
         return only if isinstance(only, int) else None
-
-    @property
-    def is_current(self) -> bool:
-        """Whether it is the current of a motor, by a word of its name or its unit."""
-        return bool(set(_CURRENT).intersection(self.style)) or (
-            self.unit is not None and self.unit.is_current
-        )
 
 
 def meaning_of(name: str) -> Meaning | None:
@@ -150,7 +163,7 @@ def _own(name: str) -> Meaning | None:
     if name == "time":
         return Meaning(name, "time", role=MEASURED, style=("time",))
     joint, dot, quantity = name.rpartition(".")
-    if not dot or quantity not in QUANTITIES:
+    if not dot or quantity not in OF_JOINTS:
         return None
     if joint.rpartition(".")[2] in _SAMPLES and "." in joint:
         return None  # of states and references of one joint
@@ -189,10 +202,21 @@ def _joint(column: str) -> Meaning | None:
     if place is None:
         return None
     quantity = _quantity(_split(parts[place])) or ""
+    said = frozenset(w for w in _split(name) if isinstance(w, str))
+    if quantity == "command":  # of what, another part may say
+        other = _quantity(tuple(w for w in _split(name) if w not in _COMMAND)) or "position"
+        quantity = quantity if other == "position" else other
+    if quantity in (*SIGNALS, "command") and _NO_SIGNAL.intersection(said):
+        return None
+    if quantity in ("current", "voltage") and _SUPPLY.intersection(said):
+        return None
     plain, unit = _without_unit(parts[place], quantity)
+    if unit is None and quantity in SIGNALS:  # of another kind: see `understanding`
+        plain, unit = _without_unit(parts[place], "effort")
     used = _used(_split(plain))
     joint = _rest(plain, used)
-    numbers = [w for w in _split(plain) if isinstance(w, int)]
+    counted = plain if place + 1 == len(parts) else f"{plain}/{parts[-1]}"  # as in command/data[2]
+    numbers = [w for w in _split(counted) if isinstance(w, int)]
     if not _has_name(joint) and not numbers and place > 0:
         place -= 1
         joint = parts[place]
@@ -202,7 +226,8 @@ def _joint(column: str) -> Meaning | None:
     roles = [ROLE_WORDS[w] for w in _split(name) if isinstance(w, str) and w in ROLE_WORDS]
     role = max(roles, default=PLAIN)
     style = (quantity, *sorted(used), *parts[:place])
-    return Meaning(column, quantity, joint if named else "", words, role, unit, style)
+    called = joint if named else ""
+    return Meaning(column, quantity, called, words, role, unit, style, DESIRED in roles)
 
 
 RULES: tuple[Callable[[str], Meaning | None], ...] = (_time, _joint)
@@ -213,14 +238,14 @@ def _quantity(words: Words) -> str | None:
     """The quantity that words name."""
     counted = any(isinstance(w, int) for w in words)
     named = [w for w in words if w in QUANTITY_WORDS and (counted or w not in _SHORT)]
-    if len(named) > 1:  # the current position is no motor current
-        named = [w for w in named if w not in _CURRENT] or named
+    if len(named) > 1:  # the current position is no motor current, and voltage in V no velocity
+        named = [w for w in named if w not in (*_CURRENT, *_SHORT)] or named
     found = {QUANTITY_WORDS[w] for w in named}  # type: ignore[index]
     quantity = next((each for each in _STRONGEST if each in found), None)
     for word, derived in _DERIVED.items():
         if word in words:
             quantity = derived.get(quantity or "", quantity)
-    return quantity
+    return quantity or ("command" if _COMMAND.intersection(words) else None)
 
 
 def _used(words: Words) -> frozenset[str]:
@@ -255,7 +280,7 @@ def _without_unit(name: str, quantity: str) -> tuple[str, Unit | None]:
         for first in range(len(parts) - count, 0, -1):
             text = "_".join(parts[first : first + count])
             last = first + count == len(parts)
-            if len(text) < 2 and not (last and len(parts) > 2 and text in ("A", "N")):
+            if len(text) < 2 and not (last and len(parts) > 2 and text in ("A", "N", "V")):
                 continue
             unit = find_unit(text, quantity)
             if unit is not None and (last or parts[-1].isdecimal()):

@@ -50,6 +50,10 @@ class Recording:
         shape = (rows, len(columns.joints))
         self._standing = {joint: np.empty(rows) for joint in columns.standing}
         self.values = {quantity: np.empty(shape) for quantity in columns.quantities}
+        for quantity, numbers in self.values.items():
+            for place, joint in enumerate(columns.joints):
+                if not columns.has(joint, quantity):
+                    numbers[:, place] = np.nan
 
     def put(self, rows: slice, numbers: Mapping[str, Array]) -> None:
         """Put numbers into some rows.
@@ -110,7 +114,10 @@ class Recording:
             values.get("velocity"),
             values.get("acceleration"),
             (*self.columns.notes, *notes, *torn),
+            effort_uncertainty=self.columns.reading.effort_uncertainty(self.columns.joints),
             standing={joint: self._place(joint, rows) for joint in self._standing},
+            command=values.get("command"),
+            effort_kinds=self.columns.kinds,
         )
 
     def _place(self, joint: str, rows: int) -> float:

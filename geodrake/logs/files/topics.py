@@ -9,7 +9,7 @@ from pathlib import Path
 
 from geodrake.errors import LogError
 from geodrake.logs.files.joint_messages import MessageRows
-from geodrake.logs.files.joint_series import joint_columns
+from geodrake.logs.files.joint_series import is_complete, joint_columns
 from geodrake.logs.files.reading import Reading
 from geodrake.logs.files.table import LogTable
 
@@ -34,13 +34,19 @@ class Topic:
 
     @property
     def fits(self) -> bool:
-        """Whether it has positions and efforts."""
-        return self.rows is not None and {"position", "effort"} <= self.rows.quantities
+        """Whether it has positions and efforts, or commands in the place of these."""
+        return self.rows is not None and is_complete(self.rows.quantities)
+
+    @property
+    def has_efforts(self) -> bool:
+        """Whether efforts are among what it has."""
+        return self.rows is not None and "effort" in self.rows.quantities
 
     def __str__(self) -> str:
         if self.rows is None or not self.rows.quantities:
             return f"{self.name} ({self.kind})"
         missing = [q for q in ("position", "effort") if q not in self.rows.quantities]
+        missing = [] if self.fits else missing
         words = f"without {' and '.join(missing)}" if missing else f"{len(self.rows.joints)} joints"
         return f"{self.name} ({self.kind}, {words})"
 
@@ -63,6 +69,7 @@ def chosen_topic(path: Path, topics: Sequence[Topic], reading: Reading) -> Topic
     if reading.topic is not None:
         return _named(path, topics, reading.topic)
     fitting = [topic for topic in topics if topic.fits]
+    fitting = [topic for topic in fitting if topic.has_efforts] or fitting
     best = [topic for topic in fitting if topic.made_for_joints] or fitting
     if len(best) == 1:
         return best[0]
@@ -76,7 +83,8 @@ def chosen_topic(path: Path, topics: Sequence[Topic], reading: Reading) -> Topic
     raise LogError(
         f"Log {str(path)!r} has no topic with both positions and efforts of joints; it has "
         f"{_listed(topics)}.",
-        advice="Record joint states with efforts, such as sensor_msgs/JointState of all joints.",
+        advice="Record joint states with efforts, such as sensor_msgs/JointState of all joints, or "
+        "the state of a controller, which has positions and commands.",
         topics=[topic.name for topic in topics],
     )
 
@@ -97,7 +105,8 @@ def topic_table(path: Path, topic: Topic, others: Sequence[Topic]) -> LogTable:
         raise LogError(f"Topic {topic} of log {str(path)!r} has no positions with efforts.")
     columns, notes, origin = joint_columns(rows.series(), topic.name)
     said = [f"read from {topic.name} ({topic.kind})"]
-    also = [other.name for other in others if other.fits and other.name != topic.name]
+    fitting = [o for o in others if o.fits and o.has_efforts >= topic.has_efforts]
+    also = [other.name for other in fitting if other.name != topic.name]
     if also:
         said[0] += f"; {', '.join(also)} would fit too (--topic)"
     if not rows.all_stamped:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from geodrake.errors import LogError
 from geodrake.logs.files.column_names import (
     HEADER_ADVICE,
+    SIGNAL_ADVICE,
     Columns,
     Source,
     check_text,
@@ -22,9 +22,10 @@ from geodrake.logs.files.dates import date_words
 from geodrake.logs.files.joint_matching import matched
 from geodrake.logs.files.mapping_file import proposed_mapping, with_proposal
 from geodrake.logs.files.reading import ColumnMapping, Reading
-from geodrake.logs.files.recognition import Meaning, meaning_of
+from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of
+from geodrake.logs.files.signal_columns import candidates, check_kind, effort_source
 from geodrake.logs.files.units import Unit, find_unit, unit_of
-from geodrake.logs.motion import QUANTITIES, check_joints
+from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES, check_joints
 
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
@@ -81,6 +82,7 @@ class _Understood:
         notes: What was noticed.
         rate: Rows a second, Hz.
         own: Whether joints are those of geodrake's own names, of which none is left out unasked.
+        others: Joint -> further columns that could be taken for its efforts, or in their place.
     """
 
     path: Path
@@ -90,6 +92,7 @@ class _Understood:
     notes: tuple[str, ...]
     rate: float | None
     own: frozenset[str]
+    others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @classmethod
     def by_names(
@@ -102,23 +105,23 @@ class _Understood:
     ) -> _Understood:
         """What the names of the columns say."""
         meanings = [meaning for name in names if (meaning := meaning_of(name)) is not None]
-        of_joints = [meaning for meaning in meanings if meaning.quantity in QUANTITIES]
+        of_joints = [meaning for meaning in meanings if meaning.quantity in OF_JOINTS]
         found, notes = matched(of_joints, joints)
-        best: dict[tuple[str, str], list[Meaning]] = defaultdict(list)
-        for meaning in of_joints:
-            if meaning.column in found:
-                best[found[meaning.column], meaning.quantity].append(meaning)
-        for same in best.values():
-            same.sort(key=_preference)
+        best, others = candidates(of_joints, found, reading)
         places = {}
         for (joint, quantity), same in best.items():
+            if quantity == "effort":
+                stated = units.get(same[0].column, "")
+                places[joint, quantity] = effort_source(path, same[0], joint, reading, stated)
+                continue
             unit = _unit(same[0], quantity, reading, units)
             places[joint, quantity] = Source(same[0].column, unit.factor if unit else 1.0, unit)
+        places = _with_commands_as_positions(places)
         if reading.rate is None:
             places |= _time(path, names, meanings, reading, units)
         own = frozenset(m.joint for m in of_joints if m.style[0] == "own")
         notes = (*notes, *choice_words(best))
-        return cls(path, names, reading, places, notes, reading.rate, own)
+        return cls(path, names, reading, places, notes, reading.rate, own, others)
 
     @classmethod
     def by_mapping(
@@ -139,8 +142,15 @@ class _Understood:
                 )
             text = mapped.unit or reading.units.get(quantity)
             unit = unit_of(text, quantity) if text else None
-            factor = mapped.gain * (unit.factor if unit else 1.0)
-            places[joint, quantity] = Source(column, factor, unit)
+            source = Source(column, mapped.gain * (unit.factor if unit else 1.0), unit)
+            if quantity in EFFORT_KINDS:
+                kind = _mapped_kind(quantity, mapped.gain, unit, reading.kind_of(joint))
+                if kind != "effort" or mapped.gain == 1.0:
+                    check_kind(path, column, joint, kind, unit)
+                source, quantity = replace(source, kind=kind), "effort"
+            places[joint, quantity] = source
+        _drop_unwanted(places, reading)
+        places = _with_commands_as_positions(places)
         rate = reading.rate or mapping.rate
         if rate is not None:
             places.pop(("", "time"), None)
@@ -176,7 +186,7 @@ class _Understood:
             partial: Whether it may lack some of them, or their efforts.
 
         Raises:
-            LogError: Time, a position, an effort or a joint is missing.
+            LogError: Time, a position, an effort and what may stand for it, or a joint is missing.
         """
         if self.rate is None and ("", "time") not in self.places:
             close = difflib.get_close_matches("time", [n.lower() for n in self.names[:100]], 1, 0.4)
@@ -185,21 +195,21 @@ class _Understood:
                 advice=(f"Is it {close[0]!r}? " if close else "")
                 + f"{HEADER_ADVICE} Without time, give the rows a second by --rate.",
             )
-        moved, heard = self._having("position"), set(self._having("effort"))
+        moved, heard = self._having("position"), {*self._having("effort", "command")}
         silent = [joint for joint in moved if joint not in heard]
         if len(silent) == len(moved):
             raise LogError(
                 f"Log {str(self.path)!r} has no joint with both position and effort; positions: "
-                f"{listed(moved)}; efforts: {listed(self._having('effort'))}.",
+                f"{listed(moved)}; efforts: {listed(self._having('effort', 'command'))}.",
                 advice="A log without effort says nothing about dynamics. "
-                f"{HEADER_ADVICE} {_MAPPING_ADVICE}",
+                f"{HEADER_ADVICE} {SIGNAL_ADVICE} {_MAPPING_ADVICE}",
             )
         standing = tuple(j for j in silent if j in self.own or j in (wanted or ()))
         if standing and not partial:
             raise LogError(
                 f"Log {str(self.path)!r} is a log without effort of {', '.join(standing)}: the "
                 "position is there, the effort is not.",
-                advice="Log that joint's effort too, or leave its columns out.",
+                advice=f"Log that joint's effort too, or leave its columns out. {SIGNAL_ADVICE}",
                 joints=standing,
             )
         own = tuple(joint for joint in moved if joint in heard)
@@ -212,7 +222,7 @@ class _Understood:
         """What is read for these joints.
 
         Args:
-            joints: Joints with position and effort.
+            joints: Joints with position and effort, or what stands for it.
             standing: Joints with positions alone.
 
         Raises:
@@ -220,11 +230,12 @@ class _Understood:
         """
         used = {c for source in self.places.values() for c in source.columns}
         check_twice(self.path, self.names, used)
-        _check_gains(self.reading.gains, joints)
+        self._check_said(joints)
         quantities, notes = [], list(self.notes)
         for quantity in QUANTITIES:
             missing = [f"{j}.{quantity}" for j in joints if (j, quantity) not in self.places]
-            if not missing:
+            some = len(missing) < len(joints) and quantity == "command"
+            if not missing or some or quantity == "effort":
                 quantities.append(quantity)
             elif len(missing) < len(joints):
                 notes.append(f"{quantity} is not used: there is no {listed(missing)}")
@@ -253,22 +264,85 @@ class _Understood:
             self.rate,
             self.reading,
             tuple(standing),
+            self.others,
         )
 
-    def _having(self, quantity: str) -> list[str]:
-        """Joints with a quantity, in the order of the file."""
-        return [joint for joint, other in self.places if other == quantity]
+    def _having(self, *quantities: str) -> list[str]:
+        """Joints with one of some quantities, in the order of the file."""
+        return list(dict.fromkeys(joint for joint, other in self.places if other in quantities))
 
     def _scaled(self, joint: str, quantity: str) -> Source:
-        """The source of a column, with the gain of efforts."""
+        """The source of a column; with a known gain, signals are efforts."""
         source = self.places[joint, quantity]
-        gain = self.reading.gains.get(joint, 1.0) if quantity == "effort" else 1.0
-        return source if gain == 1.0 else replace(source, factor=gain * source.factor)
+        gain = self.reading.gains.get(joint)
+        if gain is None or quantity != "effort":
+            return source
+        return replace(source, factor=gain * source.factor, kind="effort")
+
+    def _check_said(self, joints: Sequence[str]) -> None:
+        """Refuse gains and kinds of joints that have no such column.
+
+        Raises:
+            LogError: There is one.
+        """
+        heard, told = self._having("effort"), self._having("command")
+        _check_joints_of("gain", self.reading.gains, joints)
+        _check_joints_of("kind", [joint for joint in self.reading.kinds if joint], joints)
+        for joint in self.reading.gains:
+            if joint not in heard:
+                raise LogError(
+                    f"There is a gain of {joint!r}, of which log {str(self.path)!r} has neither "
+                    "effort nor current, voltage or duty cycle.",
+                    advice="What a servo makes of its command is found from the model's inertias.",
+                    joint=joint,
+                )
+        for joint in joints:
+            kind = self.reading.kind_of(joint)
+            if kind is not None and joint not in (told if kind == "command" else heard):
+                if joint not in self.reading.kinds:
+                    continue  # said of all joints that have it
+                raise LogError(
+                    f"Log {str(self.path)!r} has no column of {joint!r} that could be {kind!r}.",
+                    advice="Say which column it is by --mapping.",
+                    joint=joint,
+                )
 
 
-def _preference(meaning: Meaning) -> tuple[bool, int, bool]:
-    """The least is taken, of several columns of one quantity of one joint."""
-    return meaning.style[0] != "own", meaning.role, meaning.is_current
+def _mapped_kind(quantity: str, gain: float, unit: Unit | None, said: str | None) -> str:
+    """What a mapped column is: as its key says; of an effort, as the user or its unit says."""
+    if said not in (None, "command", quantity) and quantity != "effort":
+        raise LogError(
+            f"A mapping has a column as {quantity}, and --kind says that it is {said}.",
+            advice="Leave one of both out.",
+        )
+    if quantity != "effort" or said not in (None, "command"):
+        return quantity if said in (None, "command") else str(said)
+    in_signal = unit is not None and unit.signal is not None and gain == 1.0
+    return str(unit.signal) if unit is not None and in_signal else "effort"
+
+
+def _drop_unwanted(places: dict[tuple[str, str], Source], reading: Reading) -> None:
+    """Take out the efforts of joints whose commands are to be used in their place."""
+    for joint in [joint for joint, quantity in places if quantity == "command"]:
+        if reading.kind_of(joint) == "command":
+            places.pop((joint, "effort"), None)
+
+
+def _with_commands_as_positions(
+    places: Mapping[tuple[str, str], Source],
+) -> dict[tuple[str, str], Source]:
+    """The columns, with commands in the unit of their joint's position, where nobody says theirs.
+
+    Args:
+        places: (joint, quantity) -> source.
+    """
+    found = dict(places)
+    for (joint, quantity), source in places.items():
+        position = places.get((joint, "position"))
+        bare = source.unit is None and source.factor == 1.0
+        if quantity == "command" and bare and position is not None:
+            found[joint, quantity] = replace(source, unit=position.unit, factor=position.factor)
+    return found
 
 
 def _unit(
@@ -298,10 +372,10 @@ def _time(
     return {("", "time"): Source(time.column, unit.factor if unit else 1.0, unit, nanoseconds)}
 
 
-def _check_gains(gains: Mapping[str, float], joints: Sequence[str]) -> None:
-    for joint in gains:
+def _check_joints_of(what: str, named: Iterable[str], joints: Sequence[str]) -> None:
+    for joint in named:
         if joint not in joints:
             raise LogError(
-                f"There is a gain of {joint!r}, which is no joint of the log.",
+                f"There is a {what} of {joint!r}, which is no joint of the log.",
                 advice=f"Its joints are: {listed(joints)}.",
             )

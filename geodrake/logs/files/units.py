@@ -13,7 +13,11 @@ _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 _EFFORTS = {"Nm": 1.0, "Nmm": 1e-3, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3, "N": 1.0, "kN": 1e3}
-_CURRENTS = {"A": 1.0, "mA": 1e-3}
+_SIGNALS = {
+    "current": {"A": 1.0, "mA": 1e-3},
+    "voltage": {"V": 1.0, "mV": 1e-3},
+    "pwm": {"share": 1.0, "%": 1e-2, "permille": 1e-3},
+}
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": _TIMES,
@@ -21,9 +25,11 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "velocity": {f"{unit}/s": factor for unit, factor in (_ANGLES | _LENGTHS).items()}
     | {"rpm": 2 * math.pi / 60},
     "acceleration": {f"{unit}/s²": factor for unit, factor in (_ANGLES | _LENGTHS).items()},
-    "effort": _EFFORTS | _CURRENTS,
+    "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"],
+    **_SIGNALS,
+    "command": _ANGLES | _LENGTHS,
 }
-"""Quantity -> unit -> how many rad, m, s, N·m, N (or A) it is."""
+"""Quantity -> unit -> how many rad, m, s, N·m, N, A, V or shares of the supply it is."""
 
 _SPELLINGS = {
     "°": "deg",
@@ -54,6 +60,10 @@ _SPELLINGS = {
     "nanosecs": "ns",
     "amp": "A",
     "amps": "A",
+    "volt": "V",
+    "volts": "V",
+    "percent": "%",
+    "‰": "permille",
 }
 
 
@@ -70,9 +80,9 @@ class Unit:
     factor: float
 
     @property
-    def is_current(self) -> bool:
-        """Whether it is one of motor currents, which no factor alone makes efforts."""
-        return self.name in _CURRENTS
+    def signal(self) -> str | None:
+        """What it measures in the place of efforts, "current" for mA; None for other units."""
+        return next((kind for kind, units in _SIGNALS.items() if self.name in units), None)
 
 
 def unit_of(text: str, quantity: str) -> Unit:
@@ -80,7 +90,7 @@ def unit_of(text: str, quantity: str) -> Unit:
 
     Args:
         text: A unit as people write it, such as `deg`, `°/s`, `N·mm` or `rad_s`.
-        quantity: What is in it: time, position, velocity, acceleration or effort.
+        quantity: What is in it, of `UNITS`.
 
     Raises:
         ArgumentError: There is no such unit, or no such quantity.

@@ -1,0 +1,103 @@
+"""Can anything be learned from what stands for efforts: commands that differ, and no saturation?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.errors import LogError
+from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
+
+_STILL = 2e-3  # rad or m, by which a joint may move and still stand
+_SAME = 1e-6  # of what a joint moves, by which a copy of its positions may differ: it is rounded
+_LATEST = 3  # rows by which a copy may be late
+_WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
+_FULL, _MOST = 1.0 - 1e-6, 0.5  # of the largest effort, and the share of rows that may be at it
+_STEPS = 8  # of resolution that a largest value has at least, where it is none of rounding
+
+
+def check_commands(log: JointLog) -> None:
+    """Refuse commands that say nothing, as they never differ from where the joint is.
+
+    Args:
+        log: A log; joints whose efforts are not measured count.
+
+    Raises:
+        LogError: The command of a joint that moves is its position, or that of some rows later.
+    """
+    for at, joint in enumerate(log.joints):
+        if log.command is None or np.isfinite(log.effort[:, at]).any():
+            continue
+        command, position = log.command[:, at], log.position[:, at]
+        known = np.isfinite(position)
+        if not known.any() or np.ptp(position[known]) <= _STILL:
+            continue
+        if any(_is_copy(command, position, late) for late in range(_LATEST + 1)):
+            raise LogError(
+                f"The command of {joint} in log {log.name!r} never differs from its position, so "
+                "that nothing is known of its effort.",
+                advice="Is it a copy of what was measured? Log what the servo was told. If it was "
+                "told that, move the joint faster, in steps or swings of some hertz, or with a "
+                "load: a servo lags behind by what its effort needs.",
+                joint=joint,
+            )
+
+
+def _is_copy(command: Array, position: Array, late: int) -> bool:
+    """Whether positions are commands of some rows before, up to rounding."""
+    command, position = command[: len(command) - late], position[late:]
+    known = np.isfinite(command) & np.isfinite(position)
+    if not known.any():
+        return False
+    command, position = command[known], position[known]
+    digits = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(position).max())
+    return bool(np.abs(command - position).max() <= max(_SAME * np.ptp(position), digits))
+
+
+def check_saturation(log: JointLog) -> None:
+    """Refuse efforts that are at their largest value most of the time.
+
+    Args:
+        log: A log.
+
+    Raises:
+        LogError: What was measured of a joint is, in more than half of the rows in which it moves.
+    """
+    for at, joint in enumerate(log.joints):
+        effort = log.effort[_moving(log, at), at]
+        effort = effort[np.isfinite(effort)]
+        if not len(effort) or np.ptp(effort) == 0.0:
+            continue
+        largest = float(np.abs(effort).max())
+        share = float(np.mean(np.abs(effort) >= _FULL * largest))
+        if share > _MOST and not _is_coarse(effort):
+            raise LogError(
+                f"The {log.effort_kinds.get(joint, 'effort')} of {joint} in log {log.name!r} is at "
+                f"its largest value, {largest:.4g}, in {100 * share:.0f} % of the rows in which "
+                "the joint moves: it is saturated.",
+                advice="Move with less acceleration and load, so that the drive stays within its "
+                "limit, or raise the limit.",
+                joint=joint,
+            )
+
+
+def _moving(log: JointLog, at: int) -> NDArray[np.bool_]:
+    """(N,) rows in which a joint moves."""
+    time, position = log.time, log.position[:, at]
+    steps = np.diff(time[np.isfinite(time)])
+    rows = max(1, round(_WINDOW / float(np.median(steps)))) if len(steps) else 1
+    way = np.zeros(len(position))
+    if rows < len(position):
+        way[:-rows] = np.abs(position[rows:] - position[:-rows])
+    way = np.nan_to_num(way)
+    return np.asarray(way > max(_MOVING * float(way.max(initial=0.0)), 0.0))
+
+
+def _is_coarse(effort: Array) -> bool:
+    """Whether a largest value may be one by rounding: of so few steps, and nothing beside."""
+    levels = np.unique(effort)
+    if len(levels) == 2 and levels[0] == -levels[1]:
+        return False  # a switch
+    return bool(np.abs(levels).max() < _STEPS * np.diff(levels).min())

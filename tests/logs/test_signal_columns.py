@@ -1,0 +1,367 @@
+"""Logs of currents, voltages, duty cycles and commands: read for what they are."""
+
+import numpy as np
+import pytest
+
+from geodrake.errors import ArgumentError, LogError
+from geodrake.logs import JointLog, log_of_frame, read_log, write_log
+from geodrake.logs.files.reading import ColumnMapping, MappedColumn, Reading, parsed_gain
+from geodrake.logs.learnable import check_commands, check_saturation
+from geodrake.logs.uniform_log import make_uniform
+
+JOINTS = ("shoulder", "elbow")
+ROWS = 300
+TIME = np.arange(ROWS) / 100.0
+Q = np.sin(TIME[:, None] * np.array([2.0, 3.0]))
+S = 3.0 * np.cos(TIME[:, None] * np.array([2.0, 3.0])) + np.array([0.5, -0.2])
+C = Q + 0.01 * S
+
+
+def frame(**columns):
+    """`time`, and columns of two joints by the form of their names."""
+    found = {"time": TIME}
+    for form, values in columns.items():
+        found |= {form.replace("_J", f"_{k}"): values[:, k] for k in range(2)}
+    return found
+
+
+def own(**quantities):
+    return {"time": TIME} | {
+        f"{joint}.{quantity}": values[:, k]
+        for quantity, values in quantities.items()
+        for k, joint in enumerate(JOINTS)
+    }
+
+
+def write(path, columns):
+    rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+    lines = [",".join("" if np.isnan(x) else repr(x) for x in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+    return path
+
+
+def said(log):
+    return " | ".join(log.notes)
+
+
+@pytest.mark.parametrize(
+    ("form", "kind"),
+    [
+        *(("motor_current_J", "current"), ("i_J", "current"), ("actual_current_J", "current")),
+        *(("cur_J", "current"), ("voltage_J", "voltage"), ("actual_joint_voltage_J", "voltage")),
+        *(("duty_J", "pwm"), ("duty_cycle_J", "pwm"), ("pwm_J", "pwm"), ("present_pwm_J", "pwm")),
+    ],
+)
+def test_signals_of_other_names(form, kind):
+    log = log_of_frame(frame(q_J=Q, **{form: S}), joints=JOINTS)
+    assert log.effort_kinds == dict.fromkeys(JOINTS, kind)
+    assert np.array_equal(log.effort, S)
+    assert log.command is None
+    assert "found from the model's inertias, unless --gain" in said(log)
+
+
+@pytest.mark.parametrize(
+    "form", ["q_cmd_J", "target_q_J", "goal_position_J", "command_J", "action_J", "q_des_J"]
+)
+def test_commands_of_other_names(form):
+    log = log_of_frame(frame(actual_q_J=Q, **{form: C}), joints=JOINTS)
+    assert np.array_equal(log.command, C)
+    assert np.array_equal(log.position, Q)
+    assert np.isnan(log.effort).all()
+    assert not log.effort_kinds
+    assert not log.standing
+    assert "commands are in their place" in said(log)
+
+
+@pytest.mark.parametrize("name", ["command/positions[K]", "/arm/JOINT/command"])
+def test_commands_of_topics(name):
+    names = [name.replace("K", str(k)).replace("JOINT", j) for k, j in enumerate(JOINTS)]
+    columns = {f"/joint_states/position[{k}]": Q[:, k] for k in range(2)}
+    if "JOINT" in name:
+        columns = {f"/joint_states/{j}/position": Q[:, k] for k, j in enumerate(JOINTS)}
+    columns |= {n: C[:, k] for k, n in enumerate(names)}
+    log = log_of_frame({"time": TIME, **columns}, joints=JOINTS)
+    assert np.array_equal(log.command, C)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mat"])
+def test_own_names_in_files_and_back(tmp_path, suffix):
+    columns = {**own(position=Q), "shoulder.current": S[:, 0], "elbow.command": C[:, 1]}
+    path = tmp_path / f"log{suffix}"
+    if suffix == ".csv":
+        write(path, columns)
+    elif suffix == ".npz":
+        np.savez(path, **columns)
+    elif suffix == ".parquet":
+        pytest.importorskip("pandas").DataFrame(columns).to_parquet(path)
+    else:
+        from scipy.io import savemat
+
+        parts = {j: {} for j in JOINTS}
+        for name, values in columns.items():
+            joint, _, quantity = name.partition(".")
+            if quantity:
+                parts[joint][quantity] = values
+        savemat(path, {"time": TIME, **parts})
+    log = read_log(path, joints=JOINTS)
+    check_mixed(log)
+    for again in ("again.csv", "again.npz"):
+        write_log(log, tmp_path / again)
+        check_mixed(read_log(tmp_path / again))
+    check_mixed(log_of_frame(log.to_dataframe()))
+
+
+def check_mixed(log):
+    """Currents at the first joint, and commands alone at the second."""
+    assert log.joints == JOINTS
+    assert log.effort_kinds == {"shoulder": "current"}
+    assert np.array_equal(log.effort[:, 0], S[:, 0])
+    assert np.isnan(log.effort[:, 1]).all()
+    assert np.isnan(log.command[:, 0]).all()
+    assert np.array_equal(log.command[:, 1], C[:, 1])
+
+
+def test_arrays_of_all_joints():
+    log = log_of_frame({"time": TIME, "position": Q, "current": S}, joints=JOINTS)
+    assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
+    log = log_of_frame({"time": TIME, "position": Q, "command": C}, joints=JOINTS)
+    assert np.array_equal(log.command, C)
+
+
+def test_efforts_win_over_currents_and_these_over_voltages_and_duty_cycles():
+    every = {"tau_J": S, "current_J": 2 * S, "voltage_J": 3 * S, "pwm_J": 4 * S}
+    for kind in ("effort", "current", "voltage", "pwm"):
+        log = log_of_frame(frame(q_J=Q, **every), joints=JOINTS)
+        assert set(log.effort_kinds.values()) == ({kind} - {"effort"})
+        assert np.array_equal(log.effort, next(iter(every.values())))
+        if len(every) > 1:
+            assert f"effort: {next(iter(every)).replace('_J', '_0')}" in said(log)
+            assert "and not" in said(log)
+        every.pop(next(iter(every)))
+
+
+def test_a_measured_current_wins_over_a_wanted_torque():
+    log = log_of_frame(frame(q_J=Q, target_moment_J=S, actual_current_J=2 * S), joints=JOINTS)
+    assert set(log.effort_kinds.values()) == {"current"}
+
+
+def test_commands_beside_efforts_only_where_they_are_meant():
+    told = frame(q_J=Q, tau_J=S, target_q_J=C)
+    log = log_of_frame(told, joints=JOINTS)
+    assert log.command is None
+    assert "target_q_0" in said(log)
+    assert np.array_equal(log_of_frame(own(position=Q, effort=S, command=C)).command, C)
+    mapping = ColumnMapping(
+        {
+            joint: {
+                "position": MappedColumn(f"q_{k}"),
+                "effort": MappedColumn(f"tau_{k}"),
+                "command": MappedColumn(f"target_q_{k}"),
+            }
+            for k, joint in enumerate(JOINTS)
+        },
+        MappedColumn("time"),
+    )
+    assert np.array_equal(log_of_frame(told, reading=Reading(mapping=mapping)).command, C)
+    log = log_of_frame(told, joints=JOINTS, reading=Reading(kinds={"": "command"}))
+    assert np.array_equal(log.command, C)
+    assert np.isnan(log.effort).all()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_empty_efforts_give_way(tmp_path, suffix):
+    nothing = np.full_like(S, np.nan)
+    cases = {
+        "command": frame(q_J=Q, effort_J=nothing, target_q_J=C),
+        "current": frame(q_J=Q, effort_J=nothing, current_J=S),
+        "own": own(position=Q, effort=nothing, command=C),
+    }
+    for name, columns in cases.items():
+        path = tmp_path / f"{name}{suffix}"
+        np.savez(path, **columns) if suffix == ".npz" else write(path, columns)
+        log = read_log(path, joints=JOINTS)
+        assert log.joints == JOINTS
+        assert not log.standing
+        if name == "current":
+            assert set(log.effort_kinds.values()) == {"current"}
+            assert "effort_0, effort_1 say nothing of efforts" in said(log)
+        else:
+            assert np.array_equal(log.command, C)
+            assert np.isnan(log.effort).all()
+
+
+def test_the_voltage_of_a_supply_is_none_of_a_motor():
+    supply = 12.0 + 0.1 * S
+    log = log_of_frame(frame(q_J=Q, voltage_J=supply, action_J=C), joints=JOINTS)
+    assert not log.effort_kinds
+    assert np.array_equal(log.command, C)
+
+
+@pytest.mark.parametrize(
+    ("form", "units", "kind", "factor"),
+    [
+        ("current_J", {"current": "mA"}, "current", 1e-3),
+        ("current_J", {"effort": "mA"}, "current", 1e-3),
+        ("effort_J", {"effort": "mA"}, "current", 1e-3),
+        ("effort_J", {"effort": "mV"}, "voltage", 1e-3),
+        ("effort_J_mA", {}, "current", 1e-3),
+        ("voltage_J", {"voltage": "mV"}, "voltage", 1e-3),
+        ("pwm_J", {"pwm": "%"}, "pwm", 1e-2),
+        ("duty_J [%]", {}, "pwm", 1e-2),
+    ],
+)
+def test_units_of_signals(form, units, kind, factor):
+    log = log_of_frame(frame(q_J=Q, **{form: S}), joints=JOINTS, reading=Reading(units=units))
+    assert set(log.effort_kinds.values()) == {kind}
+    assert np.allclose(log.effort, factor * S)
+    assert f"{kind} is in" in said(log)
+
+
+def test_commands_are_in_the_unit_of_positions_unless_they_say_another():
+    deg, told = np.rad2deg(Q), np.rad2deg(C)
+    log = log_of_frame(frame(q_J=deg, cmd_J=told), reading=Reading(units={"position": "deg"}))
+    assert np.allclose(log.command, C)
+    log = log_of_frame(frame(q_deg_J=deg, cmd_J=told))
+    assert np.allclose(log.command, C)
+    log = log_of_frame(frame(q_deg_J=deg, cmd_J=C), reading=Reading(units={"command": "rad"}))
+    assert np.allclose(log.command, C)
+
+
+def test_known_gains_make_efforts_and_say_how_well():
+    columns = frame(q_J=Q, current_J=S)
+    reading = Reading(gains={"shoulder": 4.0, "elbow": -2.0}, gain_deviations={"elbow": 0.5})
+    log = log_of_frame(columns, joints=JOINTS, reading=reading)
+    assert np.allclose(log.effort, S * [4.0, -2.0])
+    assert not log.effort_kinds
+    assert log.effort_uncertainty.tolist() == [0.05, 0.25]
+    assert "found from the model" not in said(log)
+    one = Reading(gains={"shoulder": 4.0})
+    log = log_of_frame(columns, joints=JOINTS, reading=one)
+    assert log.effort_kinds == {"elbow": "current"}
+    assert log.effort_uncertainty == 0.05
+
+
+@pytest.mark.parametrize("text", ["13.2±0.5", "13.2+-0.5", "13.2 +/- 0.5"])
+def test_gains_with_deviations(text):
+    assert parsed_gain(text, "it") == (13.2, 0.5)
+    assert parsed_gain("-2e-3", "it") == (-2e-3, None)
+
+
+@pytest.mark.parametrize("text", ["", "x", "1±", "1±2±3", "±0.5", "1 2"])
+def test_gains_of_wrong_forms(text):
+    with pytest.raises(ArgumentError, match="not a number"):
+        parsed_gain(text, "it")
+
+
+@pytest.mark.parametrize("kinds", [{"": "current"}, dict.fromkeys(JOINTS, "current")])
+def test_what_efforts_are_said_to_be(kinds):
+    log = log_of_frame(own(position=Q, effort=S), reading=Reading(kinds=kinds))
+    assert log.effort_kinds == dict.fromkeys(JOINTS, "current")
+    assert np.array_equal(log.effort, S)
+    units = Reading(kinds=kinds, units={"current": "mA"})
+    assert np.allclose(log_of_frame(own(position=Q, effort=S), reading=units).effort, 1e-3 * S)
+
+
+def test_a_torque_that_is_called_a_current():
+    reading = Reading(kinds={"": "effort"})
+    log = log_of_frame(frame(q_J=Q, current_J=S), joints=JOINTS, reading=reading)
+    assert not log.effort_kinds
+
+
+@pytest.mark.parametrize(
+    ("columns", "reading", "words"),
+    [
+        (frame(q_J=Q), Reading(), r"no joint with both.*<joint>\.current"),
+        (own(position=Q, velocity=S), Reading(), r"no joint with both.*\.command will do"),
+        (
+            {**own(position=Q), "shoulder.current": S[:, 0]},
+            Reading(),
+            r"without effort of elbow.*\.command will do",
+        ),
+        (
+            frame(**{"q_J": Q, "voltage_J [mA]": S}),
+            Reading(),
+            r"to be the voltage .* in mA, a unit of current",
+        ),
+        (
+            frame(q_J=Q, voltage_J=S),
+            Reading(kinds={"shoulder": "current"}),
+            "is voltage by its name, and current by --kind",
+        ),
+        (
+            frame(q_J=Q, tau_J_mA=S),
+            Reading(kinds={"": "voltage"}),
+            "to be the voltage .* a unit of current",
+        ),
+        (frame(q_J=Q, tau_J=S), Reading(kinds={"wrist": "current"}), "kind of 'wrist'"),
+        (frame(q_J=Q, tau_J=S), Reading(kinds={"shoulder": "command"}), "could be 'command'"),
+        (
+            frame(q_J=Q, cmd_J=C),
+            Reading(gains={"shoulder": 2.0}),
+            "gain of 'shoulder'.*neither effort nor current",
+        ),
+    ],
+)
+def test_what_contradicts_itself(columns, reading, words):
+    joints = None if any("." in name for name in columns) else JOINTS
+    with pytest.raises(LogError, match=words) as caught:
+        log_of_frame(columns, joints=joints, reading=reading)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"kinds": {"shoulder": "amps"}}, "no known kind of efforts of 'shoulder'"),
+        ({"kinds": {"": "power"}}, "no known kind"),
+        ({"units": {"voltage": "A"}}, "'A' is no known unit of voltage"),
+        ({"units": {"current": "V"}}, "'V' is no known unit of current"),
+        ({"gains": {"a": 0.0}}, "other than 0"),
+        ({"gains": {"a": 2.0}, "gain_deviations": {"a": 3.0}}, "less than the gain"),
+        ({"gains": {"a": 2.0}, "gain_deviations": {"a": -1.0}}, "at least 0"),
+        ({"gain_deviations": {"a": 1.0}}, "and no gain"),
+    ],
+)
+def test_readings_that_cannot_be(options, words):
+    with pytest.raises(ArgumentError, match=words):
+        Reading(**options)
+
+
+def test_commands_that_say_nothing():
+    nothing = np.full_like(Q, np.nan)
+
+    def log(command):
+        return JointLog("x", JOINTS, TIME, Q, nothing, command=command)
+
+    check_commands(log(C))
+    copy = C.copy()
+    copy[:, 1] = Q[:, 1]
+    with pytest.raises(LogError, match=r"elbow .* never differs.* steps or swings"):
+        check_commands(log(copy))
+    with pytest.raises(LogError, match=r"shoulder .* never differs"):
+        check_commands(log(np.roll(Q, -2, axis=0)))  # what was told is there two rows later
+    check_commands(JointLog("x", JOINTS, TIME, Q, S, command=Q))  # efforts are measured
+
+
+def test_efforts_that_are_saturated():
+    def log(effort, **more):
+        return JointLog("x", JOINTS, TIME, Q, effort, **more)
+
+    check_saturation(log(S))
+    check_saturation(log(np.clip(S, -2.9, 2.9)))  # sometimes
+    kinds = {"shoulder": "current"}
+    with pytest.raises(LogError, match=r"current of shoulder .* 0\.5, .* it is saturated"):
+        check_saturation(log(np.clip(S, -0.5, 0.5), effort_kinds=kinds))
+    with pytest.raises(LogError, match="saturated"):
+        check_saturation(log(np.sign(S + 0.01)))
+    check_saturation(log(np.clip(np.round(S), -1.0, 1.0)))  # rounded, as far as anyone knows
+    check_saturation(log(np.ones_like(S)))
+    check_saturation(log(np.full_like(S, np.nan)))
+
+
+def test_messages_stay_good_where_there_is_neither():
+    nothing = np.full_like(Q, np.nan)
+    with pytest.raises(LogError, match="no effort of shoulder in any"):
+        make_uniform(JointLog("x", JOINTS, TIME, Q, nothing))
+    with pytest.raises(LogError, match="no effort and no command of shoulder in any"):
+        make_uniform(JointLog("x", JOINTS, TIME, Q, nothing, command=nothing))
