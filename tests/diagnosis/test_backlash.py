@@ -15,7 +15,7 @@ def smooth(values, width=400):
     return np.convolve(values, np.hanning(width) / np.hanning(width).sum(), "valid")
 
 
-@pytest.mark.parametrize("half_width", [2e-3, 8e-3])
+@pytest.mark.parametrize("half_width", [2e-3, pytest.param(8e-3, marks=pytest.mark.thorough)])
 def test_effort(half_width):
     """The blows and pauses that scipy finds are those of the column, seen through a filter."""
     time, _, torque = played(half_width)

@@ -95,6 +95,7 @@ def test_lighter_link_is_no_payload():
     assert step.effect == "wrong_inertia"
 
 
+@pytest.mark.thorough  # as is tested in test_hidden_effects.py
 def test_bodies_that_are_all_off_are_no_payload():
     log = effort_log("arm6", 1, off=0.2, duration=16.0).log
     (step,) = explain(model_file("arm6"), [log]).steps
