@@ -257,6 +257,7 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = geodrake_command("demo")
     assert result.exit_code == 0, result.output
+    assert result.stderr.startswith("Done within about ")
     assert "geodrake_demo.html" in result.output
     assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
     page = (tmp_path / "geodrake_demo.html").read_text(encoding="utf-8")

@@ -338,8 +338,8 @@ OUTPUTS = {
     "closed output": ("compare robot.urdf log.csv >&-", 0, ""),
     "closed input": ("compare robot.urdf log.csv <&- > /dev/null", 0, ""),
     "closed errors": ("compare robot.urdf log.csv 2>&- > /dev/null", 0, ""),
-    "closed errors and an error": ("compare robot.urdf none.csv 2>&-", 2, ""),
-    "a full disk for errors": ("compare robot.urdf none.csv 2> /dev/full", 2, ""),
+    "closed errors and an error": ("no-such-command 2>&-", 2, ""),
+    "a full disk for errors": ("no-such-command 2> /dev/full", 2, ""),
     "everything closed": ("compare robot.urdf log.csv --json new.json <&- >&- 2>&-", 0, ""),
 }
 
