@@ -266,10 +266,11 @@ SIMPLER = (
     "rotor",
     "load",
     "belt",
+    "load and belt",
     "late efforts",
     "two late joints",
 )
-"""Cases that others of the default run contain."""
+"""Cases that others contain, here, in test_hidden_forces.py or in the benchmark's tests."""
 
 
 @pytest.mark.parametrize("seed", seeds(1, 2))
@@ -289,6 +290,7 @@ def test_pinocchio_with_bodies_off(case, seed):
             assert steps["effort_delay"][joint]["delay"] == pytest.approx(delay, abs=1e-3)
 
 
+@pytest.mark.thorough  # beside the late elbow above
 def test_one_joint_later_than_all_others():
     """All are late, and one of them twice as much: every joint's delay is told."""
     rng, file = np.random.default_rng(6), robot("arm6")
@@ -361,7 +363,10 @@ REFINED = {
 
 
 @pytest.mark.parametrize("seed", seeds(1, 2, 3))
-@pytest.mark.parametrize("name", REFINED)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.thorough) if n == "quadratic" else n for n in REFINED],
+)
 def test_laws_with_a_shape(name, seed):
     """Laws written out here, on Drake's inverse dynamics of the double pendulum."""
     law, expected = REFINED[name]
@@ -382,7 +387,8 @@ def test_laws_with_a_shape(name, seed):
 
 
 @pytest.mark.parametrize("seed", seeds(1, 2))
-@pytest.mark.parametrize("exponent", [1.7, pytest.param(2.4, marks=pytest.mark.thorough)])
+@pytest.mark.thorough  # TestShapes of test_search.py has one
+@pytest.mark.parametrize("exponent", [1.7, 2.4])
 def test_exponents_between_those_of_the_grid(exponent, seed):
     """No further effect is drawn by what a wrong exponent would leave."""
 

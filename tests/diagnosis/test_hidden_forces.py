@@ -57,11 +57,12 @@ def wave(joint, amplitude, order, phase=0.4):
     return lambda seen: {joint: amplitude * np.sin(order * seen.q[:, joint] - phase)}
 
 
+@pytest.mark.thorough  # test_fixed_inertias.py has one, too
 class TestGravityCompensator:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("joint", "name"),
-        [pytest.param(0, "base_yaw", marks=pytest.mark.thorough), (1, "shoulder_pitch")],
+        [(0, "base_yaw"), (1, "shoulder_pitch")],
     )
     def test_found(self, joint, name, seed):
         recording = effort_log("arm6", seed, wave(joint, (6.0, 20.0)[joint], 1.0), off=0.2)
@@ -89,6 +90,15 @@ class TestTorqueRipple:
         assert values["order"] == pytest.approx(order, abs=0.06)
         assert size_of(values) == pytest.approx(size, rel=0.06)
 
+    def test_found_in_a_pendulum(self):
+        recording = effort_log("double_pendulum", 3, wave(1, 0.05, 40.0), duration=40.0)
+        model = model_file("double_pendulum")
+        steps, _ = assert_found(model, recording, {"torque_ripple": ("elbow",)})
+        values = steps["torque_ripple"]["elbow"]
+        assert values["order"] == pytest.approx(40.0, abs=0.1)
+        assert size_of(values) == pytest.approx(0.05, rel=0.06)
+
+    @pytest.mark.thorough
     def test_under_friction(self, tmp_path):
         """Ripple of an eighteenth of the friction; the model is saved and holds."""
 
@@ -246,7 +256,7 @@ class TestCoupledJoints:
     @pytest.mark.parametrize(
         ("joints", "sense", "dry", "viscous"),
         [
-            ((1, 3), 1, 0.8, 0.3),
+            pytest.param((1, 3), 1, 0.8, 0.3, marks=pytest.mark.thorough),
             pytest.param((3, 5), -1, 0.3, 0.12, marks=pytest.mark.thorough),
             pytest.param((1, 3), -1, 0.8, 0.3, marks=pytest.mark.thorough),
             pytest.param((3, 5), 1, 0.01, 0.01, marks=pytest.mark.thorough),
@@ -274,7 +284,11 @@ class TestCoupledJoints:
         joints = model_file("arm6").joints
         own = dict.fromkeys(("coulomb_friction", "viscous_friction"), joints)
         expected = own | {"coupled_friction": (joints[3], joints[5])}
-        _, found = assert_found(model_file("arm6"), recording, expected)
+        steps, found = assert_found(model_file("arm6"), recording, expected)
+        values = steps["coupled_friction"][f"{joints[3]} & {joints[5]}"]
+        assert values["sign"] == 1
+        assert values["coulomb"] == pytest.approx(0.3, rel=0.1)
+        assert values["viscous"] == pytest.approx(0.1, rel=0.15)
         save_model(found.model, tmp_path / "arm.yaml")
         again = load_model(tmp_path / "arm.yaml")
         motion = Motion(*random_states(), time=None)
@@ -390,7 +404,10 @@ class TestEffortScale:
         scaled, plain = found.model.effort(motion), known.effort(motion)
         np.testing.assert_allclose(scaled[:, joint], 1.08 * plain[:, joint], rtol=0.03, atol=0.05)
 
-    @pytest.mark.parametrize(("uncertainty", "named"), [(0.05, False), (0.02, True)])
+    @pytest.mark.parametrize(
+        ("uncertainty", "named"),
+        [(0.05, False), pytest.param(0.02, True, marks=pytest.mark.thorough)],
+    )
     def test_only_if_it_is_unusual(self, known, uncertainty, named):
         """Gains of torque constants that are known to 5 % may be off by 8 %."""
 

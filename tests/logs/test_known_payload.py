@@ -78,6 +78,7 @@ def gain_of(joint, size=0.08, count=6):
 
 
 class TestGainTold:
+    @pytest.mark.thorough  # TestCommand has a smaller robot
     @pytest.mark.parametrize(
         ("seed", "joint", "gain"),
         [
