@@ -14,6 +14,7 @@ import yaml
 from pendulum_logs import PENDULUM, friction, pendulum_log
 from typer.testing import CliRunner
 
+import geodrake
 from geodrake.boundary.interrupts import StopSearch
 from geodrake.cli.app import app
 from geodrake.cli.progress import progress
@@ -24,7 +25,7 @@ from geodrake.model.saved_model import load_model
 
 DEMO = files("geodrake") / "demo"
 MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
-ROOT = Path(__file__).parents[2]
+PACKAGES = Path(geodrake.__file__).parents[1]
 
 
 def test_lines_in_a_pipe_are_plain(capsys):
@@ -117,7 +118,7 @@ def started(folder, pendulum, *options):
     return subprocess.Popen(
         [sys.executable, "-c", run, "explain", *pendulum, *options],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

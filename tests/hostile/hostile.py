@@ -27,10 +27,13 @@ from pathlib import Path
 import numpy as np
 from typer.testing import CliRunner
 
+import geodrake
 from geodrake.cli import main
 from geodrake.cli.app import app
 
 ROOT = Path(__file__).parents[2]
+PACKAGES = Path(geodrake.__file__).parents[1]
+"""Where a process finds the same geodrake as this one, with all that is compiled."""
 PENDULUM = ROOT / "models" / "double_pendulum.urdf"
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
@@ -287,7 +290,7 @@ def _become(arguments, folder, out, err, begin):
 
 def run_started(arguments, environment):
     """The same in a process that is started for it, with variables of its own."""
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", **environment}
+    variables = {**os.environ, "PYTHONPATH": str(PACKAGES), "MPLBACKEND": "Agg", **environment}
     done = subprocess.run(
         [sys.executable, "-m", "geodrake", *arguments],
         env={name: value for name, value in variables.items() if value is not None},

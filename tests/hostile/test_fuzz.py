@@ -9,6 +9,7 @@ import pytest
 
 def test_nothing_breaks(tmp_path, monkeypatch):
     files = ["--json", str(tmp_path / "fuzz.json"), "--keep", str(tmp_path / "broken")]
+    monkeypatch.setattr(fuzz, "warm_up", lambda: None)  # other tests of this process have
     monkeypatch.setattr(sys, "argv", ["fuzz.py", "--quick", "--seed", "1", *files])
     with pytest.raises(SystemExit) as done:
         fuzz.main()

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json, run_here
+from hostile import KEPT, PACKAGES, Row, changed, contents, fill, read_json, run_here
 
 from geodrake.boundary.whole_files import check_writable, write_together, write_whole
 from geodrake.errors import OutputError
@@ -122,7 +122,7 @@ def in_shell(command):
         pytest.skip("no bash")
     return subprocess.run(
         [bash, "-o", "pipefail", "-c", command],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
         capture_output=True,
         text=True,
         check=False,

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import matplotlib
 import pytest
-from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json, run_forked
+from hostile import KEPT, PACKAGES, Row, changed, contents, fill, read_json, run_forked
 
 from geodrake import load_model
 from geodrake.boundary import whole_files
@@ -128,7 +128,7 @@ def python(code, folder, **more):
     return subprocess.run(
         [sys.executable, "-c", code],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
         capture_output=True,
         text=True,
         check=False,
@@ -183,7 +183,7 @@ def in_terminal(arguments, folder, columns):
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(folder)
-        variables = {"PYTHONPATH": str(ROOT), "COLUMNS": str(columns), "TERM": "xterm-256color"}
+        variables = {"PYTHONPATH": str(PACKAGES), "COLUMNS": str(columns), "TERM": "xterm-256color"}
         os.execve(
             sys.executable,
             [sys.executable, "-m", "geodrake", *arguments],
@@ -220,7 +220,7 @@ def started(arguments, folder, code=""):
     return subprocess.Popen(
         [sys.executable, "-c", f"{heard}\n{code}\n{run}", *arguments],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder / "passing")},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES), "TMPDIR": str(folder / "passing")},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
