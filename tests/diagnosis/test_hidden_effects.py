@@ -290,7 +290,6 @@ def test_pinocchio_with_bodies_off(case, seed):
             assert steps["effort_delay"][joint]["delay"] == pytest.approx(delay, abs=1e-3)
 
 
-@pytest.mark.thorough  # beside the late elbow above
 def test_one_joint_later_than_all_others():
     """All are late, and one of them twice as much: every joint's delay is told."""
     rng, file = np.random.default_rng(6), robot("arm6")

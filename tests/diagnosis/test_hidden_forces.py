@@ -90,10 +90,16 @@ class TestTorqueRipple:
         assert values["order"] == pytest.approx(order, abs=0.06)
         assert size_of(values) == pytest.approx(size, rel=0.06)
 
-    def test_found_in_a_pendulum(self):
-        recording = effort_log("double_pendulum", 3, wave(1, 0.05, 40.0), duration=40.0)
-        model = model_file("double_pendulum")
-        steps, _ = assert_found(model, recording, {"torque_ripple": ("elbow",)})
+    def test_found_in_a_pendulum_under_friction(self):
+        """Ripple of an eighteenth of the friction."""
+
+        def hidden(seen):
+            dry = 0.9 * np.tanh(seen.v[:, 1] / 0.01)
+            return {1: wave(1, 0.05, 40.0)(seen)[1] + dry}
+
+        recording = effort_log("double_pendulum", 3, hidden, duration=40.0)
+        expected = {"coulomb_friction": ("elbow",), "torque_ripple": ("elbow",)}
+        steps, _ = assert_found(model_file("double_pendulum"), recording, expected)
         values = steps["torque_ripple"]["elbow"]
         assert values["order"] == pytest.approx(40.0, abs=0.1)
         assert size_of(values) == pytest.approx(0.05, rel=0.06)
