@@ -26,6 +26,8 @@ from geodrake.report.numbers import Units
 from geodrake.report.words import finding, step_parameters
 
 MODEL = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
+APART = {**os.environ, "PYTHONPATH": str(Path(geodrake.__file__).parents[1])}
+"""Variables of a process that finds the same geodrake as this one, with all that is compiled."""
 COULOMB = {"shoulder": 0.3, "elbow": 0.2}
 
 
@@ -184,14 +186,14 @@ def test_report_is_one_page(log, tmp_path):
     assert "<html" in page.read_text(encoding="utf-8")
 
 
-def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log):
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "80"}
+def test_module_runs_piped_in_ascii_with_no_more_than_a_word_now_and_then(log, tmp_path):
+    environment = {**APART, "PYTHONIOENCODING": "ascii", "COLUMNS": "80"}
     run = subprocess.run(
         [sys.executable, "-m", "geodrake", "compare", MODEL, log],
         capture_output=True,
         text=True,
         env=environment,
-        cwd=MODEL.parents[1],
+        cwd=tmp_path,
         check=False,
     )
     assert run.returncode == 0, run.stderr
@@ -240,7 +242,7 @@ def test_what_is_called_delay_and_is_no_time_is_shown_as_it_is():
     assert step_parameters(step, Units.of(model, [Sluggish])) == ("delay 2.00 ± 0.10 N·m",)
 
 
-def test_a_terminal_needs_no_matplotlib(log):
+def test_a_terminal_needs_no_matplotlib(log, tmp_path):
     """Words and numbers come from where pages do, and pages alone need figures."""
     code = (
         "import sys\n"
@@ -249,7 +251,9 @@ def test_a_terminal_needs_no_matplotlib(log):
         "print('matplotlib' in sys.modules)"
     )
     command = [sys.executable, "-c", code, "compare", str(MODEL), str(log)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=tmp_path, env=APART
+    )
     assert run.stdout.splitlines()[-1] == "False"
 
 
@@ -257,6 +261,7 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = geodrake_command("demo")
     assert result.exit_code == 0, result.output
+    assert result.stderr.startswith("Done within about ")
     assert "geodrake_demo.html" in result.output
     assert [path.name for path in tmp_path.iterdir()] == ["geodrake_demo.html"]
     page = (tmp_path / "geodrake_demo.html").read_text(encoding="utf-8")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import geodrake
 from geodrake.cli.app import app
 from geodrake.model.saved_model import load_model, save_model
 
@@ -296,7 +297,8 @@ def test_interrupted_work_leaves_no_file_and_no_traceback(tmp_path):
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        cwd=ROOT,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(geodrake.__file__).parents[1])},
     )
     assert run.stderr is not None
     assert run.stderr.readline() == "working\n"

@@ -109,7 +109,9 @@ def test_a_sensor_that_fails_for_a_while(kind, fault):
     assert np.abs(logs["parameters"][-1] - during[0]).max() > 1e-5  # and goes on after it
 
 
-@pytest.mark.parametrize("kind", ["varying", "accelerated"])
+@pytest.mark.parametrize(
+    "kind", ["varying", pytest.param("accelerated", marks=pytest.mark.thorough)]
+)
 def test_a_sensor_that_fails_in_continuous_time(kind):
     sensor = FaultySensor(4, nothing, 0.3, 0.4)
     time, logs = run(controller(kind, time_step=0.0), 0.8, sensor=sensor)

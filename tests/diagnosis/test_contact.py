@@ -242,6 +242,7 @@ class TestDiagnosis:
         again = load_model(tmp_path / "arm.yaml")
         assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
 
+    @pytest.mark.thorough  # the next one is of a smaller robot
     def test_in_slow_motion(self):
         """The bodies' fit follows a push that lasts for a tenth of a slow log."""
         hidden = pushed(6, [0.0, 0.0, 0.05], np.array([10.0, -25.0, 20.0]), (14.0, 17.0))

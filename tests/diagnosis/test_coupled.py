@@ -122,7 +122,7 @@ class TestCandidates:
         assert [c.effect for c in candidates] == (["wrong_inertia"] if off else [])
 
 
-@pytest.mark.parametrize("colour", [0.0, 0.8])
+@pytest.mark.parametrize("colour", [pytest.param(0.0, marks=pytest.mark.thorough), 0.8])
 def test_chance_is_as_small_as_told(colour):
     """Noise in the place of residuals: as many false alarms at most as are admitted."""
     case = open_case(CHAIN, [chain_log(CHAIN, 4)], candidates=False, bandwidth=6.0)

@@ -86,6 +86,8 @@ def test_compensator_in_place_of_a_wrong_link():
     log = effort_log("arm7", 6, compensator, duration=16.0, share=0.01, pace=0.3).log
     (step,) = explain(model_file("arm7"), [log]).steps
     assert (step.effect, step.where) == ("gravity_compensator", ("joint_2",))
+    values = step.parameters["joint_2"]
+    assert np.hypot(values["sine"], values["cosine"]) == pytest.approx(2.0, rel=0.05)
     assert "wrong_inertia" in step.indistinguishable_from
 
 
@@ -95,6 +97,7 @@ def test_lighter_link_is_no_payload():
     assert step.effect == "wrong_inertia"
 
 
+@pytest.mark.thorough  # as is tested in test_hidden_effects.py
 def test_bodies_that_are_all_off_are_no_payload():
     log = effort_log("arm6", 1, off=0.2, duration=16.0).log
     (step,) = explain(model_file("arm6"), [log]).steps

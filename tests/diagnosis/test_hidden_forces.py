@@ -57,11 +57,12 @@ def wave(joint, amplitude, order, phase=0.4):
     return lambda seen: {joint: amplitude * np.sin(order * seen.q[:, joint] - phase)}
 
 
+@pytest.mark.thorough  # test_fixed_inertias.py has one, too
 class TestGravityCompensator:
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("joint", "name"),
-        [pytest.param(0, "base_yaw", marks=pytest.mark.thorough), (1, "shoulder_pitch")],
+        [(0, "base_yaw"), (1, "shoulder_pitch")],
     )
     def test_found(self, joint, name, seed):
         recording = effort_log("arm6", seed, wave(joint, (6.0, 20.0)[joint], 1.0), off=0.2)
@@ -75,7 +76,7 @@ class TestTorqueRipple:
     @pytest.mark.parametrize(
         ("order", "size"),
         [
-            (7.0, 3.0),
+            pytest.param(7.0, 3.0, marks=pytest.mark.thorough),
             pytest.param(23.4, 1.0, marks=pytest.mark.thorough),
             pytest.param(101.0, 1.0, marks=pytest.mark.thorough),
         ],
@@ -89,6 +90,21 @@ class TestTorqueRipple:
         assert values["order"] == pytest.approx(order, abs=0.06)
         assert size_of(values) == pytest.approx(size, rel=0.06)
 
+    def test_found_in_a_pendulum_under_friction(self):
+        """Ripple of an eighteenth of the friction."""
+
+        def hidden(seen):
+            dry = 0.9 * np.tanh(seen.v[:, 1] / 0.01)
+            return {1: wave(1, 0.05, 40.0)(seen)[1] + dry}
+
+        recording = effort_log("double_pendulum", 3, hidden, duration=40.0)
+        expected = {"coulomb_friction": ("elbow",), "torque_ripple": ("elbow",)}
+        steps, _ = assert_found(model_file("double_pendulum"), recording, expected)
+        values = steps["torque_ripple"]["elbow"]
+        assert values["order"] == pytest.approx(40.0, abs=0.1)
+        assert size_of(values) == pytest.approx(0.05, rel=0.06)
+
+    @pytest.mark.thorough
     def test_under_friction(self, tmp_path):
         """Ripple of an eighteenth of the friction; the model is saved and holds."""
 
@@ -96,11 +112,14 @@ class TestTorqueRipple:
             return {0: 0.3 * np.cos(23.4 * seen.q[:, 0]) + 4.0 * np.tanh(seen.v[:, 0] / 0.01)}
 
         recording = effort_log("arm6", 1, hidden, off=0.2)
-        _, found = assert_found(
+        steps, found = assert_found(
             model_file("arm6"),
             recording,
             {"coulomb_friction": ("base_yaw",), "torque_ripple": ("base_yaw",)},
         )
+        values = steps["torque_ripple"]["base_yaw"]
+        assert values["order"] == pytest.approx(23.4, abs=0.06)
+        assert size_of(values) == pytest.approx(0.3, rel=0.06)
         save_model(found.model, tmp_path / "arm.yaml")
         again = load_model(tmp_path / "arm.yaml")
         assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
@@ -180,19 +199,15 @@ class TestGravityTilt:
     @pytest.mark.parametrize(
         ("name", "off"), [("arm6", 0.2), pytest.param("arm7", 0.0, marks=pytest.mark.thorough)]
     )
-    def test_found(self, name, off, seed):
+    def test_found_and_saved(self, name, off, seed, tmp_path):
         recording = effort_log(name, seed, tilted(0.03, -0.05), off=off)
-        steps, _ = assert_found(model_file(name), recording, {"gravity_tilt": ()})
+        steps, found = assert_found(model_file(name), recording, {"gravity_tilt": ()})
         values = steps["gravity_tilt"]["base"]
         assert set(values) == {"tilt_x", "tilt_y"}
         assert values["tilt_x"] == pytest.approx(0.03, abs=2e-3)
         assert values["tilt_y"] == pytest.approx(-0.05, abs=2e-3)
-
-    def test_saved(self, tmp_path):
-        recording = effort_log("arm6", 3, tilted(0.03, -0.05))
-        _, found = assert_found(model_file("arm6"), recording, {"gravity_tilt": ()})
         save_model(found.model, tmp_path / "arm.yaml")
-        other = effort_log("arm6", 4, tilted(0.03, -0.05))
+        other = effort_log(name, seed, tilted(0.03, -0.05), off=off, share=0.031)
         assert explain(load_model(tmp_path / "arm.yaml"), [other.log]).steps == ()
 
 
@@ -247,7 +262,7 @@ class TestCoupledJoints:
     @pytest.mark.parametrize(
         ("joints", "sense", "dry", "viscous"),
         [
-            ((1, 3), 1, 0.8, 0.3),
+            pytest.param((1, 3), 1, 0.8, 0.3, marks=pytest.mark.thorough),
             pytest.param((3, 5), -1, 0.3, 0.12, marks=pytest.mark.thorough),
             pytest.param((1, 3), -1, 0.8, 0.3, marks=pytest.mark.thorough),
             pytest.param((3, 5), 1, 0.01, 0.01, marks=pytest.mark.thorough),
@@ -275,7 +290,11 @@ class TestCoupledJoints:
         joints = model_file("arm6").joints
         own = dict.fromkeys(("coulomb_friction", "viscous_friction"), joints)
         expected = own | {"coupled_friction": (joints[3], joints[5])}
-        _, found = assert_found(model_file("arm6"), recording, expected)
+        steps, found = assert_found(model_file("arm6"), recording, expected)
+        values = steps["coupled_friction"][f"{joints[3]} & {joints[5]}"]
+        assert values["sign"] == 1
+        assert values["coulomb"] == pytest.approx(0.3, rel=0.1)
+        assert values["viscous"] == pytest.approx(0.1, rel=0.15)
         save_model(found.model, tmp_path / "arm.yaml")
         again = load_model(tmp_path / "arm.yaml")
         motion = Motion(*random_states(), time=None)
@@ -344,14 +363,21 @@ class TestFrictionDrift:
         beside = {"coulomb_friction", "viscous_friction"}
         assert {step.effect for step in steps} <= {"friction_drift"} | beside
 
-    def test_not_where_friction_stays(self):
-        found = explain(model_file("arm6"), [effort_log("arm6", 5, rubbing, off=0.2).log])
-        assert {step.effect for step in found.steps} == {"coulomb_friction", "viscous_friction"}
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_not_where_friction_stays(self, seed):
+        steps = explained_rubbing(seed).steps
+        assert {step.effect for step in steps} == {"coulomb_friction", "viscous_friction"}
 
 
 def rubbing(seen):
     size = np.array([3.0, 3.0, 3.0, 0.15, 0.15, 0.15])
     return size * (np.tanh(seen.v / 0.01) + 0.7 * seen.v)
+
+
+@cache
+def explained_rubbing(seed):
+    """What explains friction at all joints of an arm."""
+    return explain(model_file("arm6"), [effort_log("arm6", seed, rubbing).log])
 
 
 class TestEffortScale:
@@ -360,7 +386,7 @@ class TestEffortScale:
     @pytest.fixture(scope="class")
     @staticmethod
     def known(tmp_path_factory):
-        model = explain(model_file("arm6"), [effort_log("arm6", 1, rubbing).log]).model
+        model = explained_rubbing(1).model
         path = tmp_path_factory.mktemp("known") / "arm6.yaml"
         save_model(model, path)
         return load_model(path)
@@ -384,7 +410,10 @@ class TestEffortScale:
         scaled, plain = found.model.effort(motion), known.effort(motion)
         np.testing.assert_allclose(scaled[:, joint], 1.08 * plain[:, joint], rtol=0.03, atol=0.05)
 
-    @pytest.mark.parametrize(("uncertainty", "named"), [(0.05, False), (0.02, True)])
+    @pytest.mark.parametrize(
+        ("uncertainty", "named"),
+        [(0.05, False), pytest.param(0.02, True, marks=pytest.mark.thorough)],
+    )
     def test_only_if_it_is_unusual(self, known, uncertainty, named):
         """Gains of torque constants that are known to 5 % may be off by 8 %."""
 

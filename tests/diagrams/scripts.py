@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import geodrake
+
 ROOT = Path(__file__).parents[2]
+PACKAGES = str(Path(geodrake.__file__).parents[1])  # with all that is compiled
 FOLDER = ROOT / "diagrams"
 
 
@@ -16,7 +19,7 @@ def start(name, *arguments):
     """Runs a script in a process of its own; its exit code, and what it printed."""
     return subprocess.run(
         [sys.executable, str(FOLDER / f"{name}.py"), *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"},
+        env={**os.environ, "PYTHONPATH": PACKAGES, "PYTHONWARNINGS": "error"},
         capture_output=True,
         text=True,
         timeout=300,
@@ -28,6 +31,6 @@ def call(name, *arguments):
     """Runs a script in this process, which has Python and Drake at hand; errors are raised."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(FOLDER))
-        patch.setenv("PYTHONPATH", str(ROOT))  # for what a script measures in processes
+        patch.setenv("PYTHONPATH", PACKAGES)  # for what a script measures in processes
         patch.setattr(sys, "argv", [f"{name}.py", *map(str, arguments)])
         import_module(name).main()

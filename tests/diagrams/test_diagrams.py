@@ -17,7 +17,7 @@ from scripts import FOLDER, ROOT, call, start
 
 from geodrake.logs.files import read_log
 
-APART = "wam_payload"
+APART = "criteria_worth"
 ELSEWHERE = {  # run by tests of their own, with --quick, too
     "ambidex_arm",
     "body_distances",
@@ -82,6 +82,14 @@ def orders_laws_as_the_source(table):
         assert rms["pullback"] < rms["none"]
 
 
+def adapts_to_a_sandbag_and_stays_physical(table):
+    """The order of the source, with no estimate of the natural law that no body could have."""
+    orders_laws_as_the_source(table)
+    (natural,) = (row for row in table["rows"] if row["law"] == "natural")
+    assert natural["unphysical"] == 0.0
+    assert not natural["lost"]
+
+
 def orders_normalizations_as_the_source(table):
     """Means over frames or base representations, of which one may be lucky."""
     errors = {}
@@ -100,7 +108,7 @@ def identifies_less_but_better(table):
 
 
 SHOWS = {
-    "ambidex_sandbags": orders_laws_as_the_source,
+    "ambidex_sandbags": adapts_to_a_sandbag_and_stays_physical,
     "atlas_identification": identifies_less_but_better,
     "iiwa_excitation": orders_normalizations_as_the_source,
     "scara_excitation": orders_normalizations_as_the_source,

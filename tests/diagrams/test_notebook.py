@@ -72,7 +72,7 @@ def test_outputs_are_those_of_one_run_from_top_to_bottom(notebook):
     assert all(output["output_type"] != "error" for output in outputs)
 
 
-def test_a_log_is_explained_and_the_model_kept(names_after):
+def test_a_log_is_explained_and_the_model_kept(names_after, explain_once):
     names = names_after("explain_a_log")
     assert names["explanation"].verdict == "explained"
     assert names["again"].errors.nrms < 0.02 * names["before"].errors.nrms

@@ -164,27 +164,22 @@ class TestLines:
         assert line["smallest"] == pytest.approx(0.09)
 
 
-EASY = (
-    "viscous_friction",
-    "coulomb_friction",
-    "load_dependent_friction",
-    "effort_offset",
-    "effort_delay",
-    "gravity_compensator",
-    "rotor_inertia",
-    "gravity_tilt",
-)
+EASY = ("load_dependent_friction", "effort_delay", "rotor_inertia", "gravity_tilt")
+EASIEST = ("viscous_friction", "coulomb_friction", "effort_offset", "gravity_compensator")
 
 
 class TestWhatItMustShow:
-    def test_easy_effects(self):
+    @pytest.mark.parametrize(
+        "names", [EASY, pytest.param(EASY + EASIEST, marks=pytest.mark.thorough)], ids=len
+    )
+    def test_easy_effects(self, names):
         rows = [
             scoring.score_draw(draws.draw("one", (n,), 0, 0, **{**PLAIN, "shares": (0.12,)}))
-            for n in EASY
+            for n in names
         ]
-        assert sum(row["first"] for row in rows) >= len(EASY) - 1
+        assert sum(row["first"] for row in rows) >= len(names) - 1
         assert all(row["in_set"] for row in rows)
-        assert sum(not row["extra"] for row in rows) >= len(EASY) - 1
+        assert sum(not row["extra"] for row in rows) >= len(names) - 1
         assert np.median([row["over_floor"] for row in rows]) < 1.1
 
     @pytest.mark.parametrize(
@@ -202,16 +197,17 @@ class TestWhatItMustShow:
             ("one", ("coupled_rotor_inertia",), 1, 18, {"robot": "double_pendulum"}),
             # Bodies that may move take the payload in: then only the other effect is found.
             ("two", ("payload", "joint_spring"), 9, 103, {"robot": "double_pendulum"}),
-            ("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
+            pytest.param(
+                *("two", ("payload", "effort_delay"), 0, 111, {"robot": "arm7", "prior": "exact"}),
+                marks=pytest.mark.thorough,
+            ),
             # Bodies that may not move at all make one more rotor of what they are off.
             ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
             # On a coarse grid of exponents v and v² stand for |v|^1.7.
-            (
-                "two",
-                ("nonlinear_viscous_friction", "load_dependent_friction"),
-                8,
-                102,
+            pytest.param(
+                *("two", ("nonlinear_viscous_friction", "load_dependent_friction"), 8, 102),
                 {"robot": "arm7"},
+                marks=pytest.mark.thorough,  # as are TestShapes of test_search.py
             ),
         ],
     )
@@ -231,7 +227,10 @@ class TestWhatItMustShow:
             # Viscous friction does half of what bristles do, and hides them.
             ("one", ("hysteresis",), 1, 15),
             # The link's acceleration is known only at a lower bandwidth than the motor's.
-            ("one", ("joint_elasticity",), 1, 18),
+            pytest.param(
+                *("one", ("joint_elasticity",), 1, 18),
+                marks=pytest.mark.thorough,  # as is TestSoftness of test_other_bandwidth.py
+            ),
         ],
     )
     def test_other_laws_than_those_of_the_library(self, case, hidden, number, seed):
@@ -242,10 +241,12 @@ class TestWhatItMustShow:
         assert row["over_floor"] < 1.3
 
     @pytest.mark.parametrize("colour", [draws.WHITE, draws.COLOURED])
-    def test_no_false_alarms(self, colour):
-        for number in range(3):
-            fixed = {**PLAIN, "colour": colour, "shares": ()}
-            assert not scoring.score_draw(draws.draw("none", (), number, 0, **fixed))["steps"]
+    @pytest.mark.parametrize(
+        "number", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in (1, 2))]
+    )
+    def test_no_false_alarms(self, colour, number):
+        fixed = {**PLAIN, "colour": colour, "shares": ()}
+        assert not scoring.score_draw(draws.draw("none", (), number, 0, **fixed))["steps"]
 
     @pytest.mark.parametrize(
         "name", ["oscillation in time", "brake that another joint's position tightens"]

@@ -102,6 +102,7 @@ class TestMotion:
         assert motion.end_time() == pytest.approx(4.5)
 
 
+@pytest.mark.thorough  # test_diagrams.py has one sandbag
 class TestStudy:
     def test_natural_adaptation_helps_and_stays_physical(self):
         rows = [

@@ -107,7 +107,7 @@ class TestRule:
         assert gains.speeds("wam", "source")[laws.EUCLIDEAN] == 5e-5
 
 
-@pytest.fixture(scope="module", params=[0.1, 0.4])
+@pytest.fixture(scope="module", params=[0.1, pytest.param(0.4, marks=pytest.mark.thorough)])
 def adapted(request):
     """Rows of all laws by name, over σ."""
     speed = {laws.NONE: 1.0, **gains.speeds("wam", "rule")}

@@ -27,10 +27,13 @@ from pathlib import Path
 import numpy as np
 from typer.testing import CliRunner
 
+import geodrake
 from geodrake.cli import main
 from geodrake.cli.app import app
 
 ROOT = Path(__file__).parents[2]
+PACKAGES = Path(geodrake.__file__).parents[1]
+"""Where a process finds the same geodrake as this one, with all that is compiled."""
 PENDULUM = ROOT / "models" / "double_pendulum.urdf"
 HEADER = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 KEPT = {"kept.yaml": "from before\n", "kept.json": "{}\n", "kept.html": "<p>from before</p>\n"}
@@ -231,15 +234,21 @@ def run_apart(arguments):
     return os.waitstatus_to_exitcode(status), out, err
 
 
-def run_forked(arguments, folder):
-    """Wait status (None after a hang) and output of a command in a copy of this process."""
+def run_forked(arguments, folder, begin=lambda: None):
+    """Wait status (None after a hang) and output of a command in a copy of this process.
+
+    Args:
+        arguments: What follows `geodrake`.
+        folder: Where it runs.
+        begin: What the copy does before.
+    """
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         with warnings.catch_warnings():
             # pytest-xdist has a thread, of which the copy needs nothing.
             warnings.filterwarnings("ignore", r"This process .* is multi-threaded")
             process = os.fork()
         if process == 0:
-            _become(arguments, folder, out, err)
+            _become(arguments, folder, out, err, begin)
         end = time.monotonic() + SECONDS
         while not (ended := os.waitpid(process, os.WNOHANG))[0] and time.monotonic() < end:
             time.sleep(0.002)
@@ -254,7 +263,7 @@ def run_forked(arguments, folder):
     return status if in_time else None, *texts
 
 
-def _become(arguments, folder, out, err):
+def _become(arguments, folder, out, err, begin):
     """Turn a forked process into one that runs the command and ends."""
     code = INTERNAL
     try:
@@ -266,6 +275,8 @@ def _become(arguments, folder, out, err):
         )
         os.chdir(folder)
         sys.argv = ["geodrake", *arguments]
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's job may ignore
+        begin()
         main()
         code = 0
     except SystemExit as end:
@@ -279,7 +290,7 @@ def _become(arguments, folder, out, err):
 
 def run_started(arguments, environment):
     """The same in a process that is started for it, with variables of its own."""
-    variables = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", **environment}
+    variables = {**os.environ, "PYTHONPATH": str(PACKAGES), "MPLBACKEND": "Agg", **environment}
     done = subprocess.run(
         [sys.executable, "-m", "geodrake", *arguments],
         env={name: value for name, value in variables.items() if value is not None},

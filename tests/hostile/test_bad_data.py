@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from hostile import HEADER, Row, table, write_log
 
+from geodrake.control.rollout import simulation
+
 COMPARE, EXPLAIN = "compare robot.urdf x.csv", "explain robot.urdf x.csv"
 ROLLOUT = "rollout robot.urdf x.csv --json new.json"
 IDENTIFY = "identify robot.urdf x.csv"
@@ -184,8 +186,6 @@ EMPTY = [
     Row("noise", COMPARE, ("still throughout",), log(lambda rows: np.column_stack([
         rows[:, :1], np.random.default_rng(0).normal(size=(len(rows), 4))]))),
     Row("efforts in N·mm", COMPARE, ("in other units",), log(scaled(EFFORTS, 1e3)), code=0),
-    Row("efforts in N·mm, simulated", ROLLOUT, ("in other units", "breaks off"), log(
-        scaled(EFFORTS, 1e3)), 0, ("new.json",)),
 ]  # fmt: skip
 
 OFTEN, RARELY, DIGITS = "more often than", "too rarely", "numbers are"
@@ -223,19 +223,25 @@ TIMES = [
 ]  # fmt: skip
 
 
-SEARCHED = ("a million, explained", "an effort of 10^160, explained")  # as that of 2^32 is
+SEARCHED = {  # as the log with 2^32 is; `compare` reads them all in the same way
+    "a million, explained",
+    "an effort of 10^160, explained",
+    "0 to 2π, explained",
+    "a frozen position, explained",
+}
 
 
-@pytest.mark.parametrize(
-    "row",
-    [pytest.param(r, marks=pytest.mark.thorough) if r.name in SEARCHED else r for r in SPIKES],
-    ids=str,
-)
+def cases(rows):
+    """Rows, of which searches in logs that are compared too are thorough."""
+    return [pytest.param(r, marks=pytest.mark.thorough) if r.name in SEARCHED else r for r in rows]
+
+
+@pytest.mark.parametrize("row", cases(SPIKES), ids=str)
 def test_spikes(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
-@pytest.mark.parametrize("row", TURNS, ids=str)
+@pytest.mark.parametrize("row", cases(TURNS), ids=str)
 def test_wraps_and_frozen_sensors(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
@@ -243,6 +249,15 @@ def test_wraps_and_frozen_sensors(row, tmp_path, monkeypatch):
 @pytest.mark.parametrize("row", EMPTY, ids=str)
 def test_little_or_nothing_measured(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
+
+
+def test_efforts_in_other_units_are_simulated(tmp_path, monkeypatch):
+    """The robot flies apart, in ever smaller steps, of which there are fewer here."""
+    monkeypatch.setattr(simulation, "_STEPS", 500)
+    monkeypatch.setattr(simulation, "_TIMES", 1)
+    make = log(scaled(EFFORTS, 1e3))
+    says = ("in other units", "breaks off")
+    Row("in N·mm", ROLLOUT, says, make, 0, ("new.json",)).check(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("row", TIMES, ids=str)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json, run_here
+from hostile import KEPT, PACKAGES, Row, changed, contents, fill, read_json, run_here
 
 from geodrake.boundary.whole_files import check_writable, write_together, write_whole
 from geodrake.errors import OutputError
@@ -122,7 +122,7 @@ def in_shell(command):
         pytest.skip("no bash")
     return subprocess.run(
         [bash, "-o", "pipefail", "-c", command],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
         capture_output=True,
         text=True,
         check=False,
@@ -338,17 +338,18 @@ OUTPUTS = {
     "closed output": ("compare robot.urdf log.csv >&-", 0, ""),
     "closed input": ("compare robot.urdf log.csv <&- > /dev/null", 0, ""),
     "closed errors": ("compare robot.urdf log.csv 2>&- > /dev/null", 0, ""),
-    "closed errors and an error": ("compare robot.urdf none.csv 2>&-", 2, ""),
-    "a full disk for errors": ("compare robot.urdf none.csv 2> /dev/full", 2, ""),
+    "closed errors and an error": ("no-such-command 2>&-", 2, ""),
+    "a full disk for errors": ("no-such-command 2> /dev/full", 2, ""),
     "everything closed": ("compare robot.urdf log.csv --json new.json <&- >&- 2>&-", 0, ""),
 }
 
 
-COVERED = (  # by numbers that nobody reads, and by everything closed
+COVERED = (  # by numbers that nobody reads, tables to a full disk, and everything closed
     "nobody to read tables",
     "closed output",
     "closed input",
     "closed errors",
+    "numbers to a full disk",
 )
 
 

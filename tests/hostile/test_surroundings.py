@@ -1,5 +1,6 @@
 """Where a command runs: its locale, folders, settings and terminal, and what stops it."""
 
+import itertools
 import os
 import pty
 import re
@@ -8,12 +9,15 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import matplotlib
 import pytest
-from hostile import KEPT, ROOT, Row, changed, contents, fill, read_json
+from hostile import KEPT, PACKAGES, Row, changed, contents, fill, read_json, run_forked
 
 from geodrake import load_model
+from geodrake.boundary import whole_files
+from geodrake.cli import explaining
 from geodrake.diagnosis import compare
 from geodrake.report import render_comparison
 
@@ -124,7 +128,7 @@ def python(code, folder, **more):
     return subprocess.run(
         [sys.executable, "-c", code],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES)},
         capture_output=True,
         text=True,
         check=False,
@@ -179,7 +183,7 @@ def in_terminal(arguments, folder, columns):
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(folder)
-        variables = {"PYTHONPATH": str(ROOT), "COLUMNS": str(columns), "TERM": "xterm-256color"}
+        variables = {"PYTHONPATH": str(PACKAGES), "COLUMNS": str(columns), "TERM": "xterm-256color"}
         os.execve(
             sys.executable,
             [sys.executable, "-m", "geodrake", *arguments],
@@ -216,7 +220,7 @@ def started(arguments, folder, code=""):
     return subprocess.Popen(
         [sys.executable, "-c", f"{heard}\n{code}\n{run}", *arguments],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(folder / "passing")},
+        env={**os.environ, "PYTHONPATH": str(PACKAGES), "TMPDIR": str(folder / "passing")},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -290,74 +294,66 @@ def test_a_signal_while_modules_load(name, number, tmp_path):
     assert contents(tmp_path) == before
 
 
-WRITING = """
-import os, pathlib, signal
-count, rename = 0, pathlib.Path.replace
-def replace(self, target):
-    global count
-    count += 1
-    if count == {at}:
-        os.kill(os.getpid(), signal.SIGTERM)
-        os.kill(os.getpid(), signal.SIGINT)
-    return rename(self, target)
-pathlib.Path.replace = replace
-"""
+def stopped_in(folder, arguments, begin):
+    """A command in a copy of this process that stops itself: exit code, standard output, errors."""
+    status, out, err = run_forked(arguments, folder, begin)
+    return os.waitstatus_to_exitcode(status), out, err
 
 
 @pytest.mark.parametrize("at", [1, pytest.param(2, marks=pytest.mark.thorough), 3])
 def test_a_signal_between_files_waits_until_all_are_there(at, tmp_path):
+    def begin():
+        rename, calls = Path.replace, itertools.count(1)
+
+        def replace(self, target):
+            if next(calls) == at:
+                os.kill(os.getpid(), signal.SIGTERM)
+                os.kill(os.getpid(), signal.SIGINT)
+            return rename(self, target)
+
+        Path.replace = replace
+
     fill(tmp_path)
-    (tmp_path / "passing").mkdir()
     before = contents(tmp_path)
-    run = started(["compare", "robot.urdf", "log.csv", *ALL], tmp_path, WRITING.format(at=at))
-    _, err = run.communicate(timeout=60)
-    assert (run.returncode, err) in SIGNALS.values()
+    code, _, err = stopped_in(tmp_path, ["compare", "robot.urdf", "log.csv", *ALL], begin)
+    assert (code, err) in SIGNALS.values()
     assert changed(before, contents(tmp_path)) == set(KEPT)
     assert read_json(tmp_path / "kept.json")["command"] == "compare"
 
 
-BEFORE_RENAMING = """
-import os, signal
-import geodrake.boundary.whole_files as files
-write = files._Part.write
-def stopped(self, content):
-    os.kill(os.getpid(), signal.SIGTERM)
-    return write(self, content)
-files._Part.write = stopped
-"""
-
-
 def test_a_signal_while_files_are_written_leaves_none_of_them(tmp_path):
+    def begin():
+        write = whole_files._Part.write
+
+        def stopped(self, content):
+            os.kill(os.getpid(), signal.SIGTERM)
+            return write(self, content)
+
+        whole_files._Part.write = stopped
+
     fill(tmp_path)
-    (tmp_path / "passing").mkdir()
     before = contents(tmp_path)
-    run = started(["compare", "robot.urdf", "log.csv", *ALL], tmp_path, BEFORE_RENAMING)
-    out, err = run.communicate(timeout=60)
-    assert (run.returncode, err, out) == (143, "Terminated.\n", "")
+    ended = stopped_in(tmp_path, ["compare", "robot.urdf", "log.csv", *ALL], begin)
+    assert ended == (143, "", "Terminated.\n")
     assert contents(tmp_path) == before
 
 
-DESTRUCTOR = """
-import os, signal, sys
-import geodrake.diagnosis.explain
-class Gone:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
-        for _ in range(1000):
-            pass
-def work(*given, **more):
-    Gone()
-    import time
-    time.sleep(60)
-sys.modules['geodrake.diagnosis.explain'].investigate = work
-"""
-
-
 def test_an_interrupt_that_nothing_can_raise_comes_again(tmp_path):
+    class Gone:
+        def __del__(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            for _ in range(1000):
+                pass
+
+    def begin():
+        def work(*_given, **_more):
+            Gone()
+            time.sleep(60)
+
+        explaining.investigate = work
+
     fill(tmp_path)
-    run = started(EXPLAIN, tmp_path, DESTRUCTOR)
-    out, err = run.communicate(timeout=30)
-    assert (run.returncode, err, out) == (130, "Interrupted.\n", "")
+    assert stopped_in(tmp_path, EXPLAIN, begin) == (130, "", "Interrupted.\n")
 
 
 def test_a_signal_that_is_to_be_ignored_is_ignored(tmp_path):

@@ -167,7 +167,9 @@ def test_gain_of_a_perfect_fit_is_finite():
     assert np.isfinite(gain).all()
 
 
-@pytest.mark.parametrize("folds", [3, 4, 6, 8, 10, 14])
+@pytest.mark.parametrize(
+    "folds", [3, 8, *(pytest.param(k, marks=pytest.mark.thorough) for k in (4, 6, 10, 14))]
+)
 def test_ties_of_equals_are_evenly_spread(folds):
     """Paired losses that differ by chance only: the p-value is uniform, but for its steps."""
     rng, runs = np.random.default_rng(10), 4000

@@ -78,6 +78,7 @@ def gain_of(joint, size=0.08, count=6):
 
 
 class TestGainTold:
+    @pytest.mark.thorough  # TestCommand has a smaller robot
     @pytest.mark.parametrize(
         ("seed", "joint", "gain"),
         [
@@ -212,14 +213,20 @@ class TestCommand:
             write_log(log, path)
         return paths
 
-    def run(self, files, *given):
+    def run(self, files, *given, command="explain"):
         options = [word for payload in given for word in ("--known-payload", payload)]
-        words = ["explain", MODELS / "double_pendulum.urdf", *files, *options]
+        words = [command, MODELS / "double_pendulum.urdf", *files, *options]
         return CliRunner().invoke(app, [str(word) for word in words])
 
-    @pytest.mark.parametrize("log", ["held", "held.csv", None])
-    def test_tells_the_gain(self, files, log):
-        result = self.run(files, f"{log or files[1]}:lower_link:0.5:0.1,0,-0.2")
+    @pytest.mark.parametrize("log", ["held.csv", None])
+    def test_the_log_has_a_name_or_a_path(self, files, log):
+        given = f"{log or files[1]}:lower_link:0.5:0.1,0,-0.2"
+        result = self.run(files, given, command="compare")
+        assert result.exit_code == 0, result.output
+        assert "0.5 kg known at lower_link" in " ".join(result.output.split())
+
+    def test_tells_the_gain(self, files):
+        result = self.run(files, "held:lower_link:0.5:0.1,0,-0.2")
         assert result.exit_code == 0, result.output
         (step,) = [line for line in result.stdout.splitlines() if re.match(r"\d+ +\w", line)]
         assert re.match(r"1 +effort_scale +elbow ", step)

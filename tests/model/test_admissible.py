@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -78,15 +79,31 @@ def comes_back(model, path):
         "wrong_inertia",
     ],
 )
-@pytest.mark.parametrize("hidden", [DRIVEN, heavy])
+@pytest.mark.parametrize("hidden", [DRIVEN, pytest.param(heavy, marks=pytest.mark.thorough)])
 def test_fits_come_back_from_any_edge(effect, hidden, tmp_path):
     first = with_friction(hidden)
     comes_back(first, tmp_path / "first.yaml")
     comes_back(add(effect, first, [log(2, hidden)]).model, tmp_path / "second.yaml")
 
 
-@pytest.mark.parametrize("regularizer", ["euclidean", "pullback", "entropic", "riemannian"])
-@pytest.mark.parametrize("hidden", [RUBBING, DRIVEN, heavy, load_dependent, late])
+HIDDEN = (RUBBING, DRIVEN, heavy, load_dependent, late)
+EACH = {
+    ("euclidean", RUBBING),
+    ("pullback", DRIVEN),
+    ("entropic", heavy),
+    ("riemannian", load_dependent),
+    ("entropic", late),
+}
+"""Each regularizer and each hidden effort once; all pairs are thorough."""
+
+
+@pytest.mark.parametrize(
+    ("regularizer", "hidden"),
+    [
+        pair if pair in EACH else pytest.param(*pair, marks=pytest.mark.thorough)
+        for pair in product(("euclidean", "pullback", "entropic", "riemannian"), HIDDEN)
+    ],
+)
 def test_identified_models_come_back(regularizer, hidden, tmp_path):
     settings = IdentificationSettings(regularizer=regularizer, gamma=0.01)
     found = identify_model(load_model(PENDULUM), [log(3, hidden)], settings)

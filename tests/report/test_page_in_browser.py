@@ -186,8 +186,15 @@ def test_residuals_are_those_of_one_model_at_a_time(opened):
     assert parts.count() == 1 and parts.get_attribute("data-label") == "as it stands"
 
 
-@pytest.mark.parametrize("width", [400, 1200])
-@pytest.mark.parametrize("scripts", [True, False])
+@pytest.mark.parametrize(
+    ("width", "scripts"),
+    [
+        (400, True),
+        (1200, False),
+        pytest.param(1200, True, marks=pytest.mark.thorough),
+        pytest.param(400, False, marks=pytest.mark.thorough),
+    ],
+)
 def test_nothing_is_wider_than_the_window(opened, width, scripts):
     page = opened(viewport={"width": width, "height": 800}, java_script_enabled=scripts)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
@@ -199,7 +206,7 @@ def test_nothing_is_wider_than_the_window(opened, width, scripts):
     assert all(0 <= left <= right <= width + 0.5 for left, right in sides)
 
 
-@pytest.mark.parametrize("width", [900, 1100])
+@pytest.mark.parametrize("width", [900, pytest.param(1100, marks=pytest.mark.thorough)])
 def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
     joints = tuple(f"lbr_iiwa_shoulder_joint_{k}" for k in range(7))
     first = comparison(joints, 0.5).series

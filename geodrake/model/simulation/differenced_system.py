@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.framework import BasicVector_, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geodrake.inertia import Array
 from geodrake.model.formulas.evaluation import Scalars
+from geodrake.model.simulation.lazy_template import LazyTemplate
 from geodrake.model.simulation.scalars import by_differences, scalars
 
 System = TypeVar("System", bound=type)
@@ -49,19 +48,18 @@ def differenced(made: System) -> System:
         copy.set_name(self.get_name())
         return copy
 
-    del kind.__init__
     for name, method in (
         ("_construct", construct),
         ("_construct_copy", construct_copy),
         ("Clone", clone),
     ):
         setattr(made, name, method)
-    template = TemplateSystem(f"{made.__name__}_", [float, AutoDiffXd])
-    template.add_instantiation((float,), made, skip_rename=True)
-    functools.update_wrapper(kind.__init__, init)
-    own = {name: _Differenced.__dict__[name] for name in ("_construct", "_construct_copy")}
-    other = type(made.__name__, (_Differenced, LeafSystem_[AutoDiffXd]), own)
-    template.add_instantiation((AutoDiffXd,), other)
+
+    def other(scalar: type) -> type:
+        own = {name: _Differenced.__dict__[name] for name in ("_construct", "_construct_copy")}
+        return type(made.__name__, (_Differenced, LeafSystem_[scalar]), own)
+
+    LazyTemplate(made, other, (float, AutoDiffXd), init)
     return made
 
 

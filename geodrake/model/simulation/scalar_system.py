@@ -12,6 +12,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geodrake.model.formulas.evaluation import Scalars
+from geodrake.model.simulation.lazy_template import LazyTemplate
 from geodrake.model.simulation.scalars import scalars
 
 if TYPE_CHECKING:
@@ -69,20 +70,19 @@ def add_scalar_types(made: type, generic: type, *, symbolic: bool) -> TemplateSy
     Returns:
         The template, for the module to have as the name of the system and `_`.
     """
-    types = [float, AutoDiffXd, *([Expression] if symbolic else [])]
-    template = TemplateSystem(f"{made.__name__}_", types)
-    template.add_instantiation((float,), made, skip_rename=True)
-    made.__signature__ = _signature(made)  # type: ignore[attr-defined]
-    for scalar in types[1:]:
+
+    def other(scalar: type) -> type:
         own = {
             "_construct": made.__dict__["_construct"],
             "_construct_copy": made.__dict__["_construct_copy"],
             "_of": scalar,
             "__doc__": made.__doc__,
         }
-        other = type(made.__name__, (generic, LeafSystem_[scalar]), own)
-        template.add_instantiation((scalar,), other)
-    return template
+        return type(made.__name__, (generic, LeafSystem_[scalar]), own)
+
+    types = [float, AutoDiffXd, *([Expression] if symbolic else [])]
+    made.__signature__ = _signature(made)  # type: ignore[attr-defined]
+    return LazyTemplate(made, other, types, made.__dict__["_construct"])
 
 
 def _signature(made: type) -> inspect.Signature:
