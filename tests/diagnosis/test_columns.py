@@ -28,7 +28,7 @@ def pendulum():
 @pytest.fixture(scope="module")
 def right():
     """A log of a double pendulum whose bodies are a tenth off, with dry and viscous friction."""
-    log = without_effects("double_pendulum", 3, off=0.1, duration=8.0, share=0.01).log
+    log = without_effects("double_pendulum", 3, off=0.1, duration=12.0, share=0.01).log
     v = log.velocity
     rubbing = 0.1 * log.effort.std(0) * (np.tanh(v / 0.01) + 0.3 * v)
     return replace(log, effort=log.effort + rubbing)
@@ -137,13 +137,14 @@ class TestCorrected:
             corrected(right, [replace(self.FOUND, joints=("wrist",))])
 
 
+@pytest.fixture(scope="module")
+def arm():
+    model = load_model(REFERENCE / "ur10e.urdf")
+    return model, read_log(DATA / "ur10e_free_c.csv", joints=model.known_joints, partial=True)
+
+
 @pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")
 class TestMeasured:
-    @pytest.fixture(scope="class")
-    def arm(self):
-        model = load_model(REFERENCE / "ur10e.urdf")
-        return model, read_log(DATA / "ur10e_free_c.csv", joints=model.known_joints, partial=True)
-
     def test_nothing_is_found_in_right_columns(self, arm):
         model, log = arm
         assert check_columns(model, [log]) == ()

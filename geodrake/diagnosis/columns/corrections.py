@@ -61,15 +61,15 @@ def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
     if finding.kind == "time":
         return replace(log, time=log.time * finding.values[0])
     if finding.kind == "position_zero":
-        quantities = ("position", "command")
-        return replace(log, **_changed(log, quantities, lambda own: _add(own, at, finding.values)))
+        shifted = ("position", "command")
+        return replace(log, **_changed(log, shifted, lambda own: _add(own, at, finding.values)))
     if not finding.is_correctable:
         return log
     quantities = _MULTIPLIED[finding.kind.rpartition("_")[0]]
     return replace(log, **_changed(log, quantities, lambda own: _multiply(own, at, finding.values)))
 
 
-def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str, Array]:
+def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str, Any]:
     """Columns of a log, changed in a copy, as far as it has them."""
     found = {name: getattr(log, name) for name in quantities}
     return {name: change(own.copy()) for name, own in found.items() if own is not None}

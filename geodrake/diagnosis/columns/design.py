@@ -268,7 +268,7 @@ def _columns_of(
     for effect, blocks in new.items():
         if isinstance(effect, Effect) and (key := keys[effect]) is not None:
             known[key] = blocks
-    others = [new[e] if e in new else known[key] for e, key in keys.items()]  # type: ignore[index]
+    others = [new[e] if e in new else known[key] for e, key in keys.items()]
     return [joined[0][j] for j in range(n)], held, others
 
 

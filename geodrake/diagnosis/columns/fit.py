@@ -417,7 +417,7 @@ class _System:
             held = held | (x < lower)
             x = np.where(held, lower, x)
             mse = np.maximum(_squares(self.totals, x) / samples, least)
-            cost, before = each @ np.log(mse) + self.prior_cost(x), cost
+            cost, before = float(each @ np.log(mse)) + self.prior_cost(x), cost
             if abs(before - cost) < _SETTLED:
                 break
         fitted = mse

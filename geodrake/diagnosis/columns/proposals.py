@@ -287,7 +287,7 @@ def common_gain(judge: ColumnJudge, base: ColumnFit) -> float:
     weight = base.effective[base.assignment.effort]
     factors = own_gains(judge, base)
     share = [
-        abs(s @ load) / np.sqrt(max((s @ s) * (load @ load), 1e-300))
+        abs(s @ load) / np.sqrt(max(float((s @ s) * (load @ load)), 1e-300))
         for s, load in zip(measured, needed, strict=True)
     ]
     positive = factors > 0.0
