@@ -228,8 +228,8 @@ def prepared_as_measured(
         ArgumentError: There is no log, one is there twice, or a setting is no usable number.
     """
     logs = checked_logs(model, logs, (), bandwidth, blocks)
-    uniform = [make_uniform(log) for log in _matched(model, logs)]
-    trajectories = prepare_logs(uniform, bandwidth=bandwidth)
+    _, matched, _ = with_efforts(model, _matched(model, logs))
+    trajectories = prepare_logs([make_uniform(log) for log in matched], bandwidth=bandwidth)
     return trajectories, validation_blocks(trajectories, blocks=blocks)
 
 
