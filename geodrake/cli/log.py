@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from geodrake.boundary.whole_files import Content, write_together
+from geodrake.cli.columns import columns_list, found_columns
 from geodrake.cli.model_options import read_model
 from geodrake.cli.options import LogCommandOptions
 from geodrake.cli.progress import progress
@@ -16,9 +18,13 @@ from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import head, make_console, show_list, show_saved, show_table
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
-from geodrake.errors import ArgumentError
+from geodrake.diagnosis.columns import ColumnFinding
+from geodrake.errors import ArgumentError, GeodrakeError
 from geodrake.logs.files import log_content, parts_of
 from geodrake.logs.inspection import LogInspection, inspect_log
+from geodrake.logs.motion import JointLog
+from geodrake.model.logged_joints import model_of_logs
+from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import to_json
 from geodrake.report.log_preview import (
     columns_table,
@@ -56,21 +62,34 @@ def _run(options: LogCommandOptions) -> None:
     inputs = [*files, *more_files]
     targets.check(inputs)
     with progress(f"Reading {options.logs[0].name}", quiet=options.quiet):
-        joints = None if options.model is None else read_model(options.model, options).known_joints
+        model = None if options.model is None else read_model(options.model, options)
+        joints = None if model is None else model.known_joints
         found = [
             inspect_log(log, joints=joints, partial=True, reading=options.reading)
             for log in options.logs
         ]
         numbers = {"logs": [inspection_dict(each) for each in found]}
+        columns = () if model is None else _columns(model, [each.log for each in found])
+        if model is not None:
+            numbers["columns"] = columns_list(columns)
         text = to_json({"version": version(), "command": "log", **numbers})
         written = _written(targets, found[0], text)
     with printing():
         if options.json == STDOUT:
             print_whole(text)
         console = make_console(stderr=options.json == STDOUT)
+        show_list(console, "Columns are not what they seem", [str(each) for each in columns])
         for path, each in zip(options.logs, found, strict=True):
             _show(console, path.name, each)
         show_saved(console, written, {"convert": "log", "figure": "preview"})
+
+
+def _columns(model: RobotModel, logs: Sequence[JointLog]) -> tuple[ColumnFinding, ...]:
+    """Mistakes in columns; none of logs that say nothing of the model."""
+    try:
+        return found_columns(model_of_logs(model, logs), logs, {})
+    except GeodrakeError:
+        return ()
 
 
 def _written(targets: Targets, found: LogInspection, text: str) -> dict[str, Path]:

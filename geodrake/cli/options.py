@@ -139,6 +139,14 @@ class Options(ValidationOptions):
         Path | None, typer.Option(metavar="FILE.yaml", help="Write the model, to be used as MODEL.")
     ] = None
     series: SeriesFile = None
+    correct_columns: Annotated[
+        bool,
+        typer.Option(
+            "--correct-columns",
+            help="Go on with the columns as they are found to be: signs, units, gains, zeros, "
+            "time, swapped joints. If absent, what is found is said first, and no more.",
+        ),
+    ] = False
 
     @property
     def model_target(self) -> Path | None:

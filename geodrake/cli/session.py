@@ -6,7 +6,7 @@ import importlib
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
@@ -17,16 +17,24 @@ from rich.console import Console
 
 from geodrake.boundary.whole_files import Content
 from geodrake.cli.axis_model import written_axis
+from geodrake.cli.columns import (
+    column_words,
+    columns_list,
+    found_columns,
+    show_columns,
+    with_first_notes,
+)
 from geodrake.cli.guard import INTERRUPTED
 from geodrake.cli.known_payloads import with_facts, with_known_payloads
 from geodrake.cli.model_options import read_model
-from geodrake.cli.options import LogOptions
+from geodrake.cli.options import LogOptions, Options
 from geodrake.cli.progress import Activity, progress
 from geodrake.cli.reading_options import proposing
 from geodrake.cli.surroundings import print_whole, printing
 from geodrake.cli.tables import SAVED, make_console, show_saved
 from geodrake.cli.targets import STDOUT, Targets
 from geodrake.cli.version import version
+from geodrake.diagnosis.columns import ColumnFinding, corrected
 from geodrake.effects import load_effect_file
 from geodrake.effects.base import Effect
 from geodrake.errors import ArgumentError
@@ -120,13 +128,16 @@ def _run(command: Command[R], options: LogOptions) -> None:
     pages = importlib.import_module("geodrake.report") if options.report else None
     with progress(f"Reading {options.model.name}", quiet=options.quiet) as update:
         given = _read(command, options, targets, inputs, update)
+        given, columns, corrects = _with_columns(options, given, update)
         update(command.working)
         result = command.work(given)
         update("Writing")
+        told = {} if columns is None else {"columns": columns_list(columns)}
         numbers = to_json(
-            {"version": version(), "command": command.name, **command.numbers(result)}
+            {"version": version(), "command": command.name, **command.numbers(result), **told}
         )
-        makers = _makers(command, options, given, result, pages)
+        noted = with_first_notes(result, column_words(columns or (), corrected=corrects))
+        makers = _makers(command, options, given, noted, pages)
         fitted = getattr(result, "model", given.model)
         written = targets.write(fitted, {"json": lambda: numbers, **makers})
     with printing():
@@ -135,6 +146,7 @@ def _run(command: Command[R], options: LogOptions) -> None:
         console = make_console(stderr=options.json == STDOUT)
         names = ", ".join(path.name for path in options.logs)
         console.print(f"{options.model.name} against {names}", soft_wrap=True)
+        show_columns(console, columns or (), corrected=corrects)
         command.show(console, result, Units.of(fitted, given.extra))
         show_saved(console, written, command.saved)
     if getattr(result, "is_interrupted", False):
@@ -174,6 +186,20 @@ def _read(
     carrying = with_known_payloads(options.logs, logs, options.known_payload or (), model)
     known_logs = with_facts(carrying, options.log_facts, reading)
     return Input(model, known_logs, extra, options.settings, update)
+
+
+def _with_columns(
+    options: LogOptions, given: Input, update: Activity
+) -> tuple[Input, tuple[ColumnFinding, ...] | None, bool]:
+    """What to work on, mistakes in columns (None if nobody looked), if they are corrected."""
+    if not isinstance(options, Options):
+        return given, None, False
+    update("Checking the columns")
+    columns = found_columns(given.model, given.logs, given.settings)
+    corrects = options.correct_columns and any(finding.is_correctable for finding in columns)
+    if corrects:
+        given = replace(given, logs=tuple(corrected(log, columns) for log in given.logs))
+    return given, columns, corrects
 
 
 def _makers(

@@ -1,6 +1,7 @@
 """What a model is missing: compare it with measurements, diagnose, add, explain."""
 
 from geodrake.diagnosis.add import add
+from geodrake.diagnosis.columns import ColumnFinding, check_columns, corrected
 from geodrake.diagnosis.diagnose import diagnose
 from geodrake.diagnosis.drafting import draft_effects, rest_correlates, source_of
 from geodrake.diagnosis.explain import explain
@@ -19,6 +20,7 @@ from geodrake.identification.models.results import BodyChange
 __all__ = [
     "BodyChange",
     "Candidate",
+    "ColumnFinding",
     "Comparison",
     "Criteria",
     "Diagnosis",
@@ -29,7 +31,9 @@ __all__ = [
     "Series",
     "Step",
     "add",
+    "check_columns",
     "compare",
+    "corrected",
     "diagnose",
     "draft_effects",
     "explain",

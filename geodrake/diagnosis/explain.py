@@ -35,7 +35,7 @@ from geodrake.identification.logs.criteria import Criteria
 from geodrake.identification.logs.hypothesis import Hypothesis, first_hypothesis
 from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.identification.logs.model_fit import ModelFit, effects_of, model_unknowns
-from geodrake.identification.models.bodies import changed_bodies
+from geodrake.identification.models.bodies import changed_bodies, common_factor_notes
 from geodrake.logs.motion import JointLog
 from geodrake.model.robot_model import RobotModel
 
@@ -187,7 +187,8 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
     errors = after.errors if changed else before.errors
     companions = [*companion_notes(trail.end.unknowns, fit), *fit.result.notes]
     found = (*transition_speed_notes(model, fit.model), *stated_mass_notes(case, fit.model))
-    more = (*companions, *found) if changed else ()
+    bodies = changed_bodies(model, fit) if changed else ()
+    more = (*companions, *found, *common_factor_notes(bodies)) if changed else ()
     explanation = Explanation(
         verdict_of(errors, changed),
         steps,
@@ -198,7 +199,7 @@ def _investigated(case: Case, criteria: Criteria, progress: Progress | None) -> 
         before,
         after if changed else before,
         (*([_STOPPED] if trail.is_stopped else []), *case.notes, *more),
-        changed_bodies(model, fit) if changed else (),
+        bodies,
         dict(zip(case.dataset.joints, fit.of_motion.tolist(), strict=True)),
         trail.is_stopped,
         fit.result.certificate if changed else None,

@@ -25,6 +25,7 @@ class AsymmetricFriction(JointEffect):
     """
 
     name = "asymmetric_friction"
+    taken_out_as = "friction"
     law = "F₊, F₋, c₊, c₋ by direction"
     list_position = 12
     complexity = 1

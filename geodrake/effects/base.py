@@ -98,6 +98,7 @@ class Effect(CheckedFields, abc.ABC):
         damps: Whether its one column is the velocity of its joint, as that of a servo's damping is.
         beside_gains: Whether unknown gains of efforts are found beside it, as any joint may have
             it.
+        taken_out_as: What drives that take it out of the efforts that they report call it.
     """
 
     name: ClassVar[str]
@@ -130,6 +131,7 @@ class Effect(CheckedFields, abc.ABC):
     usual: ClassVar[bool] = False
     damps: ClassVar[bool] = False
     beside_gains: ClassVar[bool] = False
+    taken_out_as: ClassVar[str] = ""
 
     @property
     @abc.abstractmethod

@@ -19,6 +19,7 @@ class CoulombFriction(JointEffect):
     """
 
     name = "coulomb_friction"
+    taken_out_as = "friction"
     law = "F sgn v; `explain` finds below which speed sgn v fades, where that matters"
     list_position = 11
     complexity = 0

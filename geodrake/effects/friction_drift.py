@@ -39,6 +39,7 @@ class FrictionDrift(JointEffect):
     time_constant: float
 
     name = "friction_drift"
+    taken_out_as = "friction"
     law = "e^(−t/T) (F sgn v + c v): friction of a gear that warms up, on top of what it settles at"
     list_position = 17
     proposer = Proposer.WARMING

@@ -22,6 +22,7 @@ class LoadDependentFriction(JointEffect):
     """
 
     name = "load_dependent_friction"
+    taken_out_as = "friction"
     label = "load-dependent friction"
     law = "k |τ_model| sgn v"
     list_position = 15

@@ -36,6 +36,7 @@ class NonlinearViscousFriction(JointEffect):
     exponent: float
 
     name = "nonlinear_viscous_friction"
+    taken_out_as = "friction"
     law = "c |v|^α sgn v"
     list_position = 14
     shapes = (Shape("exponent", grid=(0.5, 1.5, 2.0, 3.0)),)

@@ -18,6 +18,7 @@ class RotorInertia(JointEffect):
     """
 
     name = "rotor_inertia"
+    taken_out_as = "rotor inertia"
     law = "I v̇"
     list_position = 40
     complexity = 0

@@ -41,6 +41,7 @@ class StribeckFriction(JointEffect):
     exponent: float = 1.0
 
     name = "stribeck_friction"
+    taken_out_as = "friction"
     law = "(S − F) exp(−|v/v_s|^α) sgn v, on top of Coulomb friction"
     list_position = 13
     jumps = True

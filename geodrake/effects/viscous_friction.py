@@ -18,6 +18,7 @@ class ViscousFriction(JointEffect):
     """
 
     name = "viscous_friction"
+    taken_out_as = "friction"
     law = "c v"
     list_position = 10
     complexity = 0

@@ -23,6 +23,7 @@ ELSEWHERE = {  # run by tests of their own, with --quick, too
     "body_distances",
     "cheetah_gallop",
     "cheetah_leg",
+    "column_errors",
     "human_identification",
     "identification_speed",
     "run_scenario",

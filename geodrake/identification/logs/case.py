@@ -209,6 +209,31 @@ def open_case(
     return Case(model, trajectories, folds, dataset, fingerprints, said, opened, shared=shared)
 
 
+def prepared_as_measured(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+) -> tuple[tuple[Trajectory, ...], tuple[Fold, ...]]:
+    """Prepared logs and their folds, for which what the model says of the efforts does not matter.
+
+    Args:
+        model: The model, whose joints the logs are of.
+        logs: Logs or their files.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
+        blocks: As for `open_case`.
+
+    Raises:
+        LogError: A log cannot be used.
+        ArgumentError: There is no log, one is there twice, or a setting is no usable number.
+    """
+    logs = checked_logs(model, logs, (), bandwidth, blocks)
+    _, matched, _ = with_efforts(model, _matched(model, logs))
+    trajectories = prepare_logs([make_uniform(log) for log in matched], bandwidth=bandwidth)
+    return trajectories, validation_blocks(trajectories, blocks=blocks)
+
+
 def at_bandwidth(case: Case, bandwidth: float, *, candidates: bool, how: str) -> Case:
     """The logs and the model of a case, opened at another bandwidth.
 

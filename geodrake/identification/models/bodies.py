@@ -9,6 +9,7 @@ import numpy as np
 from geodrake.effects import Role, catalogue
 from geodrake.identification.fit import FitResult
 from geodrake.identification.identify import IdentificationResult
+from geodrake.identification.logs.criteria import SPREAD, USUAL_GAIN
 from geodrake.identification.logs.log_fits import LogFits
 from geodrake.identification.logs.model_fit import ModelFit
 from geodrake.identification.logs.weighing import Weighing
@@ -123,7 +124,26 @@ def model_notes(model: RobotModel, bodies: Sequence[BodyChange]) -> list[str]:
             "model lacks an effect that inertias stand in for, which geodrake diagnose looks for; "
             "a larger gamma holds them"
         )
-    return notes
+    return [*notes, *common_factor_notes(bodies)]
+
+
+def common_factor_notes(bodies: Sequence[BodyChange]) -> list[str]:
+    """That all bodies together became heavier or lighter than a model file may be wrong, in words.
+
+    Efforts that are all too large or too small by one factor, such as currents or torques of
+    motors, do that.
+
+    Args:
+        bodies: What became of a model's bodies.
+    """
+    before, after = (sum(body.mass[k] for body in bodies) for k in (0, 1))
+    if before <= 0.0 or after <= 0.0 or abs(np.log(after / before)) <= USUAL_GAIN * SPREAD:
+        return []
+    return [
+        f"these bodies weigh {after:.3g} kg, and {before:.3g} kg before: are the efforts of all "
+        f"joints N·m or N? {before / after:.3g} times as large, they would leave the bodies where "
+        "the file has them"
+    ]
 
 
 def bound_notes(gamma: float) -> list[str]:

@@ -1,0 +1,1 @@
+"""Logs whose columns are not what their names say, by formulas of their own."""

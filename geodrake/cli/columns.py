@@ -1,0 +1,90 @@
+"""What the commands say of mistakes in the columns of logs, and what they do about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any, TypeVar
+
+from rich.console import Console
+
+from geodrake.cli.tables import show_list
+from geodrake.diagnosis.columns import ColumnFinding, check_columns
+from geodrake.errors import GeodrakeError
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+
+R = TypeVar("R")
+
+_HEAD = "First of all: columns of the logs are not what they seem"
+_UNCORRECTED = (
+    "The rest goes on with the columns as they are; --correct-columns corrects them first."
+)
+_CORRECTED = "The rest goes on with these columns corrected."
+
+
+def found_columns(
+    model: RobotModel, logs: Sequence[JointLog], settings: Mapping[str, Any]
+) -> tuple[ColumnFinding, ...]:
+    """Mistakes in the columns of logs; none of logs of which the command itself says what is wrong.
+
+    Args:
+        model: The model.
+        logs: The logs.
+        settings: How logs are prepared.
+    """
+    try:
+        return check_columns(model, logs, **settings)
+    except GeodrakeError:
+        return ()
+
+
+def column_words(columns: Sequence[ColumnFinding], *, corrected: bool) -> list[str]:
+    """Findings, and what is done about them, in sentences.
+
+    Args:
+        columns: The findings.
+        corrected: Whether the command works on corrected logs.
+    """
+    if not columns:
+        return []
+    able = any(finding.is_correctable for finding in columns)
+    last = [_CORRECTED if corrected else _UNCORRECTED] if able else []
+    return [*map(str, columns), *last]
+
+
+def show_columns(console: Console, columns: Sequence[ColumnFinding], *, corrected: bool) -> None:
+    """The findings, before all else; nothing if there are none.
+
+    Args:
+        console: Where to print.
+        columns: The findings.
+        corrected: Whether the command works on corrected logs.
+    """
+    show_list(console, _HEAD, column_words(columns, corrected=corrected))
+
+
+def columns_list(columns: Sequence[ColumnFinding]) -> list[dict[str, Any]]:
+    """Findings as plain data, for JSON."""
+    return [
+        {
+            **asdict(finding),
+            "rivals": [{"words": words, "probability": chance} for words, chance in finding.rivals],
+        }
+        for finding in columns
+    ]
+
+
+def with_first_notes(result: R, words: Sequence[str]) -> R:
+    """A result whose notes begin with some words, for its page.
+
+    Args:
+        result: The result, with notes or with an explanation.
+        words: The words.
+    """
+    if not words:
+        return result
+    found: Any = result
+    if hasattr(result, "notes"):
+        return replace(found, notes=(*words, *found.notes))
+    return replace(found, explanation=with_first_notes(found.explanation, words))

@@ -1,0 +1,109 @@
+"""An assignment of a log's columns to a model's joints: which is whose, in which unit and sign."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Assignment:
+    """What the columns of n joints are, in place of what their names say.
+
+    The joint j is at scale_j q + zero_j of the position in column `position`_j. Velocities belong
+    to their positions, and are `rate` times these columns. Its efforts are gain_j times
+    those in column `effort`_j.
+
+    Attributes:
+        position: (n,) column of the positions of each joint.
+        scale: (n,) what they are multiplied by.
+        zero: (n,) what is added then, rad or m.
+        rate: (n,) what measured velocities of those columns are multiplied by.
+        effort: (n,) column of the efforts of each joint.
+        gain: (n,) what they are multiplied by.
+        time: What time stamps are multiplied by.
+        level: Whether efforts are without the weight of the bodies.
+        without: Names of what else has been taken out of the efforts; see
+            `Effect.taken_out_as`.
+        carrying: Indices of bodies that hold a payload, or are otherwise not as in the model.
+        tilted: Whether the base may stand on a slope.
+        apart: Indices of joints whose efforts have nothing to do with what the bodies need.
+    """
+
+    position: Indices
+    scale: Array
+    zero: Array
+    rate: Array
+    effort: Indices
+    gain: Array
+    time: float = 1.0
+    level: bool = False
+    without: frozenset[str] = frozenset()
+    carrying: frozenset[int] = frozenset()
+    tilted: bool = False
+    apart: frozenset[int] = frozenset()
+
+    @classmethod
+    def as_named(cls, n: int) -> Assignment:
+        """What the names of the columns of n joints say."""
+        own, ones = np.arange(n), np.ones(n)
+        return cls(own, ones, np.zeros(n), ones, own, ones)
+
+    @property
+    def motion_key(self) -> tuple[object, ...]:
+        """What the motion of the joints depends on."""
+        columns = self.position.tobytes(), self.scale.tobytes(), self.zero.tobytes()
+        return (*columns, self.time, self.level)
+
+    @property
+    def effort_key(self) -> tuple[object, ...]:
+        """What the fit of the efforts depends on."""
+        columns = self.effort.tobytes(), self.gain.tobytes()
+        return (*self.motion_key, *columns, self.without, self.carrying, self.tilted, self.apart)
+
+    def swapped(self, i: int, j: int, *, positions: bool, efforts: bool) -> Assignment:
+        """With the columns of two joints swapped.
+
+        Args:
+            i: One joint.
+            j: The other.
+            positions: Whether those of positions and velocities are.
+            efforts: Whether those of efforts are.
+        """
+        order = np.arange(len(self.gain))
+        order[[i, j]] = j, i
+        found = self
+        if positions:
+            found = replace(found, position=found.position[order], rate=found.rate[order])
+            found = replace(found, scale=found.scale[order], zero=found.zero[order])
+        if efforts:
+            found = replace(found, effort=found.effort[order], gain=found.gain[order])
+        return found
+
+    def times(self, quantity: str, joint: int | None, factor: float) -> Assignment:
+        """With a column of a joint, or those of all, multiplied.
+
+        Args:
+            quantity: "scale", "rate" or "gain".
+            joint: The joint; None for all.
+            factor: By what.
+        """
+        values = np.array(getattr(self, quantity))
+        values[slice(None) if joint is None else joint] *= factor
+        return replace(self, **{quantity: values})
+
+    def moved(self, joint: int, by: float) -> Assignment:
+        """With another zero of a joint's position.
+
+        Args:
+            joint: The joint.
+            by: What is added to its positions, rad or m.
+        """
+        zero = self.zero.copy()
+        zero[joint] += by
+        return replace(self, zero=zero)

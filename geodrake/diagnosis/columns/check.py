@@ -1,0 +1,118 @@
+"""`check_columns`: what columns are, if not what their names say, likeliest mistakes first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.columns.assignment import Assignment
+from geodrake.diagnosis.columns.finding import ColumnFinding
+from geodrake.diagnosis.columns.fit import ColumnFit
+from geodrake.diagnosis.columns.samples import column_samples
+from geodrake.diagnosis.columns.search import ColumnSearch, Judged, MistakeFound
+from geodrake.diagnosis.columns.words import mistake_advice, mistake_words
+from geodrake.identification.logs.case import prepared_as_measured
+from geodrake.logs.motion import JointLog
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+
+_WORTH_NAMING = 0.05  # probability of a rival
+
+
+def check_columns(
+    model: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    bandwidth: float | None = None,
+    blocks: int | None = None,
+) -> tuple[ColumnFinding, ...]:
+    """Mistakes in the columns of logs: wrong signs, units, gains, zeros, times, swapped joints.
+
+    One score judges all: how well the model predicts held-out efforts with the columns corrected,
+    its bodies near those that it has, with friction, offsets and rotors free. A mistake is as
+    improbable before as `geodrake.diagnosis.columns.search.ODDS` says.
+
+    Args:
+        model: The model as it stands.
+        logs: Logs or their files, all recorded alike.
+        bandwidth: Bandwidth of the filter, Hz; by default chosen from the motion.
+        blocks: Blocks into which every log is cut.
+
+    Returns:
+        What is wrong, in the order in which to correct it; nothing if the columns are right, or
+        if the logs do not tell.
+
+    Raises:
+        LogError: A log cannot be used.
+        ArgumentError: There is no log, or a setting is no usable number.
+    """
+    prepared = prepared_as_measured(model, logs, bandwidth=bandwidth, blocks=blocks)
+    search = ColumnSearch(column_samples(model, *prepared))
+    return tuple(
+        _finding(model, search, found) for found in search.found() if found.best.mistake.kind
+    )
+
+
+def _finding(model: RobotModel, search: ColumnSearch, found: MistakeFound) -> ColumnFinding:
+    joints, best = model.joints, found.best
+    mistake = best.mistake
+    at = mistake.joints or tuple(range(len(joints)))
+    names = tuple(joints[j] for j in at)
+    values = _values(found.before.assignment, best)
+    words = mistake_words(mistake.kind, names, values, all_joints=not mistake.joints)
+    chances = _probabilities([best.gain, *(rival.gain for rival in found.rivals)])
+    rivals = [
+        (_rival_words(model, found.before, rival), chance)
+        for rival, chance in zip(found.rivals, chances[1:], strict=True)
+        if chance >= _WORTH_NAMING
+    ]
+    before, after = (search.nrms(fit) for fit in (found.before, best.fit))
+    return ColumnFinding(
+        mistake.kind,
+        names,
+        values,
+        best.gain,
+        chances[0],
+        tuple(rivals),
+        before,
+        after,
+        words[0].upper() + words[1:],
+        mistake_advice(mistake.kind, names, values),
+    )
+
+
+def _rival_words(model: RobotModel, before: ColumnFit, rival: Judged) -> str:
+    joints, mistake = model.joints, rival.mistake
+    if not mistake.kind:
+        if mistake.joints:
+            return f"the model says nothing of the efforts of {joints[mistake.joints[0]]}"
+        tilted = rival.fit.assignment.tilted and not before.assignment.tilted
+        return "a base on a slope" if tilted else "a payload that the model lacks"
+    names = [joints[j] for j in mistake.joints or range(len(joints))]
+    values = _values(before.assignment, rival)
+    return mistake_words(mistake.kind, names, values, all_joints=not mistake.joints)
+
+
+def _values(before: Assignment, best: Judged) -> tuple[float, ...]:
+    """What corrects a mistake, at each of its joints."""
+    kind, after = best.mistake.kind, best.fit.assignment
+    if kind.startswith(("swapped", "without")):
+        return ()
+    if kind == "time":
+        return (after.time / before.time,)
+    at = list(best.mistake.joints or range(len(after.gain)))
+    if kind == "position_zero":
+        return tuple((after.zero - before.zero)[at].tolist())
+    quantity = {"effort": "gain", "position": "scale", "velocity": "rate"}[kind.split("_")[0]]
+    return tuple((getattr(after, quantity) / getattr(before, quantity))[at].tolist())
+
+
+def _probabilities(gains: Iterable[float]) -> list[float]:
+    """Of mistakes with such gains, among them and none."""
+    odds = 0.5 * np.array([0.0, *gains])
+    shares = np.exp(odds - odds.max())
+    return [float(share) for share in (shares / shares.sum())[1:]]

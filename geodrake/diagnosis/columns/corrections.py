@@ -1,0 +1,90 @@
+"""Logs with the mistakes in their columns corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instance, instances
+from geodrake.diagnosis.columns.finding import ColumnFinding
+from geodrake.errors import ArgumentError
+from geodrake.logs.motion import JointLog
+
+Array = NDArray[np.float64]
+
+_MOTION = ("position", "velocity", "acceleration", "command")
+_SWAPPED = {
+    "swapped_efforts": ("effort",),
+    "swapped_positions": _MOTION,
+    "swapped_joints": (*_MOTION, "effort"),
+}
+_MULTIPLIED = {
+    "effort": ("effort",),
+    "position": _MOTION,
+    "position_alone": ("position", "command"),
+    "velocity": ("velocity",),
+}
+
+
+def corrected(log: JointLog, findings: Sequence[ColumnFinding]) -> JointLog:
+    """A log with what was found in its columns corrected, one after the other.
+
+    What was taken out of the efforts stays so: no column has it.
+
+    Args:
+        log: The log.
+        findings: What `check_columns` found in it.
+
+    Raises:
+        ArgumentError: A finding is of a joint that the log does not have.
+    """
+    instance(log, "log", JointLog)
+    for finding in instances(findings, "findings", ColumnFinding):
+        absent = [joint for joint in finding.joints if joint not in log.joints]
+        if absent:
+            raise ArgumentError(
+                f"Log {log.name!r} has no joint {absent[0]!r}, whose columns are to be corrected.",
+                advice=f"Its joints are {', '.join(log.joints)}.",
+            )
+        log = _corrected(log, finding)
+    return log
+
+
+def _corrected(log: JointLog, finding: ColumnFinding) -> JointLog:
+    at = [log.joints.index(joint) for joint in finding.joints]
+    if finding.kind in _SWAPPED:
+        return replace(log, **_changed(log, _SWAPPED[finding.kind], lambda own: _swap(own, at)))
+    if finding.kind == "time":
+        return replace(log, time=log.time * finding.values[0])
+    if finding.kind == "position_zero":
+        shifted = ("position", "command")
+        return replace(log, **_changed(log, shifted, lambda own: _add(own, at, finding.values)))
+    if not finding.is_correctable:
+        return log
+    quantities = _MULTIPLIED[finding.kind.rpartition("_")[0]]
+    return replace(log, **_changed(log, quantities, lambda own: _multiply(own, at, finding.values)))
+
+
+def _changed(log: JointLog, quantities: Sequence[str], change: Any) -> dict[str, Any]:
+    """Columns of a log, changed in a copy, as far as it has them."""
+    found = {name: getattr(log, name) for name in quantities}
+    return {name: change(own.copy()) for name, own in found.items() if own is not None}
+
+
+def _swap(own: Array, at: Sequence[int]) -> Array:
+    own[:, list(at)] = own[:, list(at)[::-1]]
+    return own
+
+
+def _add(own: Array, at: Sequence[int], values: Sequence[float]) -> Array:
+    own[:, list(at)] += np.asarray(values)
+    return own
+
+
+def _multiply(own: Array, at: Sequence[int], values: Sequence[float]) -> Array:
+    own[:, list(at)] *= np.asarray(values)
+    return own

@@ -1,0 +1,485 @@
+"""One score of an assignment of columns: how well the model predicts held-out efforts with it.
+
+All joints are fitted together. Bodies are near those of the model,
+
+    Σ_b (tr P₀⁻¹P − log det P₀⁻¹P − 4) / σ²,
+
+which is the squared geometric distance over σ² where they are near, and infinite for what is no
+body ([Lee2019] section 3.5). Friction, offsets and rotors are free, and the base may be tilted, and
+gains and zeros be off, as much as is usual. A joint's noise is profiled out on the scale of its
+column, so that a gain of zero explains nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
+
+from geodrake.diagnosis.columns.assignment import Assignment
+from geodrake.diagnosis.columns.design import (
+    EffectRows,
+    JointDesign,
+    Parameters,
+    joint_designs,
+    nuisance_information,
+)
+from geodrake.diagnosis.columns.samples import ColumnSamples
+from geodrake.identification.logs.criteria import LEAST_NOISE, SPREAD
+from geodrake.identification.logs.unknowns import payload_reference
+from geodrake.inertia import PARAMETERS_PER_BODY
+from geodrake.inertia.kernels import BASIS, calc_pseudo_inertia
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+CARRIED = 3.0
+"""A body that may hold a payload is known to within this geometric distance."""
+
+_ROUNDS, _QUICK_ROUNDS = 60, 8  # of Newton's method at most, in which weights change too
+_SCREENINGS = 3  # fits of a screening
+_SETTLED = 0.1  # of twice a log-likelihood: how little the last of them gains
+_FIRST = 0.1  # of the samples are independent, before residuals say
+_INSIDE = 0.9  # of the way to where a body is none
+_RATE_AGREEMENT = 0.05  # of a velocity's RMS: measured ones are the derivatives but for that
+_WIDE = 2.0  # deviation of a small error that is to be found, rad or as a share
+_FIXED = 1e12  # information of what is known
+_ROUNDING = 1e-14  # of a diagonal of ones
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnFit:
+    """A fit by one assignment.
+
+    Attributes:
+        assignment: The assignment.
+        x: (p,) parameters.
+        mse: (n,) mean squared errors of each column of efforts, in its own unit: held-out ones,
+            but for a quick fit.
+        effective: (n,) independent samples that its residuals are worth.
+        rates: (n,) mean squared errors of each column of velocities over its mean square; ones
+            where there are none.
+        prior: What parameters pay that go far.
+        fitted: (n,) mean squared errors of the data that were fitted.
+    """
+
+    assignment: Assignment
+    x: Array
+    mse: Array
+    effective: Array
+    rates: Array
+    prior: float
+    fitted: Array
+
+    def gain_over(self, other: ColumnFit, samples: Array) -> float:
+        """Twice the log-likelihood ratio, less what parameters pay that go far.
+
+        It is the lesser one of what data gain that were fitted, and of what held-out ones do.
+
+        Args:
+            other: The fit by another assignment.
+            samples: (n,) independent samples of the velocities.
+        """
+        effective = np.minimum(self.effective, other.effective)
+        efforts = min(
+            effective @ np.log(other.mse / self.mse), effective @ np.log(other.fitted / self.fitted)
+        )
+        rates = samples @ np.log(other.rates / self.rates)
+        return float(efforts + rates + other.prior - self.prior)
+
+
+@dataclass(eq=False)
+class ColumnJudge:
+    """Fits of the same samples by any assignment.
+
+    Attributes:
+        samples: The samples.
+        parameters: What fits may move.
+    """
+
+    samples: ColumnSamples
+    parameters: Parameters
+    _designs: dict[tuple[object, ...], tuple[JointDesign, ...]] = field(default_factory=dict)
+    _screened: dict[tuple[object, ...], ColumnFit] = field(default_factory=dict)
+    _rows: EffectRows = field(default_factory=dict)
+
+    def keep(self, assignment: Assignment) -> None:
+        """Keep the designs for the motion of an assignment, and forget all others."""
+        self._designs = {assignment.motion_key: self.designs(assignment)}
+        self._screened = {}
+
+    def designs(self, assignment: Assignment, *, slopes: bool = True) -> tuple[JointDesign, ...]:
+        """Normal matrices for the motion of an assignment.
+
+        Args:
+            assignment: The assignment.
+            slopes: Whether errors of zeros have their columns.
+        """
+        found = self._designs.get(assignment.motion_key)
+        if found is None:
+            found = joint_designs(
+                self.samples, self.parameters, assignment, self._rows, slopes=slopes
+            )
+        return found
+
+    def screened(
+        self, assignment: Assignment, base: ColumnFit, wide: Collection[int] = ()
+    ) -> ColumnFit:
+        """Errors of the data that were fitted, for bodies whose prior is that near the model's.
+
+        Args:
+            assignment: The assignment.
+            base: A fit whose errors say how much each joint counts at first.
+            wide: Parameters of small errors that may be large.
+        """
+        key = (assignment.effort_key, *wide)
+        found = self._screened.get(key)
+        if found is None:
+            designs = self.designs(assignment, slopes=bool(wide))
+            found = _System.of(self, designs, assignment, wide).screened(base)
+            self._screened[key] = found
+        return replace(found, assignment=assignment, rates=self.rate_errors(assignment))
+
+    def quick(
+        self, assignment: Assignment, base: ColumnFit, wide: Collection[int] = ()
+    ) -> ColumnFit:
+        """A fit with errors of the data that it was fitted to.
+
+        Args:
+            assignment: The assignment.
+            base: A fit whose errors say how much each joint counts at first.
+            wide: Parameters of small errors that may be large.
+        """
+        system = _System.of(self, self.designs(assignment, slopes=bool(wide)), assignment, wide)
+        return system.fitted(base.effective, _QUICK_ROUNDS, base.mse, held_out=False)
+
+    def fit(
+        self,
+        assignment: Assignment,
+        base: ColumnFit | None = None,
+        *,
+        wide: Collection[int] = (),
+    ) -> ColumnFit:
+        """The fit by an assignment, whose residuals say how many samples are independent.
+
+        Args:
+            assignment: The assignment.
+            base: A fit whose errors say how much each joint counts at first.
+            wide: Parameters of small errors that may be large.
+        """
+        designs = self.designs(assignment)
+        system = _System.of(self, designs, assignment, wide)
+        effective = np.full(len(designs), _FIRST * len(self.samples))
+        mse = self.samples.effort.var(axis=0)
+        if base is not None:
+            effective, mse = base.effective, base.mse
+        first = system.fitted(effective, _ROUNDS, mse, held_out=False)
+        return system.fitted(system.effective(first), _ROUNDS, first.mse, start=first.x)
+
+    def spared(self, base: ColumnFit, parameters: Indices) -> float:
+        """What a fit pays for parameters that data say and the prior does not, as evidence does.
+
+        It is the logarithm of how many times smaller the volume of their covariance has become.
+
+        Args:
+            base: The fit.
+            parameters: Indices of the parameters.
+        """
+        designs = self.designs(base.assignment)
+        A, H = _System.of(self, designs, base.assignment, ()).curvature(base)
+        both = [
+            np.linalg.slogdet(np.linalg.inv(M)[np.ix_(parameters, parameters)])[1] for M in (H, A)
+        ]
+        return float(max(both[0] - both[1], 0.0))
+
+    def rate_errors(self, assignment: Assignment) -> Array:
+        """(n,) mean squared errors of measured velocities' columns, over their mean squares."""
+        samples, found = self.samples, np.ones(len(assignment.gain))
+        if samples.rate is None:
+            return found
+        share = assignment.scale / (assignment.time * assignment.rate)
+        at = assignment.position
+        error = np.mean((samples.rate[:, at] - samples.v[:, at] * share) ** 2, axis=0)
+        size = np.mean(samples.rate[:, at] ** 2, axis=0)
+        slow = np.mean(samples.v[:, at] ** 2, axis=0) < samples.width[at] ** 2
+        relative = np.maximum(error / np.maximum(size, 1e-300), _RATE_AGREEMENT**2)
+        found[at] = np.where(slow | (size == 0.0), 1.0, relative)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """Normal equations of all joints.
+
+    Attributes:
+        judge: What it belongs to.
+        designs: Of all joints.
+        assignment: The assignment.
+        columns: Per joint, its parameters, its gain's error last.
+        maps: Per joint, from these and the efforts to the columns of its design.
+        mean: (p,) prior mean.
+        information: (p, p) prior information, zero for bodies that `spread` is of.
+        spread: (nb,) geometric distance to within which bodies are known; inf where `information`
+            says it.
+    """
+
+    judge: ColumnJudge
+    designs: tuple[JointDesign, ...]
+    assignment: Assignment
+    columns: tuple[Indices, ...]
+    maps: tuple[Array, ...]
+    mean: Array
+    information: Array
+    spread: Array
+
+    @classmethod
+    def of(
+        cls,
+        judge: ColumnJudge,
+        designs: tuple[JointDesign, ...],
+        assignment: Assignment,
+        wide: Collection[int],
+    ) -> _System:
+        parameters, n = judge.parameters, len(designs)
+        mean, information = parameters.mean.copy(), parameters.information.copy()
+        sizes = np.abs(assignment.gain) * judge.samples.effort.std(axis=0)[assignment.effort]
+        diagonal = np.arange(len(mean))
+        information[diagonal, diagonal] += nuisance_information(parameters, designs, sizes)
+        for k in (*wide, *(parameters.tilt().tolist() if assignment.tilted else ())):
+            information[k, k] = _WIDE**-2.0
+        gone = parameters.taken_out(assignment.without)
+        mean[gone] = 0.0
+        information[gone, gone] += _FIXED
+        model = parameters.model
+        spread = np.full(len(model.bodies), SPREAD if model.information is None else np.inf)
+        for body in assignment.carrying:
+            own = slice(PARAMETERS_PER_BODY * body, PARAMETERS_PER_BODY * (body + 1))
+            mean[own] += payload_reference(model.total_phi)
+            spread[body] = CARRIED
+        for b in np.flatnonzero(np.isfinite(spread)).tolist():
+            own = slice(PARAMETERS_PER_BODY * b, PARAMETERS_PER_BODY * (b + 1))
+            information[own] = information[:, own] = 0.0
+        columns, maps = [], []
+        for j, design in enumerate(designs):
+            m = len(design.columns)
+            T = np.zeros((m + 1 + n, m + 2))
+            T[range(m), range(m)] = 1.0
+            T[:m, m] = parameters.mean[design.columns]
+            T[m, m], T[m, m + 1] = 1.0, -1.0
+            T[m + 1 + assignment.effort[j], m + 1] = assignment.gain[j]
+            if j in assignment.apart:
+                T[: np.searchsorted(design.columns, model.phi.size)] = 0.0
+                T[np.searchsorted(design.columns, parameters.shared) : m + 1] = 0.0
+                T[:m, m] = 0.0
+            columns.append(np.append(design.columns, parameters.gains()[j]))
+            maps.append(T)
+        return cls(
+            judge, designs, assignment, tuple(columns), tuple(maps), mean, information, spread
+        )
+
+    @cached_property
+    def totals(self) -> Array:
+        """(n, p + 1, p + 1) normal matrices of all folds, efforts last."""
+        return self._dense([design.total for design in self.designs])
+
+    @cached_property
+    def folds(self) -> Array:
+        """(F, n, p + 1, p + 1) the same of each fold."""
+        count = len(self.designs[0].grams)
+        return np.stack([self._dense([d.grams[f] for d in self.designs]) for f in range(count)])
+
+    def _dense(self, grams: list[Array]) -> Array:
+        p = len(self.mean)
+        found = np.zeros((len(grams), p + 1, p + 1))
+        for out, columns, T, gram in zip(found, self.columns, self.maps, grams, strict=True):
+            at = np.append(columns, p)
+            out[at[:, None], at] = T.T @ gram @ T
+        return found
+
+    def curvature(self, fit: ColumnFit) -> tuple[Array, Array]:
+        """(p, p) of half the cost of a fit by this assignment, and of that of the prior alone."""
+        assignment = self.assignment
+        samples = np.array([len(design.rows) for design in self.designs], float)
+        mse = fit.fitted[assignment.effort] * np.square(assignment.gain)
+        weight = fit.effective[assignment.effort] / samples / mse
+        H, _ = self._prior(fit.x)
+        return H + np.tensordot(weight, self.totals, 1)[:-1, :-1], H
+
+    def screened(self, base: ColumnFit) -> ColumnFit:
+        """See `ColumnJudge.screened`."""
+        assignment, each = self.assignment, base.effective[self.assignment.effort]
+        samples = np.array([len(design.rows) for design in self.designs], float)
+        power = self.totals[:, -1, -1] / samples
+        least, scale = power * LEAST_NOISE**2 + 1e-300, np.square(assignment.gain)
+        mse = np.minimum(base.fitted[assignment.effort] * scale, power)
+        lower = self.judge.parameters.lower
+        x, held = self.mean, np.zeros(len(self.mean), bool)
+        H, b = self._prior(self.mean)
+        for _ in range(_SCREENINGS):
+            total = np.tensordot(each / samples / np.maximum(mse, least), self.totals, 1)
+            x = _bounded(H + total[:-1, :-1], b + total[:-1, -1], lower, held)
+            held = held | (x < lower)
+            x = np.where(held, lower, x)
+            mse = np.maximum(_squares(self.totals, x) / samples, least)
+        far, by_column = x - self.mean, np.zeros(len(samples))
+        by_column[assignment.effort] = mse / scale
+        return ColumnFit(
+            assignment,
+            x,
+            by_column,
+            base.effective,
+            base.rates,
+            float(far @ H @ far),
+            by_column,
+        )
+
+    def _prior(self, x: Array) -> tuple[Array, Array]:
+        """Curvature (p, p) of half the prior's cost at x, and what it adds to the right side."""
+        H, b = self.information.copy(), self.information @ self.mean
+        d, k = self.judge.parameters.model.phi.size, PARAMETERS_PER_BODY
+        near = np.flatnonzero(np.isfinite(self.spread))
+        phi, start = x[:d].reshape(-1, k)[near], self.mean[:d].reshape(-1, k)[near]
+        G, G0 = _metric(phi), _metric(start)
+        sides = 2.0 * np.einsum("bij,bj->bi", G, phi) - np.einsum("bij,bj->bi", G0, start)
+        for body, metric, side in zip(near.tolist(), G, sides, strict=True):
+            own = slice(k * body, k * (body + 1))
+            H[own, own] = metric / self.spread[body] ** 2
+            b[own] = side / self.spread[body] ** 2
+        return H, b
+
+    def prior_cost(self, x: Array) -> float:
+        """What parameters pay that go far."""
+        d, k = self.judge.parameters.model.phi.size, PARAMETERS_PER_BODY
+        far = x - self.mean
+        near = np.flatnonzero(np.isfinite(self.spread))
+        ratio = self._ratio(x[:d].reshape(-1, k)[near], self.mean[:d].reshape(-1, k)[near])
+        values = np.maximum(np.linalg.eigvalsh(ratio), 1e-300)
+        cost = np.sum(values - 1.0 - np.log(values), axis=1) / self.spread[near] ** 2
+        return float(far @ self.information @ far + cost.sum())
+
+    @staticmethod
+    def _ratio(phi: Array, start: Array) -> Array:
+        """(nb, 4, 4) symmetric matrices similar to P₀⁻¹P."""
+        L = np.linalg.inv(np.linalg.cholesky(calc_pseudo_inertia(start)))
+        return np.asarray(L @ calc_pseudo_inertia(phi) @ np.swapaxes(L, 1, 2))
+
+    def _stepped(self, x: Array, to: Array) -> Array:
+        """From x towards other parameters, as far as bodies remain some."""
+        d, k = self.judge.parameters.model.phi.size, PARAMETERS_PER_BODY
+        near = np.flatnonzero(np.isfinite(self.spread))
+        here = x[:d].reshape(-1, k)[near]
+        ratio = self._ratio(to[:d].reshape(-1, k)[near], here)
+        least = np.linalg.eigvalsh(ratio)[:, 0] - 1.0  # of the change, by how much there is
+        share = np.where(least < -_INSIDE, _INSIDE / np.maximum(-least, 1e-300), 1.0)
+        found = to.copy()
+        steps = share[:, None] * (to[:d].reshape(-1, k)[near] - here)
+        found[:d].reshape(-1, k)[near] = here + steps
+        return found
+
+    def fitted(
+        self,
+        effective: Array,
+        rounds: int,
+        mse: Array,
+        *,
+        held_out: bool = True,
+        start: Array | None = None,
+    ) -> ColumnFit:
+        """The fit.
+
+        Args:
+            effective: (n,) independent samples of the columns of efforts.
+            rounds: Most steps of Newton's method.
+            mse: (n,) squared errors of the columns that say how much each counts at first.
+            held_out: Whether errors are those of data left out of the fit.
+            start: (p,) parameters to start from; those of the model by default.
+        """
+        assignment, lower = self.assignment, self.judge.parameters.lower
+        samples = np.array([len(design.rows) for design in self.designs], float)
+        each = effective[assignment.effort]
+        power = self.totals[:, -1, -1] / samples
+        least = power * LEAST_NOISE**2 + 1e-300
+        scale = np.square(assignment.gain)
+        x = self.mean.copy() if start is None else start
+        mse = np.minimum(mse[assignment.effort] * scale, power)
+        held = np.zeros(len(x), bool) if start is None else (x == lower)
+        cost = np.inf
+        for _ in range(rounds):
+            weight = each / samples / np.maximum(mse, least)
+            H, b = self._prior(x)
+            total = np.tensordot(weight, self.totals, 1)
+            to = _bounded(H + total[:-1, :-1], b + total[:-1, -1], lower, held)
+            x = self._stepped(x, to)
+            held = held | (x < lower)
+            x = np.where(held, lower, x)
+            mse = np.maximum(_squares(self.totals, x) / samples, least)
+            cost, before = float(each @ np.log(mse)) + self.prior_cost(x), cost
+            if abs(before - cost) < _SETTLED:
+                break
+        fitted = mse
+        if held_out:
+            weight = each / samples / np.maximum(mse, least)
+            H, b = self._prior(x)
+            total = np.tensordot(weight, self.totals, 1)
+            squares = np.zeros(len(samples))
+            for own in self.folds:
+                rest = total - np.tensordot(weight, own, 1)
+                to = _bounded(H + rest[:-1, :-1], b + rest[:-1, -1], lower, held)
+                squares += _squares(own, self._stepped(x, to))
+            mse = squares / samples
+        by_column, own = np.zeros((2, len(samples)))
+        by_column[assignment.effort] = np.maximum(mse, least) / scale
+        own[assignment.effort] = np.maximum(fitted, least) / scale
+        rates, prior = self.judge.rate_errors(assignment), self.prior_cost(x)
+        return ColumnFit(assignment, x, by_column, effective, rates, prior, own)
+
+    def effective(self, fit: ColumnFit) -> Array:
+        """(n,) independent samples that the residuals of each column of efforts are worth."""
+        left = []
+        for columns, T, design in zip(self.columns, self.maps, self.designs, strict=True):
+            left.append(design.X @ (T @ np.append(fit.x[columns], -1.0)))
+        found = np.zeros(len(left))
+        rows = [design.rows for design in self.designs]
+        found[self.assignment.effort] = self.judge.samples.effective(left, rows)
+        return found
+
+
+def _metric(phi: Array) -> Array:
+    """(b, 10, 10) matrices ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) of bodies that are some."""
+    solved = np.linalg.inv(calc_pseudo_inertia(phi))[:, None] @ BASIS
+    flat = solved.reshape(len(phi), PARAMETERS_PER_BODY, -1)
+    turned = np.swapaxes(solved, 2, 3).reshape(flat.shape)
+    return np.asarray(0.5 * flat @ np.swapaxes(turned, 1, 2))
+
+
+def _squares(grams: Array, x: Array) -> Array:
+    """(n,) sums of squared residuals from normal matrices (n, p + 1, p + 1)."""
+    own = np.append(x, -1.0)
+    return np.maximum((grams @ own) @ own, 0.0)
+
+
+def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array:
+    """Solution of a positive definite system, some of the unknowns at their lower bounds."""
+    if not held.any():
+        return _solved(A, b)
+    x, free = np.where(held, lower, 0.0), np.flatnonzero(~held)
+    b = b - A[:, held] @ x[held]
+    x[free] = _solved(A[free[:, None], free], b[free])
+    return x
+
+
+def _solved(A: Array, b: Array) -> Array:
+    """Solution of a positive definite system whose unknowns are in units of any size."""
+    scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), 1e-300))
+    scaled = A * scale * scale[:, None]
+    rounding = _ROUNDING
+    while True:
+        np.fill_diagonal(scaled, 1.0 + rounding)
+        _, x, info = dposv(scaled, scale * b)
+        if info == 0:
+            return np.asarray(scale * x)
+        rounding *= 10.0

@@ -1,0 +1,155 @@
+"""The search for mistakes in columns: the likeliest is corrected, and the rest judged anew."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.diagnosis.columns.assignment import Assignment
+from geodrake.diagnosis.columns.design import Parameters
+from geodrake.diagnosis.columns.fit import ColumnFit, ColumnJudge
+from geodrake.diagnosis.columns.proposals import ColumnMistake, mistakes
+from geodrake.diagnosis.columns.samples import ColumnSamples
+from geodrake.identification.logs.criteria import PENALTY
+
+Array = NDArray[np.float64]
+
+ODDS = 0.01
+"""Prior odds that a log has a mistake in its columns; all kinds and places share them."""
+
+SIZES = 300.0
+"""A factor or a zero that is to be found may have so many sizes that are usually told apart.
+
+Zeros are usually within 0.02 rad (`USUAL_ZERO`) of a turn, gains within 5 % of six decades.
+"""
+
+_MOST = 6  # mistakes of a log
+_SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
+_STEPS = 6  # of a fit of a mistake's size
+_CLOSE = 1e-3  # rad or share: a step that ends it
+_LONGEST = 0.7  # rad, or of a logarithm, of a step
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A mistake and what it gains.
+
+    Attributes:
+        mistake: The mistake.
+        fit: The fit without it.
+        gain: Twice the log-likelihood that it gains, less what its parameters and its prior cost.
+    """
+
+    mistake: ColumnMistake
+    fit: ColumnFit
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class MistakeFound:
+    """A step of the search.
+
+    Attributes:
+        before: The fit with the mistake.
+        best: The mistake.
+        rivals: Others, the best first, that are not the same of another size.
+    """
+
+    before: ColumnFit
+    best: Judged
+    rivals: tuple[Judged, ...]
+
+
+class ColumnSearch:
+    """A search on the samples of logs."""
+
+    def __init__(self, samples: ColumnSamples) -> None:
+        """Takes the samples."""
+        self.judge = ColumnJudge(samples, Parameters.of(samples))
+        rows = [np.arange(len(samples))] * samples.v.shape[1]
+        self._of_rates = samples.effective(list(samples.v.T), rows)
+
+    def found(self) -> tuple[MistakeFound, ...]:
+        """Mistakes, one after the other; those without a kind are none of columns."""
+        base = self.settled(Assignment.as_named(len(self._of_rates)))
+        steps = list[MistakeFound]()
+        while len(steps) < _MOST:
+            ranked = self.ranked(base)
+            if not ranked or ranked[0].gain <= 0.0:
+                break
+            best = ranked[0]
+            own = best.mistake.kind, best.mistake.joints
+            others = [r for r in ranked[1:] if (r.mistake.kind, r.mistake.joints) != own]
+            steps.append(MistakeFound(base, best, tuple(others)))
+            base = self.settled(best.fit.assignment, best.fit)
+        return tuple(steps)
+
+    def nrms(self, fit: ColumnFit) -> float:
+        """Root mean square over joints of errors over the deviations of efforts."""
+        return float(np.sqrt(np.mean(fit.mse / self.judge.samples.effort.var(axis=0))))
+
+    def settled(self, assignment: Assignment, near: ColumnFit | None = None) -> ColumnFit:
+        """The fit by an assignment that others are then judged against.
+
+        Args:
+            assignment: The assignment.
+            near: A fit whose errors are about as large, if there is one.
+        """
+        self.judge.keep(assignment)
+        return self.judge.fit(assignment, self.judge.fit(assignment, near))
+
+    def ranked(self, base: ColumnFit) -> list[Judged]:
+        """The best mistakes beside what an assignment corrects, fitted to the end; best first.
+
+        Args:
+            base: The fit by that assignment.
+        """
+        tried = mistakes(self.judge, base)
+        entries = list(zip(tried, _costs(tried), strict=True))
+        for fitted, most in ((self.judge.screened, _SCREENED), (self.judge.quick, _FINALISTS)):
+            plain, gains = fitted(base.assignment, base), []
+            for mistake, cost in entries:
+                fit = fitted(mistake.assignment, base, mistake.free)
+                gains.append(fit.gain_over(plain, self._of_rates) - cost)
+            entries = [entries[k] for k in np.argsort(gains)[::-1][:most].tolist()]
+        ranked = []
+        for mistake, cost in entries:
+            refined, fit = self._refined(mistake, base)
+            gain = fit.gain_over(base, self._of_rates) - cost
+            ranked.append(Judged(refined, fit, gain))
+        return sorted(ranked, key=lambda each: -each.gain)
+
+    def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
+        """A mistake of the size that fits best, and the fit."""
+        parameters, assignment = self.judge.parameters, mistake.assignment
+        zeros, gains, free = parameters.zeros(), parameters.gains(), list(mistake.free)
+        for _ in range(_STEPS if free else 0):
+            fit = self.judge.quick(assignment, base, mistake.free)
+            step = np.zeros(len(fit.x))
+            step[free] = np.clip(fit.x[free], -_LONGEST, _LONGEST)
+            zero = assignment.zero + step[zeros]
+            assignment = replace(assignment, zero=zero, gain=assignment.gain / np.exp(step[gains]))
+            if np.abs(step).max() < _CLOSE:
+                break
+        fit = self.judge.fit(assignment, base)
+        return replace(mistake, assignment=assignment), fit
+
+
+def _costs(tried: Sequence[ColumnMistake]) -> list[float]:
+    """What the prior and the parameters of mistakes cost: kinds are as likely, places too.
+
+    What is none of columns is as likely as not.
+    """
+    counts = Counter(mistake.kind for mistake in tried if mistake.kind)
+    return [
+        2.0 * mistake.sizes * np.log(SIZES)
+        - mistake.spared
+        - 2.0 * np.log(ODDS / (len(counts) * counts[mistake.kind]))
+        if mistake.kind
+        else PENALTY * mistake.price
+        for mistake in tried
+    ]

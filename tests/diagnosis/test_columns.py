@@ -1,0 +1,157 @@
+"""What a log's columns are: mistakes in simulated and measured logs, and logs that have none.
+
+Logs come from Pinocchio's inverse dynamics; the mistakes are written out here.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measurements import DATA, REFERENCE
+from pinocchio_logs import without_effects
+
+from geodrake import load_model
+from geodrake.diagnosis import ColumnFinding, check_columns, corrected
+from geodrake.errors import ArgumentError
+from geodrake.logs.files import read_log
+
+MODELS = Path(__file__).parents[2] / "models"
+JOINTS = ("shoulder", "elbow")
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return load_model(MODELS / "double_pendulum.urdf")
+
+
+@pytest.fixture(scope="module")
+def right():
+    """A log of a double pendulum whose bodies are a tenth off, with dry and viscous friction."""
+    log = without_effects("double_pendulum", 3, off=0.1, duration=12.0, share=0.01).log
+    v = log.velocity
+    rubbing = 0.1 * log.effort.std(0) * (np.tanh(v / 0.01) + 0.3 * v)
+    return replace(log, effort=log.effort + rubbing)
+
+
+def times(log, quantity, joint, factor):
+    """A log with a column multiplied."""
+    values = getattr(log, quantity).copy()
+    values[:, joint] *= factor
+    return replace(log, **{quantity: values})
+
+
+def swap(log, *quantities):
+    return replace(log, **{name: getattr(log, name)[:, ::-1] for name in quantities})
+
+
+def zero(log, joint, by):
+    position = log.position.copy()
+    position[:, joint] += by
+    return replace(log, position=position)
+
+
+def both(log, joint, factor):
+    return times(times(log, "position", joint, factor), "velocity", joint, factor)
+
+
+MISTAKES = {
+    "effort_sign": lambda log: times(log, "effort", 1, -1.0),
+    "position_sign": lambda log: both(log, 1, -1.0),
+    "swapped_efforts": lambda log: swap(log, "effort"),
+    "swapped_joints": lambda log: swap(log, "position", "velocity", "effort"),
+    "position_zero": lambda log: zero(log, 1, 0.6),
+    "effort_unit": lambda log: times(log, "effort", 0, 1e3),
+    "position_unit": lambda log: both(log, 1, 180.0 / np.pi),
+    "velocity_factor": lambda log: replace(log, velocity=20.0 * log.velocity),
+    "time": lambda log: replace(log, time=0.1 * log.time),
+}
+
+
+def test_nothing_is_found_in_right_columns(pendulum, right):
+    assert check_columns(pendulum, [right]) == ()
+
+
+QUICK = ("effort_sign", "swapped_joints", "position_zero", "velocity_factor")
+KINDS = [
+    pytest.param(kind, marks=() if kind in QUICK else pytest.mark.thorough) for kind in MISTAKES
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mistakes_are_named_and_corrected(pendulum, right, kind):
+    wrong = MISTAKES[kind](right)
+    (found,) = check_columns(pendulum, [wrong])
+    assert found.kind == kind
+    assert found.probability > 0.5
+    assert found.gain > 0.0
+    after = corrected(wrong, [found])
+    for name in ("time", "position", "velocity", "effort"):
+        scale = np.abs(getattr(right, name)).max(axis=0)
+        off = {"position_zero": 0.05, "time": 1e-3, "velocity_factor": 1e-3}.get(kind, 1e-9)
+        np.testing.assert_allclose(
+            getattr(after, name) / scale, getattr(right, name) / scale, atol=off
+        )
+
+
+@pytest.mark.thorough
+def test_gains_are_found_within_their_uncertainty(pendulum, right):
+    wrong = times(right, "effort", 1, 0.4)
+    (found,) = check_columns(pendulum, [wrong])
+    assert (found.kind, found.joints) == ("effort_gain", ("elbow",))
+    assert found.values[0] == pytest.approx(2.5, rel=0.25)
+    assert f"--gain elbow={found.values[0]:.4g}" in str(found)
+
+
+@pytest.mark.thorough
+def test_two_mistakes_are_found_one_after_the_other(pendulum, right):
+    wrong = replace(times(right, "effort", 0, 1e3), velocity=-right.velocity)
+    found = check_columns(pendulum, [wrong])
+    assert {each.kind for each in found} == {"effort_unit", "velocity_factor"}
+    after = corrected(wrong, found)
+    np.testing.assert_allclose(after.effort, right.effort)
+    np.testing.assert_allclose(after.velocity, right.velocity, rtol=0.01)
+
+
+class TestCorrected:
+    FOUND = ColumnFinding(
+        "position_sign", ("elbow",), (-1.0,), 50.0, 1.0, (), 1.0, 0.1, "The …", "Correct it."
+    )
+
+    def test_commands_go_with_positions(self, right):
+        log = replace(right, command=right.position + 0.1)
+        after = corrected(log, [self.FOUND])
+        np.testing.assert_array_equal(after.command[:, 1], -log.command[:, 1])
+        np.testing.assert_array_equal(after.command[:, 0], log.command[:, 0])
+        np.testing.assert_array_equal(after.velocity[:, 1], -log.velocity[:, 1])
+        np.testing.assert_array_equal(after.effort, log.effort)
+        assert log.position is right.position  # not written to
+
+    def test_what_was_taken_out_stays_so(self, right):
+        found = replace(self.FOUND, kind="without_gravity", joints=("shoulder", "elbow"), values=())
+        assert corrected(right, [found]) is right
+        assert not found.is_correctable
+
+    def test_unknown_joints_are_refused(self, right):
+        with pytest.raises(ArgumentError, match="no joint 'wrist'"):
+            corrected(right, [replace(self.FOUND, joints=("wrist",))])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    model = load_model(REFERENCE / "ur10e.urdf")
+    return model, read_log(DATA / "ur10e_free_c.csv", joints=model.known_joints, partial=True)
+
+
+@pytest.mark.measurements("data/ur10e_free_c.csv", "reference/ur10e.urdf")
+class TestMeasured:
+    def test_nothing_is_found_in_right_columns(self, arm):
+        model, log = arm
+        assert check_columns(model, [log]) == ()
+
+    def test_swapped_efforts_are_not_taken_for_friction(self, arm):
+        model, log = arm
+        order = [0, 2, 1, 3, 4, 5]
+        (found,) = check_columns(model, [replace(log, effort=log.effort[:, order])])
+        assert (found.kind, found.joints) == ("swapped_efforts", model.joints[1:3])
+        assert found.error_after < 0.2 * found.error_before

@@ -1,0 +1,39 @@
+"""The study of mistakes in columns: its logs have them, and its quick form runs."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripts import call
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "diagrams"))
+
+from wrong_columns.logs import MISTAKES, WrongLog, make_log
+
+
+def draw(mistake):
+    return WrongLog(mistake, "double_pendulum", "pinocchio", "fast", 0, 5, 3.0)
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_logs_have_their_mistake_and_nothing_else(mistake):
+    model, log, secrets = make_log(draw(mistake))
+    assert secrets
+    assert log.joints == model.joints
+    _, again, _ = make_log(draw(mistake))
+    np.testing.assert_array_equal(log.effort, again.effort)
+    v = np.gradient(log.position, log.time, axis=0)[5:-5]
+    ratio = np.sum(v * log.velocity[5:-5], axis=0) / np.sum(v**2, axis=0)
+    told = mistake in ("wrong time", "wrong velocities")
+    assert (np.abs(ratio - 1.0) < 0.02).all() != told
+
+
+def test_quick_run(tmp_path):
+    table = tmp_path / "table.json"
+    call("column_errors", "--quick", "--seed", 3, "--jobs", 1, "--json", table)
+    lines = {line["columns"]: line for line in json.loads(table.read_text())["lines"]}
+    assert lines["as it is"]["alarms"] == 0
+    assert lines["sign of an effort"]["named"] == 1
+    assert lines["efforts swapped"]["named"] == 1
