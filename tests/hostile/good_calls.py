@@ -141,6 +141,7 @@ class Call:
 
 NO_DOOR = {
     "regressor.put_regressor": "a loop that trusts its arrays",
+    "rollout.case_rollout": "of a case, which geodrake alone makes",
     **dict.fromkeys(
         (
             "inertia.Array",
@@ -171,6 +172,7 @@ NO_DOOR = {
             "base_parameters.BaseParameters",
             "body_distances.DistanceParts",
             "diagnosis.Candidate",
+            "diagnosis.ColumnFinding",
             "diagnosis.Comparison",
             "diagnosis.Diagnosis",
             "diagnosis.ErrorTable",
@@ -907,6 +909,37 @@ def _systems(t):
         "systems.DelayedEffort",
         Call(m.DelayedEffort, {"delays": np.array([0.01, 0.02]), "period": 0.001}),
     )
+    yield (
+        "systems.PositionServo",
+        Call(
+            m.PositionServo,
+            {
+                "kp": np.array([80.0, 40.0]),
+                "kd": 4.0,
+                "ki": np.ones(2),
+                "limit": 50.0,
+                "dead_band": 1e-3,
+            },
+            infinite=True,
+            allows=dict.fromkeys(("kd", "ki", "limit", "dead_band"), ("two numbers",)),
+        ),
+    )
+    yield (
+        "systems.DcMotor",
+        Call(
+            m.DcMotor,
+            {
+                "torque_constant": np.array([0.05, 0.04]),
+                "resistance": 0.3,
+                "gear_ratio": 100.0,
+                "back_emf_constant": 0.05,
+                "inductance": 1e-4,
+                "voltage_limit": 48.0,
+                "current_limit": 20.0,
+            },
+            infinite=True,
+        ),
+    )
     some = [(effects.ViscousFriction("shoulder"), [0.3])]
     yield (
         "systems.EffectForce",
@@ -1466,6 +1499,11 @@ def _diagnosis(t):
     logs = {"model": t.model, "logs": (t.log,)}
     options = {"bandwidth": 8.0, "blocks": 4}
     yield "diagnosis.compare", Call(m.compare, {**logs, **options}, slow=True, infinite=True)
+    yield (
+        "diagnosis.check_columns",
+        Call(m.check_columns, {**logs, **options}, slow=True, infinite=True),
+    )
+    yield "diagnosis.corrected", Call(m.corrected, {"log": t.log, "findings": ()})
     sought = {"extra": (), "criteria": m.Criteria()}
     yield (
         "diagnosis.diagnose",
@@ -1559,6 +1597,33 @@ def _diagnosis(t):
             slow=True,
             infinite=True,
             allows={"most": ("beyond floats", "beyond machine integers")},
+        ),
+    )
+    command = t.log.position + 0.01 * np.sin(5.0 * t.log.time)[:, None]
+    told = replace(t.log, effort=np.full_like(t.log.effort, np.nan), command=command)
+    yield (
+        "rollout.command_rollout",
+        Call(
+            geodrake.control.rollout.command_rollout,
+            {
+                "model": t.model,
+                "logs": (told,),
+                "horizon": 0.2,
+                "most": 2,
+                "bandwidth": 8.0,
+                "progress": lambda *_: None,
+            },
+            slow=True,
+            infinite=True,
+            allows={"most": ("beyond floats", "beyond machine integers")},
+        ),
+    )
+    yield (
+        "rollout.commanded_motions",
+        Call(
+            geodrake.control.rollout.commanded_motions,
+            {"model": t.model, "after": t.model, "logs": (t.log,)},
+            slow=True,
         ),
     )
 

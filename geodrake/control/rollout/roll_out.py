@@ -15,6 +15,8 @@ from geodrake.control.rollout.driven_simulation import DrivenSimulation
 from geodrake.control.rollout.passages import moving_passages
 from geodrake.control.rollout.results import JointDeparture, Rollout, Window
 from geodrake.control.rollout.simulation import Simulation, allowed_steps
+from geodrake.effects import Role
+from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.reduce import peak_speeds
@@ -193,7 +195,8 @@ def _unheard(case: Case) -> list[str]:
     late = [model.joints[j] for j in np.flatnonzero(model.delays * told)]
     if not late:
         return []
-    return [f"effort_delay of {', '.join(late)} does not count: servos make these efforts at once"]
+    name = effect_of(Role.DELAY).name
+    return [f"{name} of {', '.join(late)} does not count: servos make these efforts at once"]
 
 
 def _check(horizon: float, most: int, progress: Progress | None) -> None:
