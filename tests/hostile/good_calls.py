@@ -938,6 +938,17 @@ def _systems(t):
                 "current_limit": 20.0,
             },
             infinite=True,
+            allows=dict.fromkeys(
+                (
+                    "resistance",
+                    "gear_ratio",
+                    "back_emf_constant",
+                    "inductance",
+                    "voltage_limit",
+                    "current_limit",
+                ),
+                ("two numbers",),
+            ),
         ),
     )
     some = [(effects.ViscousFriction("shoulder"), [0.3])]
@@ -1599,7 +1610,8 @@ def _diagnosis(t):
             allows={"most": ("beyond floats", "beyond machine integers")},
         ),
     )
-    command = t.log.position + 0.01 * np.sin(5.0 * t.log.time)[:, None]
+    still = np.gradient(t.log.position, t.log.time, axis=0)
+    command = t.log.position + 0.05 * still + 0.01 * t.log.effort
     told = replace(t.log, effort=np.full_like(t.log.effort, np.nan), command=command)
     yield (
         "rollout.command_rollout",

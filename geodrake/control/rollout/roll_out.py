@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.boundary.arguments import function, integer, real_array
+from geodrake.boundary.arguments import function, instance, integer, real_array
 from geodrake.control.rollout.acting import LoggedEffort, ServoedCommand, told_joints
 from geodrake.control.rollout.driven_simulation import DrivenSimulation
 from geodrake.control.rollout.passages import moving_passages
@@ -19,6 +19,7 @@ from geodrake.effects import Role
 from geodrake.effects.lookup import effect_of
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import Case, open_case
+from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
 from geodrake.model.carried_payloads import carrying
@@ -125,7 +126,8 @@ def commanded_motions(
     Returns:
         Rollouts of both models, with the same servos; None if they have none.
     """
-    if not any(servos_of(after)):
+    logs = checked_logs(model, logs, (), None, None)
+    if not any(servos_of(instance(after, "after", RobotModel))):
         return None
     before = replace(model, effort_signals=after.effort_signals)
     motions = [command_rollout(each, logs, most=_COMPARED) for each in (before, after)]

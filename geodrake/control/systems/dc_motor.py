@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.systems.framework import Context, ContinuousState, LeafSystem
 
-from geodrake.boundary.arguments import one_or_each, real_array
+from geodrake.boundary.arguments import one_or_each
 from geodrake.control.motors import (
     MotorConstants,
     current_rate,
     motor_torque,
     steady_current,
 )
-from geodrake.control.systems.joint_system import JointSystem
+from geodrake.control.systems.joint_system import JointSystem, count_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.formulas.evaluation import Scalars
@@ -218,7 +218,7 @@ class DcMotor(_DcMotor, LeafSystem):
         current_limit: ArrayLike = np.inf,
         converter: Any = None,
     ) -> None:
-        count = len(real_array(np.atleast_1d(torque_constant), "torque_constant", ("n",)))
+        count = count_of(torque_constant, "torque_constant")
         given = {
             "torque_constant": torque_constant,
             "back_emf_constant": torque_constant

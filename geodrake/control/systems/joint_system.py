@@ -6,12 +6,28 @@ from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context
 
+from geodrake.boundary.arguments import real_array
 from geodrake.model.formulas.evaluation import Scalars, evaluated
 from geodrake.model.formulas.symbols import Symbols
 from geodrake.model.simulation.scalar_system import ScalarSystem
+
+
+def count_of(value: ArrayLike, name: str) -> int:
+    """How many joints there are, by numbers (n,) or the one number of the only joint.
+
+    Args:
+        value: What the caller passed.
+        name: What messages call it.
+
+    Raises:
+        ArgumentError: It is no such array.
+    """
+    numbers = real_array(value, name)
+    return len(numbers) if numbers.ndim == 1 else len(real_array([value], name, ("n",)))
 
 
 class JointSystem(ScalarSystem):

@@ -15,9 +15,9 @@ from pydrake.systems.framework import (
     OutputPort,
 )
 
-from geodrake.boundary.arguments import instance, one_or_each, real_array
+from geodrake.boundary.arguments import instance, one_or_each
 from geodrake.control.motors import ServoError, ServoGains, integral_rate, servo_effort
-from geodrake.control.systems.joint_system import JointSystem
+from geodrake.control.systems.joint_system import JointSystem, count_of
 from geodrake.errors import ArgumentError
 from geodrake.inertia import Array
 from geodrake.model.formulas.evaluation import Scalars
@@ -179,7 +179,7 @@ class PositionServo(_PositionServo, LeafSystem):
         dead_band: ArrayLike = 0.0,
         converter: Any = None,
     ) -> None:
-        count = len(real_array(np.atleast_1d(np.asarray(kp)), "kp", ("n",)))
+        count = count_of(kp, "kp")
         given = dict(zip(_GAINS, (kp, kd, ki, limit, dead_band), strict=True))
         gains = {name: _checked(name, value, count) for name, value in given.items()}
         self._declare(gains, bool(gains["ki"].any()), converter)

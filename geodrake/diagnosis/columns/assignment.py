@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,8 @@ class Assignment:
         """
         values = np.array(getattr(self, quantity))
         values[slice(None) if joint is None else joint] *= factor
-        return replace(self, **{quantity: values})
+        changed: dict[str, Any] = {quantity: values}
+        return replace(self, **changed)
 
     def moved(self, joint: int, by: float) -> Assignment:
         """With another zero of a joint's position.
