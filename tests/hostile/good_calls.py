@@ -1636,6 +1636,7 @@ def _diagnosis(t):
             geodrake.control.rollout.commanded_motions,
             {"model": t.model, "after": t.model, "logs": (t.log,)},
             slow=True,
+            allows={"logs": ("a text",)},  # files are read where there are servos
         ),
     )
 
