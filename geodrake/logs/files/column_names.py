@@ -76,7 +76,12 @@ class Columns:
         return {joint: kind for joint, kind in found.items() if kind != "effort"}
 
     def has(self, joint: str, quantity: str) -> bool:
-        """Whether there is a column of a quantity of a joint."""
+        """Whether there is a column of a quantity of a joint.
+
+        Args:
+            joint: The joint.
+            quantity: The quantity of a log.
+        """
         return f"{joint}.{quantity}" in self.sources
 
     @property
