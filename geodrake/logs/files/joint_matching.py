@@ -42,7 +42,8 @@ def matched(
             for meaning in style:
                 if meaning.number is not None and meaning.column in names:
                     ordered[meaning.number].add(names[meaning.column])
-            spans.append(f"{style[0].column} … {style[-1].column}")
+            taken = [meaning.column for meaning in style if meaning.column in names]
+            spans.append(f"{taken[0]} … {taken[-1]}")
     if not spans:
         return found, ()
     order = f"in the model's order, from {joints[0]} to {joints[-1]}"
