@@ -365,3 +365,12 @@ def test_messages_stay_good_where_there_is_neither():
         make_uniform(JointLog("x", JOINTS, TIME, Q, nothing))
     with pytest.raises(LogError, match="no effort and no command of shoulder in any"):
         make_uniform(JointLog("x", JOINTS, TIME, Q, nothing, command=nothing))
+
+
+def test_a_proposed_mapping_has_what_stands_for_efforts():
+    columns = frame(p_J=Q, current_J=S)
+    with pytest.raises(LogError) as caught:
+        log_of_frame(columns, joints=JOINTS)
+    proposal = caught.value.evidence["proposal"]
+    assert "    current: current_0\n" in proposal
+    assert "effort:" not in proposal.split("joints:")[1]
