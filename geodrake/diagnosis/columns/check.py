@@ -20,6 +20,7 @@ from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
+_LEAST_EFFORT = 1e-12  # N·m or N, by which efforts that were measured change
 _WORTH_NAMING = 0.05  # probability of a rival
 
 
@@ -51,7 +52,10 @@ def check_columns(
         ArgumentError: There is no log, or a setting is no usable number.
     """
     prepared = prepared_as_measured(model, logs, bandwidth=bandwidth, blocks=blocks)
-    search = ColumnSearch(column_samples(model, *prepared))
+    samples = column_samples(model, *prepared)
+    if not (samples.effort.std(axis=0) > _LEAST_EFFORT).all():
+        return ()  # which whoever fits them says
+    search = ColumnSearch(samples)
     return tuple(
         _finding(model, search, found) for found in search.found() if found.best.mistake.kind
     )

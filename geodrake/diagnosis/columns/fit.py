@@ -451,7 +451,7 @@ class _System:
 def _metric(phi: Array) -> Array:
     """(b, 10, 10) matrices ½ tr(P⁻¹ P(e_i) P⁻¹ P(e_j)) of bodies that are some."""
     solved = np.linalg.inv(calc_pseudo_inertia(phi))[:, None] @ BASIS
-    flat = solved.reshape(len(phi), PARAMETERS_PER_BODY, -1)
+    flat = solved.reshape(len(phi), PARAMETERS_PER_BODY, 16)
     turned = np.swapaxes(solved, 2, 3).reshape(flat.shape)
     return np.asarray(0.5 * flat @ np.swapaxes(turned, 1, 2))
 
