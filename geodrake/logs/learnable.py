@@ -14,7 +14,7 @@ _STILL = 2e-3  # rad or m, by which a joint may move and still stand
 _SAME = 1e-6  # of what a joint moves, by which a copy of its positions may differ: it is rounded
 _LATEST = 3  # rows by which a copy may be late
 _WINDOW, _MOVING = 0.05, 0.1  # s, and the share of the largest way in them of a joint that moves
-_FULL, _MOST = 1.0 - 1e-6, 0.5  # of the largest effort, and the share of rows that may be at it
+_FULL, _MOST = 1.0 - 1e-6, 0.9  # of the largest effort, and the share of rows that may be at it
 _STEPS = 8  # of resolution that a largest value has at least, where it is none of rounding
 
 
@@ -63,7 +63,7 @@ def check_saturation(log: JointLog) -> None:
         log: A log.
 
     Raises:
-        LogError: What was measured of a joint is, in more than half of the rows in which it moves.
+        LogError: What was measured of a joint is, in nine of ten rows in which it moves.
     """
     for at, joint in enumerate(log.joints):
         effort = log.effort[_moving(log, at), at]
