@@ -74,7 +74,12 @@ def model_of(joints, prismatic=()):
     """As much of a RobotModel as reports look at: its joints' kinds, effects, and no bodies."""
     tree = SimpleNamespace(mobilizers=())
     return SimpleNamespace(
-        sliding_joints=tuple(prismatic), joints=joints, effects=(), tree=tree, joint_tree=tree
+        effort_signals=(),
+        sliding_joints=tuple(prismatic),
+        joints=joints,
+        effects=(),
+        tree=tree,
+        joint_tree=tree,
     )
 
 
