@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 from rich.console import Console
@@ -14,6 +15,7 @@ from geodrake.control.rollout import Rollout, commanded_motions
 from geodrake.diagnosis.drafting import Correlate, rest_correlates
 from geodrake.diagnosis.explain import investigate
 from geodrake.diagnosis.results import Explanation
+from geodrake.errors import LogError, ModelError
 from geodrake.identification.logs.case import open_case
 from geodrake.model.robot_model import RobotModel
 from geodrake.report.json_output import correlates_list, explanation_dict, motions_dict
@@ -75,7 +77,9 @@ def _explained(given: Input) -> _Explained:
     explanation = found.explanation
     if explanation.is_interrupted:
         return _Explained(explanation, ())
-    motions = commanded_motions(given.model, explanation.model, given.logs)
+    motions = None
+    with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
+        motions = commanded_motions(given.model, explanation.model, given.logs)
     if explanation.verdict != "unexplained":
         return _Explained(explanation, (), motions)
     given.progress("Looking what the rest goes with")

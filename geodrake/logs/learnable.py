@@ -66,6 +66,8 @@ def check_saturation(log: JointLog) -> None:
         LogError: What was measured of a joint is, in nine of ten rows in which it moves.
     """
     for at, joint in enumerate(log.joints):
+        if log.effort_kinds.get(joint, "effort") not in ("effort", "current"):
+            continue  # voltages may be switched
         effort = log.effort[_moving(log, at), at]
         effort = effort[np.isfinite(effort)]
         if not len(effort) or np.ptp(effort) == 0.0:

@@ -13,7 +13,7 @@ from geodrake.logs.motion import EFFORT_KINDS
 COMMAND = "command"
 """The kind of a joint of which only the position that its servo was told to go to is known."""
 
-KINDS = (*EFFORT_KINDS, COMMAND)
+KINDS = (*(kind for kind in EFFORT_KINDS if kind != "effort"), COMMAND)
 
 
 @dataclass(frozen=True)
@@ -28,11 +28,11 @@ class EffortSignal:
 
     Attributes:
         joint: The joint.
-        kind: "current", "voltage", "pwm", "command", or "effort" of another gain than one.
+        kind: "current", "voltage", "pwm" or "command".
         gain: N·m (N) per A, V or 1; for commands the stiffness, N·m/rad (N/m).
         deviation: Standard deviation of the gain, in its unit; 0 if it is known exactly.
         damping: Of a servo, N·m·s/rad (N·s/m).
-        damping_deviation: Its standard deviation.
+        damping_deviation: Its standard deviation, beside that of the gain.
         delay: How late the command acts, s.
         limit: Largest effort, N·m or N.
 

@@ -24,7 +24,7 @@ def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
         signals: What makes efforts of it.
     """
     effort, uncertainty = log.effort.copy(), log.gain_deviations.copy()
-    kinds, notes = dict(log.effort_kinds), list(log.notes)
+    kinds = dict(log.effort_kinds)
     for at, joint in enumerate(log.joints):
         signal = signal_of(signals, joint)
         if signal is None or signal.kind != kind_of(log, joint):
@@ -40,7 +40,6 @@ def in_efforts(log: JointLog, signals: Sequence[EffortSignal]) -> JointLog:
         effort=effort,
         effort_uncertainty=uncertainty,
         effort_kinds=kinds,
-        notes=tuple(notes),
     )
 
 
@@ -66,26 +65,41 @@ def servo_effort(log: JointLog, at: int, signal: EffortSignal) -> Array:
         at: Which of its joints.
         signal: Its gains.
     """
-    command = delayed_command(log, at, signal.delay)
+    command, rate = delayed_command(log, at, signal.delay)
     effort = signal.gain * (command - log.position[:, at])
     if signal.damping:
-        velocity = np.gradient(log.position[:, at], log.time)
-        if log.velocity is not None:
-            measured = log.velocity[:, at]
-            velocity = np.where(np.isfinite(measured), measured, velocity)
-        effort += signal.damping * (np.gradient(command, log.time) - velocity)
+        effort += signal.damping * (rate - _velocity(log, at))
     return np.clip(effort, -signal.limit, signal.limit)
 
 
-def delayed_command(log: JointLog, at: int, delay: float) -> Array:
-    """(N,) the command of a joint as it was some time before, NaN where there was none.
+def delayed_command(log: JointLog, at: int, delay: float) -> tuple[Array, Array]:
+    """(N,) the command of a joint as it was some time before, and its rate.
+
+    NaN where there was none.
 
     Args:
         log: A log with commands.
         at: Which of its joints.
         delay: How long before, s.
     """
-    column = np.empty(0) if log.command is None else log.command[:, at]
+    column = np.full(len(log), np.nan) if log.command is None else log.command[:, at]
     known = np.isfinite(column) & np.isfinite(log.time)
-    moved = np.interp(log.time - delay, log.time[known], column[known])
-    return np.where(np.isfinite(column), moved, np.nan)
+    if np.count_nonzero(known) < 2:
+        nothing = np.full(len(log), np.nan)
+        return nothing, nothing
+    late, told = log.time[known] + delay, column[known]
+    there = np.where(np.isfinite(column), 0.0, np.nan)
+    rate = np.interp(log.time, late, np.gradient(told, late))
+    return np.interp(log.time, late, told) + there, rate + there
+
+
+def _velocity(log: JointLog, at: int) -> Array:
+    """(N,) velocity of a joint, from its positions where it was not measured."""
+    position = log.position[:, at]
+    known = np.isfinite(position) & np.isfinite(log.time)
+    derived = np.full(len(log), np.nan)
+    if np.count_nonzero(known) > 1:
+        derived[known] = np.gradient(position[known], log.time[known])
+    if log.velocity is None:
+        return derived
+    return np.where(np.isfinite(log.velocity[:, at]), log.velocity[:, at], derived)

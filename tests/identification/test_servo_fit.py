@@ -111,11 +111,11 @@ def test_simulation_is_that_of_the_equation():
     def rates(t, state):
         x, v = state
         c, rate = told(t - late), 3.0 * np.cos(3.0 * (t - late))
-        force = kp * (c - x) + kr * rate - d * v - b - K * x - D * v
+        force = kp * (c - x) + kr * (rate - v) - d * v - b - K * x - D * v
         return [v, force / (M + armature)]
 
     exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-9, atol=1e-10)
-    motions = JointMotions((rows,), (exact.y[0],), period)
+    motions = JointMotions((rows,), (exact.y[0],), (period,))
     residual = motions.residual(np.array([kp, kr, d, 0.0, armature, late]))
     after = time > 2.0  # before the log there was no command
     assert np.abs(residual[after]).max() < 2e-3 * np.abs(exact.y[0]).max()
@@ -125,17 +125,17 @@ def test_a_joint_sticks_until_friction_is_overcome():
     rows = np.zeros((400, 8))
     rows[:, 1] = 1.0
     rows[:, 7] = 0.01 * np.arange(400) / 400
-    motions = JointMotions((rows,), (np.zeros(400),), 0.005)
+    motions = JointMotions((rows,), (np.zeros(400),), (0.005,))
     (x,) = motions.simulated(np.array([100.0, 0.0, 20.0, 0.5, 0.0, 0.0]))
     assert not x[:199].any()
     assert x[-1] == pytest.approx(0.01 - 0.005, abs=2e-3)
 
 
 def test_it_finds_what_mujoco_has(motions):
-    fit = fit_servo(motions, 50.0)
+    fit = fit_servo(motions, EffortSignal("hinge", "command", 50.0))
     kp, rate, damping, coulomb, armature, late = fit.parameters
     assert kp == pytest.approx(TRUTH[0], rel=0.01)
-    assert damping == pytest.approx(TRUTH[2], rel=0.05)
+    assert damping + rate == pytest.approx(TRUTH[2], rel=0.05)
     assert coulomb == pytest.approx(TRUTH[3], rel=0.05)
     assert armature == pytest.approx(TRUTH[4], rel=0.25)
     assert late - rate / kp == pytest.approx(LATE, abs=0.002)
@@ -148,8 +148,8 @@ def test_it_is_never_worse_than_where_it_began(motions):
     wild = tuple(
         q + np.cumsum(np.random.default_rng(0).normal(size=len(q))) for q in motions.positions
     )
-    parts = JointMotions(motions.rows, wild, motions.period)
-    fit = fit_servo(parts, 50.0)
+    parts = JointMotions(motions.rows, wild, motions.periods)
+    fit = fit_servo(parts, EffortSignal("hinge", "command", 50.0))
     if fit is not None:
         begun = np.sqrt(np.mean(parts.residual(fit.parameters) ** 2))
         assert fit.error == pytest.approx(begun) and fit.error < fit.start

@@ -129,9 +129,15 @@ def commanded_motions(
     logs = checked_logs(model, logs, (), None, None)
     if not any(servos_of(instance(after, "after", RobotModel))):
         return None
-    before = replace(model, effort_signals=after.effort_signals)
-    motions = [command_rollout(each, logs, most=_COMPARED) for each in (before, after)]
-    return motions[0], motions[1]
+    case = open_case(after, logs, candidates=False)
+    if not any(told_joints(case.model, log).any() for log in case.asked.logs):
+        return None
+    same = replace(model, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
+    before = open_case(same, logs, candidates=False)
+    return (
+        case_rollout(before, most=_COMPARED, commands=True),
+        case_rollout(case, most=_COMPARED, commands=True),
+    )
 
 
 def case_rollout(
@@ -179,10 +185,10 @@ def case_rollout(
         return Simulation(loaded, width, log, acting, fastest=fastest, steps=steps)
 
     windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
-    for count, passage in enumerate(passages[k] for k in chosen):
+    for done, passage in enumerate(passages[k] for k in chosen):
         log, segment = passage.log, passage.segment
         if progress is not None:
-            progress(f"{log} {segment.time[0]:.1f} s", count / len(chosen))
+            progress(f"{log} {segment.time[0]:.1f} s", done / len(chosen))
         simulated = simulation(log).positions(passage)
         windows.append(Window(log, segment.time, segment.position, simulated))
         notes |= dict.fromkeys(simulation(log).notes)

@@ -416,6 +416,7 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
 
 
 def _check_efforts(logs: Sequence[JointLog]) -> None:
+    check_repeated(logs)  # also those whose efforts were not there
     for log in logs:
         _check_effort(log)
 

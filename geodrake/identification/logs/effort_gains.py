@@ -90,7 +90,7 @@ def signal_gains(
         kinds: Kinds (nv,) of the signals; all alike if empty.
     """
     bodies = _GeodesicBodies.of(model)
-    a = np.array([each.least_squares_gain(model.phi.ravel()) for each in rows])
+    a = np.array([each.least_squares_gain(model.total_phi.ravel()) for each in rows])
     a = np.where(np.isfinite(known), 1.0, a)
     told = _told(known, kinds or ("",) * len(rows))
     worth = _FIRST_SHARE * np.array([each.samples for each in rows])
@@ -247,13 +247,16 @@ class _GeodesicBodies:
     @classmethod
     def of(cls, model: RobotModel) -> _GeodesicBodies:
         """Bodies about those of a model, as well known as it says."""
-        factors = np.asarray(np.linalg.cholesky(pseudo_inertia(model.phi)), float)
+        factors = np.asarray(np.linalg.cholesky(pseudo_inertia(model.total_phi)), float)
         d = model.phi.size
         free = cls(factors, np.eye(d) / SPREAD**2)
         slope = free.at(np.zeros(d))[1]
         if model.information is not None:
-            return replace(free, information=slope.T @ model.information[:d, :d] @ slope)
-        total = slope[::PARAMETERS_PER_BODY].sum(axis=0) / model.phi[:, 0].sum()
+            whole = model.information
+            others = np.linalg.pinv(whole[d:, d:], hermitian=True)  # which are free here
+            known = whole[:d, :d] - whole[:d, d:] @ others @ whole[d:, :d]
+            return replace(free, information=slope.T @ known @ slope)
+        total = slope[::PARAMETERS_PER_BODY].sum(axis=0) / model.total_phi[:, 0].sum()
         told = np.outer(total, total) / _TOTAL_MASS**2
         return replace(free, information=free.information + told)
 

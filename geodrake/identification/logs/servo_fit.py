@@ -9,7 +9,7 @@ move as they were measured to. Near the measured motion the bodies' effort is li
 
 with slopes of the recursion, and the joint's motion x follows from
 
-    … + I ẍ + d ẋ + F sgn ẋ = kp (c(t − δ) − x) + kr dc/dt(t − δ).
+    … + I ẍ + d ẋ + F sgn ẋ = kp (c(t − δ) − x) + kr (dc/dt(t − δ) − ẋ).
 
 Its six parameters are those of least squares of x − q, by SciPy, from a linear fit on. They count
 only if windows of the log that the fit did not see are predicted better than from where it began.
@@ -28,6 +28,7 @@ from geodrake.compiling import compiled, contiguous
 from geodrake.identification.logs.criteria import PENALTY, WORTH
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.effort_slopes import effort_slopes
 from geodrake.robot.regressor import inverse_dynamics
@@ -44,6 +45,7 @@ LONGEST_DELAY = 0.06
 _STEP = 2.5e-4  # s, of the simulation, at most
 _WINDOWS = 8  # of a log, of which every other one is left out for a test
 _MOST_EVALUATIONS = 60
+_INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
 _RATE = 1  # which parameter is that of the command's rate
 _FREE = np.arange(len(PARAMETERS)) != _RATE
 _TRIED_DELAYS = (0.0, 0.01, 0.03)  # s, that searches begin from
@@ -75,22 +77,22 @@ class JointMotions:
     Attributes:
         rows: Per stretch (N, 8) b, M, K, D, and smooth q, q̇, q̈, and the command.
         positions: Per stretch (N,) positions as logged, rad or m.
-        period: Time between rows, s.
+        periods: Per stretch the time between rows, s.
     """
 
     rows: tuple[Array, ...]
     positions: tuple[Array, ...]
-    period: float
+    periods: tuple[float, ...]
 
     def simulated(self, parameters: Array) -> list[Array]:
         """Per stretch (N,) positions under the commands, rad or m."""
         found = []
-        steps = max(1, int(np.ceil(self.period / _STEP)))
         kp, kr, d, F, armature, delay = parameters.tolist()
         servo: Servo = (kp, kr, d, F, armature, delay)
-        for rows in self.rows:
+        for rows, period in zip(self.rows, self.periods, strict=True):
+            steps = max(1, int(np.ceil(period / _STEP)))
             x = np.empty(len(rows))
-            calc_servo_motion(rows, self.period, steps, servo, x)
+            calc_servo_motion(rows, period, steps, servo, x)
             found.append(x)
         return found
 
@@ -117,7 +119,7 @@ def motions_of(
         trajectories: The same, prepared.
         joint: Index of the joint.
     """
-    rows, positions, period = [], [], trajectories[0].filter.period
+    rows, positions, periods = [], [], []
     for log, trajectory in zip(logs, trajectories, strict=True):
         known = np.isfinite(log.time) & np.isfinite(log.position[:, joint])
         command = np.full(len(log.time), np.nan) if log.command is None else log.command[:, joint]
@@ -140,24 +142,25 @@ def motions_of(
             )
             rows.append(contiguous(np.stack(columns, 1)))
             positions.append(np.interp(segment.time, log.time[known], log.position[known, joint]))
-            period = segment.period
-    return JointMotions(tuple(rows), tuple(positions), period)
+            periods.append(segment.period)
+    return JointMotions(tuple(rows), tuple(positions), tuple(periods))
 
 
-def fit_servo(motions: JointMotions, stiffness: float) -> ServoFit | None:
+def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
     """The servo that moves a joint as it was measured to.
 
     Args:
         motions: The joint.
-        stiffness: About what kp is, by which a search begins.
+        signal: The servo by a linear fit, at which the search begins.
 
     Returns:
         The servo; None if windows that the fit did not see are predicted no better than from where
         it began.
     """
-    rows = np.concatenate(motions.rows)
+    rows, stiffness = np.concatenate(motions.rows), signal.gain
     friction, inertia = 0.1 * np.std(rows[:, 0]), 0.2 * np.mean(rows[:, 1])
-    start = np.array([stiffness, 0.0, 0.05 * stiffness, friction, inertia, 0.0])
+    damping = 0.05 * stiffness
+    start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
     scale = np.maximum(start, [0.0, 0.02 * stiffness, 0.0, 1e-3, 1e-4, 0.01])
     tested, every = motions.tested, np.ones(len(rows), bool)
     half = _best(motions, _starts(start), scale, ~tested)
@@ -187,9 +190,7 @@ def _starts(start: Array) -> list[Array]:
     begins = []
     for delay in _TRIED_DELAYS:
         begin = start.copy()
-        begin[-1] = delay
-        if delay == 0.0:
-            begin[_RATE] = 0.5 * start[2]
+        begin[_RATE], begin[-1] = 0.0 if delay else 0.5 * start[2], delay
         begins.append(begin)
     return [start, *begins]
 
@@ -227,7 +228,7 @@ def _best(
 
         fit = least_squares(
             residual,
-            np.clip(start / scale, 1e-9, upper - 1e-9)[free],
+            np.clip(start / scale, _INSIDE, upper - _INSIDE)[free],
             bounds=(0.0, upper[free]),
             max_nfev=_MOST_EVALUATIONS,
             diff_step=1e-4,
@@ -244,7 +245,9 @@ def _deviations(motions: JointMotions, best: Array, scale: Array) -> Array:
     """
     residual, size = motions.residual(best), 1e-3 * np.maximum(best, scale)
     J = np.stack([motions.residual(best + step) - residual for step in np.diag(size)], 1)
-    covariance = np.linalg.pinv(J.T @ J, hermitian=True) * (residual @ residual) / WORTH
+    noise = residual @ residual / WORTH
+    # What the motion does not show is known to its own size.
+    covariance = np.linalg.inv(J.T @ J / noise + np.diag((size / np.maximum(best, scale)) ** 2))
     return np.asarray(size * np.sqrt(np.diag(covariance)))
 
 
@@ -282,7 +285,7 @@ def calc_servo_motion(rows: Array, period: float, steps: int, servo: Servo, out:
                 c = (1.0 - g) * rows[low, 7] + g * rows[min(low + 1, count - 1), 7]
             pull = kp * (c - x) + kr * (c - before) / dt - b - K * (x - q) + D * qd + M * qdd
             pull += (M + armature) * v / dt
-            stiff = (M + armature) / dt + (K + kp) * dt + D + d
+            stiff = (M + armature) / dt + (K + kp) * dt + D + d + kr
             if pull > F:
                 v = (pull - F) / stiff
             elif pull < -F:

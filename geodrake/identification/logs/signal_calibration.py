@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from geodrake.effects import Role
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
 from geodrake.identification.logs.command_columns import CommandColumn, Commands
@@ -19,6 +20,7 @@ from geodrake.identification.logs.effort_gains import (
     effects_beside_gains,
     signal_gains,
 )
+from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import fit_servo, motions_of
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
@@ -35,6 +37,7 @@ LONGEST_DELAY = 0.06
 """Commands are tried up to so late, s."""
 
 _SHARP = 20.0  # Hz
+_ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains with that
 _DELAYS = 16  # that are tried
 _USUAL_DELAY = 0.01  # s, mean of how late servos are
 
@@ -62,6 +65,8 @@ def with_efforts(
     kinds = _kinds(model, logs)
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
+    logs = [in_efforts(log, model.effort_signals) for log in logs]
+    kinds = _kinds(model, logs)
     unknown = [
         joint
         for joint, kind in zip(model.joints, kinds, strict=True)
@@ -69,11 +74,23 @@ def with_efforts(
     ]
     notes: list[str] = []
     if unknown:
+        _check_payloads(logs)
         found = calibrated(model, logs, kinds)
         signals = (*model.effort_signals, *(s for s in found if s.joint in unknown))
         model = replace(model, effort_signals=signals)
         notes = [gain_words(model, [s for s in found if s.joint in unknown])]
     return model, [in_efforts(log, model.effort_signals) for log in logs], notes
+
+
+def _check_payloads(logs: Sequence[JointLog]) -> None:
+    """Refuse known payloads beside unknown gains: their effort is in N·m, and the logs' is not."""
+    for log in logs:
+        if log.payloads:
+            raise LogError(
+                f"Log {log.name!r} has a known payload, and gains that are not known.",
+                advice="Give the gains (--gain JOINT=VALUE), or find them by a log without payload "
+                "and save the model.",
+            )
 
 
 def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
@@ -97,7 +114,6 @@ def calibrated(
     model: RobotModel,
     logs: Sequence[JointLog],
     kinds: Sequence[str],
-    effects: Sequence[Effect] = (),
 ) -> tuple[EffortSignal, ...]:
     """What makes efforts of the signals of all joints whose efforts were not measured.
 
@@ -105,24 +121,28 @@ def calibrated(
         model: The model.
         logs: Logs, joints in the model's order.
         kinds: (nv,) what stands for the efforts of each joint.
-        effects: What joints have beside what any has.
+
+    Raises:
+        LogError: A servo pushes away from where it is told to go.
     """
     known = signals_as_efforts(logs, kinds)
     trajectories = prepare_logs(known)
-    told = _commands(model, logs, kinds, trajectories)
-    beside = tuple(dict.fromkeys((*effects_beside_gains(model), *effects)))
+    told = _commands(model, logs, kinds)
+    own = [effect for effect in effects_of(model) if effect.role is not Role.BODY]
+    beside = tuple(dict.fromkeys((*effects_beside_gains(model), *own)))
     columns = [column for each in told.values() for column in each.columns]
     folds = validation_blocks(trajectories)
     dataset = reduce_logs(model, trajectories, folds, effects=(*beside, *columns))
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
     prior = np.where([kind == "effort" for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
     choice = _Choice(dataset, model.phi.size, beside, told)
-    rows, gains = choice.rows(model.phi.ravel()), None
-    for _ in range(2 if told else 1):
-        gains = signal_gains(rows, model, prior, kinds)
+    alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
+    rows = choice.rows()
+    gains = signal_gains(rows, model, prior, alike)
+    for _ in range(_ROUNDS if told else 0):
         choice = choice.at(gains)
-        rows = choice.rows(gains.phi.ravel())
-    gains = signal_gains(rows, model, prior, kinds)
+        rows = choice.rows()
+        gains = signal_gains(rows, model, prior, alike)
     found = [
         choice.signal(model.joints[j], kind, j, rows[j], gains)
         for j, kind in enumerate(kinds)
@@ -130,7 +150,7 @@ def calibrated(
     ]
     if not told:
         return tuple(found)
-    bodies = replace(model, phi=gains.phi)
+    bodies = replace(model, phi=gains.phi, effects=())
     bandwidth = trajectories[0].bandwidths[0]
     sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
     return tuple(
@@ -153,7 +173,7 @@ def _by_motion(
 ) -> EffortSignal:
     """The servo of a joint by how it moves, if that is predicted better for it."""
     joint = model.joints.index(signal.joint)
-    fit = fit_servo(motions_of(model, logs, trajectories, joint), signal.gain)
+    fit = fit_servo(motions_of(model, logs, trajectories, joint), signal)
     if fit is None:
         return signal
     share = np.hypot(signal.uncertainty, fit.deviations[0] / fit.parameters[0])
@@ -164,7 +184,7 @@ def _by_motion(
         gain=gain,
         deviation=float(share * gain),
         damping=rate,
-        damping_deviation=float(np.hypot(signal.uncertainty * rate, spread)),
+        damping_deviation=float(spread),
         delay=delay,
     )
 
@@ -234,10 +254,7 @@ class _Told:
 
 
 def _commands(
-    model: RobotModel,
-    logs: Sequence[JointLog],
-    kinds: Sequence[str],
-    trajectories: Sequence[Trajectory],
+    model: RobotModel, logs: Sequence[JointLog], kinds: Sequence[str]
 ) -> dict[int, _Told]:
     """Columns of commands, by joint."""
     delays = np.linspace(0.0, LONGEST_DELAY, _DELAYS).tolist()
@@ -263,8 +280,7 @@ class _Choice:
         d: Number of inertial parameters.
         beside: Effects that are free.
         told: Columns of commands, by joint.
-        worth: (nv,) independent samples of residuals.
-        delay: Index of the delay, as chosen; None where it is still open.
+        delay: Index of the delay.
         rate: Whether the rate counts.
     """
 
@@ -272,14 +288,11 @@ class _Choice:
     d: int
     beside: tuple[Effect, ...]
     told: dict[int, _Told]
-    gains: SignalGains | None = None
     delay: int = 0
     rate: bool = False
 
     def at(self, gains: SignalGains) -> _Choice:
         """The likeliest choice with these bodies and gains."""
-        if not self.told:
-            return replace(self, gains=gains)
         phi = gains.phi.ravel()
         costs = {}
         for rate in (False, True):
@@ -291,7 +304,7 @@ class _Choice:
                     for j in self.told
                 )
         delay, rate = min(costs, key=costs.__getitem__)
-        return replace(self, delay=delay, rate=rate, gains=gains)
+        return replace(self, delay=delay, rate=rate)
 
     def joint(self, j: int) -> SignalRows:
         """The rows of a joint."""
@@ -301,7 +314,7 @@ class _Choice:
             free += [self.told[j].rates[self.delay]] if self.rate else []
         return SignalRows.of(self.dataset, j, self.d, free, added)
 
-    def rows(self, phi: Array) -> list[SignalRows]:
+    def rows(self) -> list[SignalRows]:
         """The rows of all joints."""
         return [self.joint(j) for j in range(len(self.dataset.joints))]
 
@@ -312,6 +325,13 @@ class _Choice:
         gain, deviation = float(gains.gains[j]), float(gains.deviations[j] * abs(gains.gains[j]))
         if kind != COMMAND:
             return EffortSignal(joint, kind, gain, deviation)
+        if gain < 0.0:
+            raise LogError(
+                f"The servo of {joint} pushes away from its command, with {gain:.3g} ± "
+                f"{deviation:.2g} N·m/rad.",
+                advice="Has its command or its position the wrong sign, or is it of another joint?",
+                joint=joint,
+            )
         damping = spread = 0.0
         if self.rate:
             shares, deviations = rows.free_parameters(1.0 / gain, gains.phi.ravel(), gains.worth[j])
