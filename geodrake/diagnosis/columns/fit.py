@@ -191,9 +191,7 @@ class ColumnJudge:
         """
         designs = self.designs(base.assignment)
         A, H = _System.of(self, designs, base.assignment, ()).curvature(base)
-        both = [
-            np.linalg.slogdet(np.linalg.inv(M)[np.ix_(parameters, parameters)])[1] for M in (H, A)
-        ]
+        both = [_log_volume(M, parameters) for M in (H, A)]
         return float(max(both[0] - both[1], 0.0))
 
     def rate_errors(self, assignment: Assignment) -> Array:
@@ -470,6 +468,17 @@ def _bounded(A: Array, b: Array, lower: Array, held: NDArray[np.bool_]) -> Array
     b = b - A[:, held] @ x[held]
     x[free] = _solved(A[free[:, None], free], b[free])
     return x
+
+
+def _log_volume(A: Array, parameters: NDArray[np.intp]) -> float:
+    """Log determinant of the covariance of some parameters, of all parameters' information A."""
+    scale = 1.0 / np.sqrt(np.maximum(A.diagonal(), 1e-300))
+    scaled = A * scale * scale[:, None]
+    np.fill_diagonal(scaled, 1.0 + _ROUNDING)
+    others = np.setdiff1d(np.arange(len(A)), parameters)
+    without = float(np.linalg.slogdet(scaled[np.ix_(others, others)])[1])
+    whole = float(np.linalg.slogdet(scaled)[1])
+    return without - whole + 2.0 * float(np.log(scale[parameters]).sum())
 
 
 def _solved(A: Array, b: Array) -> Array:
