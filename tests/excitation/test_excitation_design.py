@@ -542,12 +542,12 @@ def test_cost_grows_at_most_linearly():
         y = np.random.default_rng(0).uniform(-0.1, 0.1, problem.scale.size)
         problem.cost(y)
         times = []
-        for _ in range(3):
+        for _ in range(9):
             begin = process_time()
             problem.cost(y)
             times.append(process_time() - begin)
         return min(times)
 
     few = seconds(500, 5)
-    assert seconds(2000, 5) < 1.5 * 4 * few
+    assert seconds(2000, 5) < 2.0 * 4 * few  # a cost that grew with the square would be 16 times
     assert seconds(500, 20) < 4 * few
