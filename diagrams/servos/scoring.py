@@ -126,7 +126,7 @@ def _gains(made: ServoLog, model: RobotModel) -> list[dict[str, Any]]:
         rows.append(_row("kp", signal.joint, signal.gain, signal.deviation, stiffness))
         if made.servos.knows_rate:
             damping = float(made.servos.damping[at])
-            spread = signal.damping_deviation
+            spread = float(np.hypot(signal.damping_deviation, signal.uncertainty * signal.damping))
             rows.append(_row("kd", signal.joint, signal.damping, spread, damping))
     return rows
 
