@@ -68,6 +68,11 @@ class EffortSignal:
             raise ArgumentError(f"The limit of {self.joint!r} is {self.limit!r}; it is positive.")
 
     @property
+    def unit(self) -> str:
+        """Unit of the gain at a joint that turns."""
+        return {"current": "N·m/A", "voltage": "N·m/V", COMMAND: "N·m/rad"}.get(self.kind, "N·m")
+
+    @property
     def uncertainty(self) -> float:
         """Standard deviation of the gain as a share of it."""
         return self.deviation / abs(self.gain)

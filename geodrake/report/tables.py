@@ -254,13 +254,11 @@ def signals_table(signals: Sequence[EffortSignal], units: Units) -> Table:
     """
     rows, served = [], any(signal.kind == COMMAND for signal in signals)
     for signal in signals:
-        force, rate = units.at(signal.joint, "N·m"), units.at(signal.joint, "N·m·s/rad")
-        per = {"current": "/A", "voltage": "/V", "pwm": "", "effort": ""}
-        unit = units.at(signal.joint, "N·m/rad")
-        unit = unit if signal.kind == COMMAND else force + per[signal.kind]
-        row = [signal.joint, signal.kind, with_deviation(signal.gain, signal.deviation), unit]
+        gain = with_deviation(signal.gain, signal.deviation)
+        row = [signal.joint, signal.kind, gain, units.at(signal.joint, signal.unit)]
         if served:
             damping = with_deviation(signal.damping, signal.damping_deviation)
+            rate = units.at(signal.joint, "N·m·s/rad")
             row += [f"{damping} {rate}" if signal.damping else UNKNOWN]
             row += [f"{1e3 * signal.delay:.2g} ms"]
         rows.append(cells(*row))

@@ -177,9 +177,10 @@ class TestWhatItMustShow:
             scoring.score_draw(draws.draw("one", (n,), 0, 0, **{**PLAIN, "shares": (0.12,)}))
             for n in names
         ]
-        assert sum(row["first"] for row in rows) >= len(names) - 1
+        few = len(names) // 8
+        assert sum(row["first"] for row in rows) >= len(names) - few
         assert all(row["in_set"] for row in rows)
-        assert sum(not row["extra"] for row in rows) >= len(names) - 1
+        assert sum(not row["extra"] for row in rows) >= len(names) - few
         assert np.median([row["over_floor"] for row in rows]) < 1.1
 
     @pytest.mark.parametrize(

@@ -92,7 +92,7 @@ def log():
 @pytest.fixture(scope="module")
 def motions(model, log):
     sharp = prepare_logs(signals_as_efforts([log], ["command"]), bandwidth=5.0, motion_bandwidth=20)
-    return motions_of(model, [log], sharp, 0)
+    return motions_of(model, [log], sharp, [0])[0]
 
 
 def test_simulation_is_that_of_the_equation():

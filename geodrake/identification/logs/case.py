@@ -160,7 +160,7 @@ def open_case(
     """
     asked = checked_logs(model, logs, extra, bandwidth, blocks)
     model.positions(np.zeros((0, len(model.joints))))  # logs of floating bases are refused
-    model, matched, signals = with_efforts(model, _matched(model, asked))
+    model, matched, gain_notes = with_efforts(model, _matched(model, asked))
     _check_efforts(matched)
     uniform = [make_uniform(log) for log in matched]
     hints = [hint for each in uniform for hint in _hints(each.log, model.effort_limits)]
@@ -200,7 +200,7 @@ def open_case(
     hints += [
         _filtered_note(trajectory, fitted=fitted or candidates) for trajectory in trajectories
     ]
-    notes = [*model.notes, *signals, *filter(None, hints)]
+    notes = [*model.notes, *gain_notes, *filter(None, hints)]
     notes += [f"{t.name}: {note}" for t in trajectories for note in t.notes]
     notes += [*_still_notes(dataset), f"validated on {len(folds)} held-out folds"]
     notes += _trained_on(model, matched)
@@ -418,10 +418,10 @@ def _filtered_note(trajectory: Trajectory, *, fitted: bool) -> str:
 def _check_efforts(logs: Sequence[JointLog]) -> None:
     check_repeated(logs)  # also those whose efforts were not there
     for log in logs:
-        _check_effort(log)
+        _check_changes(log)
 
 
-def _check_effort(log: JointLog) -> None:
+def _check_changes(log: JointLog) -> None:
     known = np.isfinite(log.effort)
     highest = log.effort.max(axis=0, initial=-np.inf, where=known)
     lowest = log.effort.min(axis=0, initial=np.inf, where=known)

@@ -40,12 +40,8 @@ _SHORTEST = 1e-4  # share of a step that is tried
 _ROUNDS = 3  # fits whose residuals say how many samples are independent
 _FIRST_SHARE = 0.05  # of the samples that are independent in the first one
 _NOTHING = 1e-12  # share of a signal's variance that no noise is below
-_TOTAL_MASS = (
-    0.05  # share to which a model file knows the mass of all bodies, as robots are weighed
-)
-_ALIKE = (
-    1.5  # deviation of log |gain| among signals of one kind: motors differ by some factors of e
-)
+_TOTAL_MASS = 0.05  # share to which a model file knows all bodies together: robots are weighed
+_ALIKE = 1.5  # deviation of log |gain| among signals of one kind, as motors differ
 _CLEARLY = 3.0  # deviations of a negative gain that is taken for one
 
 

@@ -28,6 +28,7 @@ from geodrake.compiling import compiled, contiguous
 from geodrake.identification.logs.criteria import PENALTY, WORTH
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.logs.motion import JointLog, Trajectory
+from geodrake.logs.smoothing import Segment
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.effort_slopes import effort_slopes
@@ -37,7 +38,10 @@ Array = NDArray[np.float64]
 Servo = tuple[float, float, float, float, float, float]
 
 PARAMETERS = ("stiffness", "rate", "damping", "coulomb", "armature", "delay")
-"""kp, kr, d, F, I and δ, of joints that turn in N·m/rad, N·m·s/rad, N·m, kg·m² and s."""
+"""kp, kr, d, F, I and δ; of joints that turn in N·m/rad, N·m·s/rad (twice), N·m, kg·m² and s.
+
+d is viscous friction, which damps the joint beside the servo.
+"""
 
 LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
@@ -109,41 +113,53 @@ class JointMotions:
 
 
 def motions_of(
-    model: RobotModel, logs: Sequence[JointLog], trajectories: Sequence[Trajectory], joint: int
-) -> JointMotions:
-    """What simulations of a joint alone need; see `JointMotions`.
+    model: RobotModel,
+    logs: Sequence[JointLog],
+    trajectories: Sequence[Trajectory],
+    joints: Sequence[int],
+) -> dict[int, JointMotions]:
+    """What simulations of some joints, each alone, need; see `JointMotions`.
 
     Args:
         model: The model, with the inertias that count.
         logs: Logs with commands.
         trajectories: The same, prepared.
-        joint: Index of the joint.
+        joints: Indices of the joints.
+
+    Returns:
+        Index of the joint -> its motions.
     """
-    rows, positions, periods = [], [], []
+    rows: dict[int, list[Array]] = {j: [] for j in joints}
+    positions: dict[int, list[Array]] = {j: [] for j in joints}
+    periods = []
     for log, trajectory in zip(logs, trajectories, strict=True):
-        known = np.isfinite(log.time) & np.isfinite(log.position[:, joint])
-        command = np.full(len(log.time), np.nan) if log.command is None else log.command[:, joint]
-        told = np.isfinite(command) & np.isfinite(log.time)
+        command = np.full_like(log.position, np.nan) if log.command is None else log.command
         for stretch in trajectory.segments:
-            segment = stretch[0 : len(stretch)]
-            q = model.positions(segment.position)
-            motion = (q, segment.velocity, segment.acceleration)
-            b = inverse_dynamics(model.tree, *motion, model.total_phi)[:, joint]
-            slopes = effort_slopes(model.tree, *motion, model.total_phi)
-            columns = (
-                b,
-                slopes.acceleration[:, joint, joint],
-                slopes.position[:, joint, joint],
-                slopes.velocity[:, joint, joint],
-                segment.position[:, joint],
-                segment.velocity[:, joint],
-                segment.acceleration[:, joint],
-                np.interp(segment.time, log.time[told], command[told]),
-            )
-            rows.append(contiguous(np.stack(columns, 1)))
-            positions.append(np.interp(segment.time, log.time[known], log.position[known, joint]))
-            periods.append(segment.period)
-    return JointMotions(tuple(rows), tuple(positions), tuple(periods))
+            chunks = [(part.time, _about(model, part)) for _, part in stretch.chunks()]
+            time = np.concatenate([instants for instants, _ in chunks])
+            columns = np.concatenate([values for _, values in chunks])  # (N, 7, n)
+            for j in joints:
+                told = _read(log.time, command[:, j], time)
+                rows[j].append(contiguous(np.column_stack([columns[:, :, j], told])))
+                positions[j].append(_read(log.time, log.position[:, j], time))
+            periods.append(stretch.period)
+    return {j: JointMotions(tuple(rows[j]), tuple(positions[j]), tuple(periods)) for j in joints}
+
+
+def _about(model: RobotModel, part: Segment) -> Array:
+    """(N, 7, n) b, M, K, D, q, q̇ and q̈ of every joint alone."""
+    motion = (model.positions(part.position), part.velocity, part.acceleration)
+    slopes = effort_slopes(model.tree, *motion, model.total_phi)
+    kinds = (slopes.acceleration, slopes.position, slopes.velocity)
+    own = (np.diagonal(slope, axis1=1, axis2=2) for slope in kinds)
+    b = inverse_dynamics(model.tree, *motion, model.total_phi)
+    return np.stack([b, *own, part.position, part.velocity, part.acceleration], 1)
+
+
+def _read(time: Array, values: Array, instants: Array) -> Array:
+    """Values of a log at other instants, between those that are there."""
+    known = np.isfinite(time) & np.isfinite(values)
+    return np.interp(instants, time[known], values[known])
 
 
 def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
@@ -220,22 +236,22 @@ def _best(
     upper = np.append(np.full(len(scale) - 1, np.inf), LONGEST_DELAY) / scale
     found = []
     for start in starts:
-        begin = start.copy()
-
-        def residual(x: Array, begin: Array = begin) -> Array:
-            begin[free] = x * scale[free]
-            return motions.residual(begin)[rows]
-
         fit = least_squares(
-            residual,
+            lambda x, start=start: motions.residual(_with(start, free, x * scale[free]))[rows],
             np.clip(start / scale, _INSIDE, upper - _INSIDE)[free],
             bounds=(0.0, upper[free]),
             max_nfev=_MOST_EVALUATIONS,
             diff_step=1e-4,
         )
-        begin[free] = fit.x * scale[free]
-        found.append((fit.cost, begin))
+        found.append((fit.cost, _with(start, free, fit.x * scale[free])))
     return min(found, key=lambda each: each[0])[1]
+
+
+def _with(start: Array, free: NDArray[np.bool_], values: Array) -> Array:
+    """Parameters (6,) with other values of those that are free."""
+    found = start.copy()
+    found[free] = values
+    return found
 
 
 def _deviations(motions: JointMotions, best: Array, scale: Array) -> Array:

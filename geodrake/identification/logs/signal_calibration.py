@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.effects import Role
 from geodrake.effects.base import Effect
+from geodrake.effects.shape import when_sliding
 from geodrake.errors import LogError
 from geodrake.identification.logs.command_columns import CommandColumn, Commands
 from geodrake.identification.logs.criteria import PENALTY
@@ -22,7 +23,12 @@ from geodrake.identification.logs.effort_gains import (
 )
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.reduce import reduce_logs
-from geodrake.identification.logs.servo_fit import fit_servo, motions_of
+from geodrake.identification.logs.servo_fit import (
+    LONGEST_DELAY,
+    JointMotions,
+    fit_servo,
+    motions_of,
+)
 from geodrake.logs.filtering import HIGHEST_BANDWIDTH
 from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import JointLog, Trajectory
@@ -32,9 +38,6 @@ from geodrake.model.robot_model import RobotModel
 from geodrake.model.signal_efforts import in_efforts, kind_of
 
 Array = NDArray[np.float64]
-
-LONGEST_DELAY = 0.06
-"""Commands are tried up to so late, s."""
 
 _SHARP = 20.0  # Hz
 _ROUNDS = 2  # of choosing how servos take commands, and of bodies and gains with that
@@ -66,20 +69,13 @@ def with_efforts(
     if all(kind == "effort" for kind in kinds) and not model.effort_signals:
         return model, list(logs), []
     logs = [in_efforts(log, model.effort_signals) for log in logs]
-    kinds = _kinds(model, logs)
-    unknown = [
-        joint
-        for joint, kind in zip(model.joints, kinds, strict=True)
-        if kind != "effort" and signal_of(model.effort_signals, joint) is None
-    ]
-    notes: list[str] = []
-    if unknown:
-        _check_payloads(logs)
-        found = calibrated(model, logs, kinds)
-        signals = (*model.effort_signals, *(s for s in found if s.joint in unknown))
-        model = replace(model, effort_signals=signals)
-        notes = [gain_words(model, [s for s in found if s.joint in unknown])]
-    return model, [in_efforts(log, model.effort_signals) for log in logs], notes
+    kinds = _kinds(model, logs)  # of joints that the model does not know
+    if all(kind == "effort" for kind in kinds):
+        return model, logs, []
+    _check_payloads(logs)
+    found = calibrated(model, logs, kinds)
+    model = replace(model, effort_signals=(*model.effort_signals, *found))
+    return model, [in_efforts(log, found) for log in logs], [gain_words(model, found)]
 
 
 def _check_payloads(logs: Sequence[JointLog]) -> None:
@@ -103,9 +99,8 @@ def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
     words = []
     for signal in signals:
         slides = signal.joint in model.sliding_joints
-        force, angle = ("N", "m") if slides else ("N·m", "rad")
-        per = {"current": "/A", "voltage": "/V", COMMAND: f"/{angle}"}.get(signal.kind, "")
-        words.append(f"{signal.joint} {signal.gain:.3g} ± {signal.deviation:.2g} {force}{per}")
+        unit = when_sliding(signal.unit) if slides else signal.unit
+        words.append(f"{signal.joint} {signal.gain:.3g} ± {signal.deviation:.2g} {unit}")
     kinds = " and ".join(dict.fromkeys(f"{signal.kind}s" for signal in signals))
     return f"efforts are those of {kinds}, by gains from the model's inertias: {', '.join(words)}"
 
@@ -153,10 +148,9 @@ def calibrated(
     bodies = replace(model, phi=gains.phi, effects=())
     bandwidth = trajectories[0].bandwidths[0]
     sharp = prepare_logs(known, bandwidth=bandwidth, motion_bandwidth=_sharp(trajectories))
-    return tuple(
-        _by_motion(bodies, logs, sharp, signal) if signal.kind == COMMAND else signal
-        for signal in found
-    )
+    motions = motions_of(bodies, logs, sharp, tuple(told))
+    by_joint = {model.joints[j]: motions[j] for j in told}
+    return tuple(_by_motion(by_joint[s.joint], s) if s.joint in by_joint else s for s in found)
 
 
 def _sharp(trajectories: Sequence[Trajectory]) -> float:
@@ -165,15 +159,9 @@ def _sharp(trajectories: Sequence[Trajectory]) -> float:
     return min(max(trajectories[0].bandwidths[1], _SHARP), highest)
 
 
-def _by_motion(
-    model: RobotModel,
-    logs: Sequence[JointLog],
-    trajectories: Sequence[Trajectory],
-    signal: EffortSignal,
-) -> EffortSignal:
+def _by_motion(motions: JointMotions, signal: EffortSignal) -> EffortSignal:
     """The servo of a joint by how it moves, if that is predicted better for it."""
-    joint = model.joints.index(signal.joint)
-    fit = fit_servo(motions_of(model, logs, trajectories, joint), signal)
+    fit = fit_servo(motions, signal)
     if fit is None:
         return signal
     share = np.hypot(signal.uncertainty, fit.deviations[0] / fit.parameters[0])
