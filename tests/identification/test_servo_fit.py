@@ -126,9 +126,23 @@ def test_a_joint_sticks_until_friction_is_overcome():
     rows[:, 1] = 1.0
     rows[:, 7] = 0.01 * np.arange(400) / 400
     motions = JointMotions((rows,), (np.zeros(400),), (0.005,))
-    (x,) = motions.simulated(np.array([100.0, 0.0, 20.0, 0.5, 0.0, 0.0]))
+    x, _ = motions.simulated(np.array([100.0, 0.0, 20.0, 0.5, 0.0, 0.0]))
     assert not x[:199].any()
     assert x[-1] == pytest.approx(0.01 - 0.005, abs=2e-3)
+
+
+def test_slopes_are_finite_differences(motions):
+    few = JointMotions(
+        tuple(rows[:800] for rows in motions.rows),
+        tuple(q[:800] for q in motions.positions),
+        motions.periods,
+    )
+    at = np.array([55.0, 1.0, 3.0, 0.8, 0.1, 0.0123])
+    _, slopes = few.simulated(at, slopes=True)
+    for k, step in enumerate(np.diag(1e-6 * at)):
+        both = few.simulated(at + step)[0] - few.simulated(at - step)[0]
+        expected = both / (2.0 * step[k])
+        np.testing.assert_allclose(slopes[:, k], expected, atol=1e-5 * np.abs(expected).max())
 
 
 def test_it_finds_what_mujoco_has(motions):

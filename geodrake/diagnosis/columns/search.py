@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +17,8 @@ from geodrake.diagnosis.columns.samples import ColumnSamples
 from geodrake.identification.logs.criteria import PENALTY
 
 Array = NDArray[np.float64]
+Entry = tuple[ColumnMistake, float]  # a mistake, and what its prior and its parameters cost
+Fitter = Callable[[Assignment, ColumnFit, Collection[int]], ColumnFit]
 
 ODDS = 0.01
 """Prior odds that a log has a mistake in its columns; all kinds and places share them."""
@@ -29,6 +31,9 @@ Zeros are usually within 0.02 rad (`USUAL_ZERO`) of a turn, gains within 5 % of 
 
 _MOST = 6  # mistakes of a log
 _SCREENED, _FINALISTS = 24, 6  # that are fitted with physical bodies, and to the end
+_HOPELESS = -20.0  # gain, at most, of what is fitted no further, unless its size is to be found
+_UNSEEN = 1.0  # of twice a log-likelihood: data that gain no more say nothing of a size
+_FAR, _SHARE = 50.0, 0.5  # less than the best, and of it: what gains less is not fitted to the end
 _STEPS = 6  # of a fit of a mistake's size
 _CLOSE = 1e-3  # rad or share: a step that ends it
 _LONGEST = 0.7  # rad, or of a logarithm, of a step
@@ -110,18 +115,29 @@ class ColumnSearch:
         """
         tried = mistakes(self.judge, base)
         entries = list(zip(tried, _costs(tried), strict=True))
-        for fitted, most in ((self.judge.screened, _SCREENED), (self.judge.quick, _FINALISTS)):
-            plain, gains = fitted(base.assignment, base), []
-            for mistake, cost in entries:
-                fit = fitted(mistake.assignment, base, mistake.free)
-                gains.append(fit.gain_over(plain, self._of_rates) - cost)
-            entries = [entries[k] for k in np.argsort(gains)[::-1][:most].tolist()]
+        entries, _ = self._promising(self.judge.screened, base, entries, _SCREENED)
+        entries, gains = self._promising(self.judge.quick, base, entries, _FINALISTS)
+        best = max(gains, default=0.0)
         ranked = []
-        for mistake, cost in entries:
+        for (mistake, cost), first in zip(entries, gains, strict=True):
+            if first < min(best - _FAR, _SHARE * best):
+                continue
             refined, fit = self._refined(mistake, base)
             gain = fit.gain_over(base, self._of_rates) - cost
             ranked.append(Judged(refined, fit, gain))
         return sorted(ranked, key=lambda each: -each.gain)
+
+    def _promising(
+        self, fitted: Fitter, base: ColumnFit, entries: Sequence[Entry], most: int
+    ) -> tuple[list[Entry], list[float]]:
+        """Mistakes, with what they cost, that are worth another fit, and what they gain in this."""
+        plain, gains = fitted(base.assignment, base, ()), []
+        for mistake, cost in entries:
+            fit = fitted(mistake.assignment, base, mistake.free)
+            gains.append(fit.gain_over(plain, self._of_rates) - cost)
+        order = np.argsort(gains)[::-1][:most].tolist()
+        kept = [k for k in order if _is_promising(entries[k], gains[k])]
+        return [entries[k] for k in kept], [gains[k] for k in kept]
 
     def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
         """A mistake of the size that fits best, and the fit."""
@@ -137,6 +153,20 @@ class ColumnSearch:
                 break
         fit = self.judge.fit(assignment, base)
         return replace(mistake, assignment=assignment), fit
+
+
+def _is_promising(entry: Entry, gain: float) -> bool:
+    """Whether a mistake may prove right when it is fitted to the end.
+
+    What data gain from a size grows as it is found; from many sizes, it shows only then.
+
+    Args:
+        entry: The mistake, and what it costs.
+        gain: What it gains by a first fit, less its cost.
+    """
+    mistake, cost = entry
+    seen = mistake.sizes > 0 and gain + cost > _UNSEEN
+    return gain > _HOPELESS or len(mistake.free) > 1 or seen
 
 
 def _costs(tried: Sequence[ColumnMistake]) -> list[float]:

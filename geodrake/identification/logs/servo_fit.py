@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ d is viscous friction, which damps the joint beside the servo.
 LONGEST_DELAY = 0.06
 """Commands are late by no more, s."""
 
-_STEP = 2.5e-4  # s, of the simulation, at most
+_STEP, _COARSE_STEP = 2.5e-4, 1e-3  # s, of simulations at most: of all, and of first searches
 _WINDOWS = 8  # of a log, of which every other one is left out for a test
 _MOST_EVALUATIONS = 60
 _INSIDE = 0.01  # of parameters' sizes from their bounds, where searches begin
@@ -88,22 +89,36 @@ class JointMotions:
     positions: tuple[Array, ...]
     periods: tuple[float, ...]
 
-    def simulated(self, parameters: Array) -> list[Array]:
-        """Per stretch (N,) positions under the commands, rad or m."""
-        found = []
+    def simulated(
+        self, parameters: Array, *, step: float = _STEP, slopes: bool = False
+    ) -> tuple[Array, Array]:
+        """Positions (N,) under the commands, rad or m, and their slopes (N, 6) with parameters.
+
+        Args:
+            parameters: (6,) values of `PARAMETERS`.
+            step: Of the simulation at most, s.
+            slopes: Whether slopes are asked for; there are none (0, 6) if not.
+        """
+        found, tangents = [], []
         kp, kr, d, F, armature, delay = parameters.tolist()
         servo: Servo = (kp, kr, d, F, armature, delay)
         for rows, period in zip(self.rows, self.periods, strict=True):
-            steps = max(1, int(np.ceil(period / _STEP)))
+            steps = max(1, int(np.ceil(period / step)))
             x = np.empty(len(rows))
-            calc_servo_motion(rows, period, steps, servo, x)
+            tangent = np.empty((len(rows) if slopes else 0, len(PARAMETERS)))
+            calc_servo_motion(rows, period, steps, servo, (x, tangent))
             found.append(x)
-        return found
+            tangents.append(tangent)
+        return np.concatenate(found), np.concatenate(tangents)
 
     def residual(self, parameters: Array) -> Array:
         """(N,) simulated − measured positions of all stretches."""
-        pairs = zip(self.simulated(parameters), self.positions, strict=True)
-        return np.concatenate([x - q for x, q in pairs])
+        return self.simulated(parameters)[0] - self.measured
+
+    @cached_property
+    def measured(self) -> Array:
+        """(N,) positions of all stretches, rad or m."""
+        return np.concatenate(self.positions)
 
     @property
     def tested(self) -> NDArray[np.bool_]:
@@ -179,7 +194,8 @@ def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
     start = np.array([stiffness, signal.damping, damping, friction, inertia, signal.delay])
     scale = np.maximum(start, [0.0, 0.02 * stiffness, 0.0, 1e-3, 1e-4, 0.01])
     tested, every = motions.tested, np.ones(len(rows), bool)
-    half = _best(motions, _starts(start), scale, ~tested)
+    begun = _best(motions, _starts(start), scale, ~tested, step=_COARSE_STEP)
+    half = _best(motions, [begun], scale, ~tested)
     if not _rms(motions, half, tested) < _rms(motions, start, tested):
         return None
     best = _best(motions, [half], scale, every)
@@ -197,7 +213,7 @@ def fit_servo(motions: JointMotions, signal: EffortSignal) -> ServoFit | None:
         _deviations(motions, best, scale),
         float(np.sqrt(np.mean(errors[1] ** 2))),
         _rms(motions, start, every),
-        float(np.std(np.concatenate(motions.positions))),
+        float(np.std(motions.measured)),
     )
 
 
@@ -222,6 +238,7 @@ def _best(
     rows: NDArray[np.bool_],
     *,
     free: NDArray[np.bool_] | None = None,
+    step: float = _STEP,
 ) -> Array:
     """Least squares over some rows, from several starts on.
 
@@ -231,27 +248,65 @@ def _best(
         scale: (6,) sizes of parameters.
         rows: (N,) which rows count.
         free: (6,) which parameters move; all if None.
+        step: Of simulations at most, s.
     """
     free = np.ones(len(scale), bool) if free is None else free
     upper = np.append(np.full(len(scale) - 1, np.inf), LONGEST_DELAY) / scale
     found = []
     for start in starts:
+        search = _Search(motions, start, scale, free, rows, step)
         fit = least_squares(
-            lambda x, start=start: motions.residual(_with(start, free, x * scale[free]))[rows],
+            search.residual,
             np.clip(start / scale, _INSIDE, upper - _INSIDE)[free],
+            search.slopes,
             bounds=(0.0, upper[free]),
             max_nfev=_MOST_EVALUATIONS,
-            diff_step=1e-4,
         )
-        found.append((fit.cost, _with(start, free, fit.x * scale[free])))
+        found.append((fit.cost, search.parameters(fit.x)))
     return min(found, key=lambda each: each[0])[1]
 
 
-def _with(start: Array, free: NDArray[np.bool_], values: Array) -> Array:
-    """Parameters (6,) with other values of those that are free."""
-    found = start.copy()
-    found[free] = values
-    return found
+@dataclass(eq=False)
+class _Search:
+    """Residuals and slopes of one search; both are had from one simulation.
+
+    Attributes:
+        motions: The joint.
+        start: (6,) parameters, of which those that are not free stay.
+        scale: (6,) sizes of parameters, by which they are divided.
+        free: (6,) which parameters move.
+        rows: (N,) which rows count.
+        step: Of simulations at most, s.
+    """
+
+    motions: JointMotions
+    start: Array
+    scale: Array
+    free: NDArray[np.bool_]
+    rows: NDArray[np.bool_]
+    step: float
+    _last: tuple[bytes, Array, Array] | None = None
+
+    def parameters(self, x: Array) -> Array:
+        """(6,) all parameters, for values of those that are free in their sizes."""
+        found = self.start.copy()
+        found[self.free] = x * self.scale[self.free]
+        return found
+
+    def residual(self, x: Array) -> Array:
+        """Residuals of the rows that count, rad or m."""
+        return self._simulated(x)[1]
+
+    def slopes(self, x: Array) -> Array:
+        """Their slopes with the values of what is free."""
+        return self._simulated(x)[2]
+
+    def _simulated(self, x: Array) -> tuple[bytes, Array, Array]:
+        if self._last is None or self._last[0] != x.tobytes():
+            found, slopes = self.motions.simulated(self.parameters(x), step=self.step, slopes=True)
+            J = slopes[:, self.free][self.rows] * self.scale[self.free]
+            self._last = x.tobytes(), (found - self.motions.measured)[self.rows], J
+        return self._last
 
 
 def _deviations(motions: JointMotions, best: Array, scale: Array) -> Array:
@@ -259,31 +314,39 @@ def _deviations(motions: JointMotions, best: Array, scale: Array) -> Array:
 
     What is left goes with the motion: it is worth few samples, however long logs are.
     """
-    residual, size = motions.residual(best), 1e-3 * np.maximum(best, scale)
-    J = np.stack([motions.residual(best + step) - residual for step in np.diag(size)], 1)
+    residual, size = motions.residual(best), np.maximum(best, scale)
+    J = motions.simulated(best, slopes=True)[1] * size
     noise = residual @ residual / WORTH
     # What the motion does not show is known to its own size.
-    covariance = np.linalg.inv(J.T @ J / noise + np.diag((size / np.maximum(best, scale)) ** 2))
+    covariance = np.linalg.inv(J.T @ J / noise + np.eye(len(best)))
     return np.asarray(size * np.sqrt(np.diag(covariance)))
 
 
 @compiled
-def calc_servo_motion(rows: Array, period: float, steps: int, servo: Servo, out: Array) -> None:
+def calc_servo_motion(
+    rows: Array, period: float, steps: int, servo: Servo, out: tuple[Array, Array]
+) -> None:
     """Writes the positions (N,) of a joint under its commands, by implicit Euler steps.
 
-    Dry friction is a set at rest: a joint sticks until more than F pulls at it.
+    Dry friction is a set at rest: a joint sticks until more than F pulls at it. Slopes are those of
+    the steps themselves, while a joint that sticks goes on doing so.
 
     Args:
         rows: (N, 8) b, M, K, D, q, q̇, q̈ and the command.
         period: Time between rows, s.
         steps: Of the simulation between two rows.
         servo: kp, kr, d, F, I and δ.
-        out: (N,) positions.
+        out: (N,) positions, and (N, 6) their slopes with the servo's numbers; (0, 6) if those are
+            not asked for.
     """
+    positions, slopes = out
     kp, kr, d, F, armature, delay = servo
     count, dt = len(rows), period / steps
     x, v, before = rows[0, 4], rows[0, 5], rows[0, 7]
-    out[0] = x
+    sloping, rise_before = len(slopes) > 0, 0.0
+    X, V, change = np.zeros(6), np.zeros(6), np.zeros(6)
+    positions[0] = x
+    slopes[:1] = 0.0
     for k in range(count - 1):
         for s in range(steps):
             f = (s + 1.0) / steps
@@ -294,20 +357,30 @@ def calc_servo_motion(rows: Array, period: float, steps: int, servo: Servo, out:
             q = (1.0 - f) * rows[k, 4] + f * rows[k + 1, 4]
             qd = (1.0 - f) * rows[k, 5] + f * rows[k + 1, 5]
             qdd = (1.0 - f) * rows[k, 6] + f * rows[k + 1, 6]
-            c, at = rows[0, 7], k + f - delay / period
+            c, rise, at = rows[0, 7], 0.0, k + f - delay / period
             if at > 0.0:
                 low = int(at)
-                g = at - low
-                c = (1.0 - g) * rows[low, 7] + g * rows[min(low + 1, count - 1), 7]
+                high, g = min(low + 1, count - 1), at - low
+                c = (1.0 - g) * rows[low, 7] + g * rows[high, 7]
+                rise = (rows[high, 7] - rows[low, 7]) / period
             pull = kp * (c - x) + kr * (c - before) / dt - b - K * (x - q) + D * qd + M * qdd
             pull += (M + armature) * v / dt
             stiff = (M + armature) / dt + (K + kp) * dt + D + d + kr
-            if pull > F:
-                v = (pull - F) / stiff
-            elif pull < -F:
-                v = (pull + F) / stiff
-            else:
-                v = 0.0
-            before = c
+            way = 1.0 if pull > F else -1.0 if pull < -F else 0.0
+            now = (pull - way * F) / stiff if way != 0.0 else 0.0
+            if sloping:
+                change[0] = c - x - now * dt
+                change[1] = (c - before) / dt - now
+                change[2] = -now
+                change[3] = -way
+                change[4] = (v - now) / dt
+                change[5] = -kp * rise - kr * (rise - rise_before) / dt
+                for i in range(6):
+                    change[i] += (M + armature) / dt * V[i] - (K + kp) * X[i]
+                    V[i] = change[i] / stiff if way != 0.0 else 0.0
+                    X[i] += dt * V[i]
+            v, before, rise_before = now, c, rise
             x += dt * v
-        out[k + 1] = x
+        positions[k + 1] = x
+        if sloping:
+            slopes[k + 1] = X
