@@ -25,6 +25,7 @@ from geodrake.diagnosis import compare, explain
 from geodrake.effects import EffortDelay, FittedEffect
 from geodrake.errors import ArgumentError
 from geodrake.identification.logs.case import at_bandwidth, open_case
+from geodrake.identification.logs.signal_calibration import calibrated
 from geodrake.logs.files import write_log
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import JointLog
@@ -253,3 +254,24 @@ class TestCommand:
         assert result.exit_code == 2, result.output
         assert words in result.stderr
         assert len(result.stderr.strip().splitlines()) == 1
+
+
+class TestUnknownGains:
+    """Currents in the place of efforts: a known payload is what their scale is measured by."""
+
+    GAINS = np.array([12.0, 7.5, 3.0, 5.0, 1.5, 0.8])
+
+    def currents(self, log):
+        kinds = dict.fromkeys(log.joints, "current")
+        return replace(log, effort=log.effort / self.GAINS, effort_kinds=kinds)
+
+    def test_a_payload_tells_them(self):
+        """Bodies are 20 % off, so that without it gains are known to about 12 %."""
+        logs = [self.currents(log) for log in two_logs(1)]
+        found = calibrated(model_file(), logs, ["current"] * 6)
+        gains = np.array([signal.gain for signal in found])
+        spread = np.array([signal.uncertainty for signal in found])
+        assert (spread < 0.01).all()
+        assert (np.abs(np.log(gains / self.GAINS)) < 2.0 * spread).all()
+        without = calibrated(model_file(), logs[:1], ["current"] * 6)
+        assert min(signal.uncertainty for signal in without) > 0.05

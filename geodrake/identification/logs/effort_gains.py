@@ -3,9 +3,10 @@
 A joint whose effort is not measured has a signal s in its place, of which efforts are g s with g
 unknown:
 
-    s_j = a_j (Y_j φ + Y_e μ) + noise,    a_j = 1 / g_j
+    s_j = a_j (Y_j φ + h_j + Y_e μ) + noise,    a_j = 1 / g_j
 
-What scales a_j is φ, which is known as well as its prior says. The effects μ that any joint may
+What scales a_j is φ, which is known as well as its prior says, and the effort h of payloads that
+are known. The effects μ that any joint may
 have are free; their columns are projected out. What is left are log |a_j| and the bodies, moved
 along geodesics from where the model has them, P = L exp(X) Lᵀ with L Lᵀ = P₀: the norm of X is the
 geometric distance ([Lee2019] Eq. (2.2.10)), so that bodies twice as heavy are as far as bodies half
@@ -110,20 +111,22 @@ def _told(known: Array, kinds: Sequence[str]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SignalRows:
-    """One joint's rows [N, Y, s] with the columns N of free effects projected out.
+    """One joint's rows [N, Y, h, s] with the columns N of free effects projected out.
 
     Attributes:
         columns: (m,) inertial parameters that matter at the joint.
         Y: (r, m) rows of these.
+        h: (r,) rows of the effort of known payloads.
         s: (r,) rows of the signal.
-        N: (k, k + m + 1) rows that give the free effects' parameters for all others.
+        N: (k, k + m + 2) rows that give the free effects' parameters for all others.
         samples: Rows of the logs behind them.
         variance: Of the signal.
-        blocks: Rows [N, Y, s] of blocks of the logs, for autocorrelations.
+        blocks: Rows [N, Y, h, s] of blocks of the logs, for autocorrelations.
     """
 
     columns: NDArray[np.intp]
     Y: Array
+    h: Array
     s: Array
     N: Array
     samples: int
@@ -137,7 +140,9 @@ class SignalRows:
         joint: int,
         d: int,
         free: Sequence[Effect],
+        *,
         added: Effect | None = None,
+        held: Effect | None = None,
     ) -> SignalRows:
         """The rows of a joint.
 
@@ -147,6 +152,7 @@ class SignalRows:
             d: Number of inertial parameters.
             free: Effects whose columns are projected out.
             added: An effect whose column is added to the signal.
+            held: What has the effort of known payloads as its column.
         """
         data = dataset.data[joint]
         order, known = [], []
@@ -157,8 +163,11 @@ class SignalRows:
                 known += np.diag(effect_prior(dataset, effect)[1]).tolist()
         k, last = len(order), len(data.columns)
         inertial = np.flatnonzero(data.columns < d)
-        mix = np.zeros((last + 1, k + len(inertial) + 1))
-        mix[[*order, *inertial, last], range(mix.shape[1])] = 1.0
+        mix = np.zeros((last + 1, k + len(inertial) + 2))
+        mix[[*order, *inertial], range(mix.shape[1] - 2)] = 1.0
+        mix[last, -1] = 1.0
+        if held is not None:
+            mix[data.local(dataset.effect_columns(held)), -2] = 1.0
         if added is not None:
             mix[data.local(dataset.effect_columns(added)), -1] = 1.0
         factors = [factor[:, : last + 1] @ mix for factor in data.factors]
@@ -169,7 +178,8 @@ class SignalRows:
         R = triangular_factor([prior, *factors])
         return cls(
             data.columns[inertial],
-            R[k:, k:-1],
+            R[k:, k:-2],
+            R[k:, -2],
             R[k:, -1],
             R[:k],
             samples,
@@ -178,8 +188,8 @@ class SignalRows:
         )
 
     def load(self, phi: Array) -> Array:
-        """(r,) rows of the bodies' effort, for φ (d,)."""
-        return self.Y @ phi[self.columns]
+        """(r,) rows of the effort of the bodies and of known payloads, for φ (d,)."""
+        return self.Y @ phi[self.columns] + self.h
 
     def least_squares_gain(self, phi: Array) -> float:
         """Gain a with these bodies, of this joint alone; negative if it clearly is."""
@@ -208,7 +218,7 @@ class SignalRows:
             phi: (d,) inertial parameters.
             worth: Independent samples of the residual.
         """
-        k, body = len(self.N), np.append(a * phi[self.columns], -1.0)
+        k, body = len(self.N), np.concatenate([a * phi[self.columns], [a, -1.0]])
         N = self.N[:, :k]
         left = a * self.load(phi) - self.s
         noise = left @ left / max(worth, 1.0)
@@ -223,7 +233,7 @@ class SignalRows:
             phi: (d,) inertial parameters.
         """
         free = self.free_parameters(a, phi, 1.0)[0]
-        x = np.concatenate([free, a * phi[self.columns], [-1.0]])
+        x = np.concatenate([free, a * phi[self.columns], [a, -1.0]])
         series = [[(rows @ x)[:, None] for rows in self.blocks]]
         return float(effective_samples_of_each(series)[0, 0])
 

@@ -30,6 +30,7 @@ from geodrake.identification.logs.criteria import PENALTY, WORTH
 from geodrake.identification.logs.evidence import effective_samples
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment
+from geodrake.model.carried_payloads import carrying
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.robot_model import RobotModel
 from geodrake.robot.effort_slopes import effort_slopes
@@ -149,8 +150,9 @@ def motions_of(
     periods = []
     for log, trajectory in zip(logs, trajectories, strict=True):
         command = np.full_like(log.position, np.nan) if log.command is None else log.command
+        robot = carrying(model, log.payloads)
         for stretch in trajectory.segments:
-            chunks = [(part.time, _about(model, part)) for _, part in stretch.chunks()]
+            chunks = [(part.time, _about(robot, part)) for _, part in stretch.chunks()]
             time = np.concatenate([instants for instants, _ in chunks])
             columns = np.concatenate([values for _, values in chunks])  # (N, 7, n)
             for j in joints:

@@ -22,6 +22,7 @@ from geodrake.identification.logs.effort_gains import (
     signal_gains,
 )
 from geodrake.identification.logs.model_fit import effects_of
+from geodrake.identification.logs.payload_column import CarriedBodies, CarriedColumn
 from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.servo_fit import (
     LONGEST_DELAY,
@@ -72,21 +73,9 @@ def with_efforts(
     kinds = _kinds(model, logs)  # of joints that the model does not know
     if all(kind == "effort" for kind in kinds):
         return model, logs, []
-    _check_payloads(logs)
     found = calibrated(model, logs, kinds)
     model = replace(model, effort_signals=(*model.effort_signals, *found))
     return model, [in_efforts(log, found) for log in logs], [gain_words(model, found)]
-
-
-def _check_payloads(logs: Sequence[JointLog]) -> None:
-    """Refuse known payloads beside unknown gains: their effort is in N·m, and the logs' is not."""
-    for log in logs:
-        if log.payloads:
-            raise LogError(
-                f"Log {log.name!r} has a known payload, and gains that are not known.",
-                advice="Give the gains (--gain JOINT=VALUE), or find them by a log without payload "
-                "and save the model.",
-            )
 
 
 def gain_words(model: RobotModel, signals: Sequence[EffortSignal]) -> str:
@@ -125,12 +114,15 @@ def calibrated(
     told = _commands(model, logs, kinds)
     own = [effect for effect in effects_of(model) if effect.role is not Role.BODY]
     beside = tuple(dict.fromkeys((*effects_beside_gains(model), *own)))
-    columns = [column for each in told.values() for column in each.columns]
+    carried = any(log.payloads for log in logs)
+    held = CarriedColumn(CarriedBodies.of(model, logs)) if carried else None
+    columns: list[Effect] = [column for each in told.values() for column in each.columns]
+    columns += [] if held is None else [held]
     folds = validation_blocks(trajectories)
     dataset = reduce_logs(model, trajectories, folds, effects=(*beside, *columns))
     deviations = np.max([log.gain_deviations for log in logs], axis=0)
     prior = np.where([kind == "effort" for kind in kinds], np.maximum(deviations, 1e-6), np.inf)
-    choice = _Choice(dataset, model.phi.size, beside, told)
+    choice = _Choice(dataset, model.phi.size, beside, told, held)
     alike = [f"{k} {j in model.sliding_joints}" for j, k in zip(model.joints, kinds, strict=True)]
     rows = choice.rows()
     gains = signal_gains(rows, model, prior, alike)
@@ -180,6 +172,8 @@ def _by_motion(motions: JointMotions, signal: EffortSignal) -> EffortSignal:
 def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[JointLog]:
     """Logs with signals in the place of efforts: of servos, how far the command is from there.
 
+    What known payloads need is not taken off a signal of unknown gain: they are left out.
+
     Args:
         logs: Logs, joints in the model's order.
         kinds: (nv,) what stands for the efforts of each joint.
@@ -190,7 +184,7 @@ def signals_as_efforts(logs: Sequence[JointLog], kinds: Sequence[str]) -> list[J
         for j, kind in enumerate(kinds):
             if kind == COMMAND and log.command is not None:
                 effort[:, j] = log.command[:, j] - log.position[:, j]
-        found.append(replace(log, effort=effort, effort_kinds={}))
+        found.append(replace(log, effort=effort, effort_kinds={}, payloads=()))
     return found
 
 
@@ -268,6 +262,7 @@ class _Choice:
         d: Number of inertial parameters.
         beside: Effects that are free.
         told: Columns of commands, by joint.
+        held: The column of known payloads' efforts, if there are some.
         delay: Index of the delay.
         rate: Whether the rate counts.
     """
@@ -276,6 +271,7 @@ class _Choice:
     d: int
     beside: tuple[Effect, ...]
     told: dict[int, _Told]
+    held: CarriedColumn | None = None
     delay: int = 0
     rate: bool = False
 
@@ -300,7 +296,7 @@ class _Choice:
         if j in self.told:
             added = self.told[j].late[self.delay] if self.delay else None
             free += [self.told[j].rates[self.delay]] if self.rate else []
-        return SignalRows.of(self.dataset, j, self.d, free, added)
+        return SignalRows.of(self.dataset, j, self.d, free, added=added, held=self.held)
 
     def rows(self) -> list[SignalRows]:
         """The rows of all joints."""
