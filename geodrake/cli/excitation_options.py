@@ -94,7 +94,8 @@ class _Robot:
             metavar="LIMIT,…",
             help="Limits in place of the model file's: 0.5 for half of all of them, "
             "velocity=1.5 or velocity=50% for all joints, JOINT.position=-1:0.5 for one; also "
-            "acceleration and effort. Repeatable.",
+            "acceleration and effort, and current, voltage and pwm of models fitted to such logs. "
+            "Repeatable.",
         ),
     ] = None
     start: Annotated[

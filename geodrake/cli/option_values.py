@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.excitation import MotionLimits, motion_limits
+from geodrake.model.effort_signal import COMMAND, KINDS
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_QUANTITIES = ("position", "velocity", "acceleration", "effort")
+_SIGNALS = tuple(kind for kind in KINDS if kind != COMMAND)
+_QUANTITIES = ("position", "velocity", "acceleration", "effort", *_SIGNALS)
 _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 
@@ -62,6 +64,7 @@ class _Limits:
     absolute: dict[str, dict[str, float]] = field(default_factory=dict)
     shares: dict[str, dict[str, float]] = field(default_factory=dict)
     position: dict[str, tuple[float, float]] = field(default_factory=dict)
+    signals: dict[str, float] = field(default_factory=dict)
 
     def add(self, text: str) -> None:
         """Takes one limit in; see `limits_of`."""
@@ -80,11 +83,24 @@ class _Limits:
         joints = [joint] if joint else list(self.model.joints)
         if quantity == "position":
             self.position |= dict.fromkeys(joints, _range(value))
+        elif quantity in _SIGNALS:
+            self._add_signal(quantity, joint, _number(value, "--limits"))
         elif value.endswith("%"):
             self.shares.setdefault(quantity, {}).update(dict.fromkeys(joints, _share(value)))
         else:
             numbers = dict.fromkeys(joints, _number(value, "--limits"))
             self.absolute.setdefault(quantity, {}).update(numbers)
+
+    def _add_signal(self, kind: str, joint: str, value: float) -> None:
+        """Takes in the limit of a current, voltage or duty cycle, of one joint or of all such."""
+        own = [each.joint for each in self.model.effort_signals if each.kind == kind]
+        if not own or (joint and joint not in own):
+            raise ArgumentError(
+                f"--limits has a {kind}{f' of {joint}' * bool(joint)}, and the model knows no "
+                "efforts by it.",
+                advice="Limit the effort, or start from a model that was fitted to such a log.",
+            )
+        self.signals.update(dict.fromkeys([joint] if joint else own, value))
 
 
 def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
@@ -92,7 +108,8 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
 
     Args:
         given: `0.5` for a share of all limits; `velocity=1.5` for all joints, `velocity=50%` for a
-            share of the model's; `joint.effort=40` and `joint.position=-1:0.5` for one joint.
+            share of the model's; `current=8` for the efforts that a model knows by their currents,
+            A (voltage, pwm alike); `joint.effort=40` and `joint.position=-1:0.5` for one joint.
             Each may hold several, with commas between them; later ones win.
         model: The robot.
 
@@ -110,6 +127,7 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
         velocity=absolute.get("velocity"),
         acceleration=absolute.get("acceleration"),
         effort=absolute.get("effort"),
+        signal=said.signals,
     )
     for quantity, shares in said.shares.items():
         factors = np.array([shares.get(joint, 1.0) for joint in model.joints])

@@ -12,6 +12,7 @@ from geodrake.boundary.arguments import instance, instances, number, positive, r
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
+from geodrake.model.effort_signal import COMMAND, signal_of
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -120,6 +121,7 @@ def motion_limits(
     velocity: ByJoint = None,
     acceleration: ByJoint = None,
     effort: ByJoint = None,
+    signal: Mapping[str, float] | None = None,
 ) -> MotionLimits:
     """The limits of a robot's model file, and others in their place.
 
@@ -131,6 +133,8 @@ def motion_limits(
         velocity: Largest speed: one, (nv,), or by name for some joints, rad/s or m/s.
         acceleration: Largest acceleration, likewise, rad/s² or m/s².
         effort: Largest effort, likewise, N·m or N.
+        signal: Largest current, voltage or duty cycle of joints by name, A, V or 1, where the model
+            knows what makes efforts of these; the lesser limit counts.
 
     Raises:
         ArgumentError: There is no such joint, a joint has no room to move, or it is not limited in
@@ -149,14 +153,30 @@ def motion_limits(
         if limits.shape != (2,):
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
         lower[at], upper[at] = limits
+    efforts = _overridden(model, model.effort_limits, effort, "effort")
+    for joint, value in ({} if signal is None else instance(signal, "signal", Mapping)).items():
+        at = _index(model, joint)
+        efforts[at] = min(efforts[at], _effort_of(model, joint, value))
     return MotionLimits(
         model.joints,
         lower,
         upper,
         _overridden(model, model.velocity_limits, velocity, "velocity"),
         _overridden(model, model.acceleration_limits, acceleration, "acceleration"),
-        _overridden(model, model.effort_limits, effort, "effort"),
+        efforts,
     )
+
+
+def _effort_of(model: RobotModel, joint: str, limit: float) -> float:
+    """The effort, N·m or N, that the largest current, voltage or duty cycle of a joint makes."""
+    known = signal_of(model.effort_signals, joint)
+    if known is None or known.kind == COMMAND:
+        raise ArgumentError(
+            f"The model knows no current, voltage or duty cycle that moves {joint!r}.",
+            advice="Limit its effort, or start from a model that was fitted to such logs.",
+            joint=joint,
+        )
+    return abs(known.gain) * number(limit, f"signal of {joint}", lower=0.0)
 
 
 def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> Array:

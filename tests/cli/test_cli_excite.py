@@ -21,6 +21,7 @@ from geodrake.excitation import make_target
 from geodrake.excitation.effect_sizes import sized_effects
 from geodrake.logs.files import read_log
 from geodrake.logs.motion import Motion
+from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model
 
 MODELS = Path(__file__).parents[2] / "models"
@@ -261,6 +262,18 @@ class TestLimits:
     def test_that_cannot_be(self, text, words):
         with pytest.raises(ArgumentError, match=words):
             limits_of([text], self.model)
+
+    def test_of_currents_are_those_of_the_efforts_they_make(self):
+        signals = (EffortSignal("elbow", "current", -2.0, 0.1),)
+        driven = replace(self.model, effort_signals=signals)
+        plain = limits_of(None, driven)
+        for text in ("current=0.3", "elbow.current=0.3"):
+            effort = limits_of([text], driven).effort
+            np.testing.assert_allclose(effort, [plain.effort[0], 0.6])
+        np.testing.assert_allclose(limits_of(["current=1e6"], driven).effort, plain.effort)
+        for text in ("voltage=1", "shoulder.current=1"):
+            with pytest.raises(ArgumentError, match="the model knows no efforts by it"):
+                limits_of([text], driven)
 
     def test_values_by_joint(self):
         np.testing.assert_allclose(joint_values("0.5", self.model, "--x"), 0.5)
