@@ -30,7 +30,7 @@ class _Explained:
 
     explanation: Explanation
     correlates: tuple[Correlate, ...]
-    motions: tuple[Rollout, Rollout] | None = None
+    motions: tuple[Rollout, ...] | None = None
 
     @property
     def model(self) -> RobotModel:
@@ -79,7 +79,8 @@ def _explained(given: Input) -> _Explained:
         return _Explained(explanation, ())
     motions = None
     with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
-        motions = commanded_motions(given.model, explanation.model, given.logs)
+        between = [step.model for step in explanation.steps if step.model is not None]
+        motions = commanded_motions(given.model, explanation.model, given.logs, between=between)
     if explanation.verdict != "unexplained":
         return _Explained(explanation, (), motions)
     given.progress("Looking what the rest goes with")
@@ -90,6 +91,6 @@ def _show(console: Console, found: _Explained, units: Units) -> None:
     rest = [*map(correlate_words, found.correlates)]
     show_explanation(console, found.explanation, units, rest=rest)
     if found.motions is not None:
-        before, after = found.motions
+        before, *between, after = found.motions
         head(console, f"{MOTIONS}, RMS in windows of {after.horizon:g} s")
-        show_table(console, departures_table(after, before, units))
+        show_table(console, departures_table(after, before, units, between))

@@ -18,6 +18,7 @@ from geodrake.identification.logs.dataset import Dataset
 from geodrake.identification.logs.hypothesis import Hypothesis, settle
 from geodrake.identification.logs.model_fit import ModelFit, effects_of, fit_model
 from geodrake.identification.logs.unknowns import Unknowns, effect_prior
+from geodrake.model.robot_model import RobotModel
 
 _MOST_ITERATIONS = 10
 """Refits until the weights stay: a prior from another fit gives way step by step."""
@@ -91,13 +92,23 @@ def _with_fitted_loads(
     case: Case, end: Hypothesis, delays: Sequence[FittedEffect], *, companions: bool
 ) -> Case:
     """The case with the columns of what was found, load-dependent ones by the fitted inertias."""
-    x, found = end.cv.fit_all(), end.unknowns
-    fitted = [FittedEffect(effect, x[found.span(effect)]) for effect in found.effects]
-    if companions:
-        more = with_companions(found, case.dataset).effects[len(found.effects) :]
-        fitted += [FittedEffect(effect, np.zeros(1)) for effect in more]
+    model, found = searched_model(case, end), end.unknowns
+    more = with_companions(found, case.dataset).effects[len(found.effects) :] if companions else ()
+    fitted = [FittedEffect(effect, np.zeros(1)) for effect in more]
+    return reopen(case, replace(model, effects=(*model.effects, *fitted, *delays)))
+
+
+def searched_model(case: Case, found: Hypothesis) -> RobotModel:
+    """The model by all data of a hypothesis, as it is while a search lasts; delays left aside.
+
+    Args:
+        case: The case.
+        found: The hypothesis.
+    """
+    x, unknowns = found.cv.fit_all(), found.unknowns
+    fitted = [FittedEffect(effect, x[unknowns.span(effect)]) for effect in unknowns.effects]
     phi = x[: case.model.phi.size].reshape(case.model.phi.shape)
-    return reopen(case, replace(case.model, phi=phi, effects=(*fitted, *delays)))
+    return replace(case.model, phi=phi, effects=tuple(fitted))
 
 
 def with_companions(unknowns: Unknowns, dataset: Dataset) -> Unknowns:

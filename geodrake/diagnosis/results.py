@@ -113,6 +113,7 @@ class Step(Short):
             efforts, known to the logs' `effort_uncertainty` only, and from what stays unexplained.
         series: What is measured and predicted after it, on held-out data; none for the last step,
             after which it is the explanation's `after`.
+        model: The model after it; None for the last step, after which it is the explanation's.
     """
 
     effect: str
@@ -129,6 +130,7 @@ class Step(Short):
     rivals: tuple[FittedRival, ...] = ()
     systematic: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     series: tuple[Series, ...] = field(default=(), repr=False)
+    model: RobotModel | None = field(default=None, repr=False)
 
     @property
     def probability(self) -> float:

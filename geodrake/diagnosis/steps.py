@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geodrake.diagnosis.alternatives import instead, weighed
 from geodrake.diagnosis.body_gains import gains_of_bodies
+from geodrake.diagnosis.final_fit import searched_model
 from geodrake.diagnosis.judgement import Judgement, acted_upon, judge, judge_errors, parameters_of
 from geodrake.diagnosis.results import FittedRival, Step
 from geodrake.diagnosis.step_values import (
@@ -156,7 +157,7 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 tables[i + 1].by_joint(),
                 _weighed(trail, group, rivals),
                 systematic,
-                () if group is ordered[-1] else _series(after),
+                *(() if group is ordered[-1] else (_series(after), searched_model(case, after))),
             )
         )
     return tuple(steps)

@@ -69,7 +69,7 @@ def render_explained(
 
     Args:
         found: An explanation, what `geodrake.diagnosis.drafting.rest_correlates` gives, and
-            rollouts under commands before and after, where there are commands.
+            rollouts under commands before, after the steps, and after the last, if there are any.
         title: Title of the page.
         model_name: What the model is called.
         log_names: What the logs are called.
@@ -89,22 +89,22 @@ def render_explained(
     )
 
 
-def motions_section(motions: tuple[Rollout, Rollout] | None, units: Units) -> Section:
+def motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
     """How far the robot departs from its motion under commands; empty without commands.
 
     Args:
-        motions: Rollouts before and after.
+        motions: Rollouts before, after the steps, and after the last.
         units: Units of the robot's joints.
     """
     if motions is None:
         return Section(MOTIONS)
-    before, after = motions
+    before, *between, after = motions
     text = (
         f"The model is simulated under the logged commands, in windows of {after.horizon:g} s that "
         "start at the measured state, and its motion compared with the measured one; before with "
         "the model as it was and the same servos."
     )
-    return Section(MOTIONS, (text,), (departures_table(after, before, units),))
+    return Section(MOTIONS, (text,), (departures_table(after, before, units, between),))
 
 
 def rest_section(correlates: Sequence[Correlate]) -> Section:

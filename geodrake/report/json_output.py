@@ -222,16 +222,18 @@ def rollout_dict(rollout: Rollout) -> dict[str, Any]:
     }
 
 
-def motions_dict(motions: tuple[Rollout, Rollout] | None) -> dict[str, Any]:
-    """Rollouts under commands before and after, by the key `motion`; nothing without commands.
+def motions_dict(motions: Sequence[Rollout] | None) -> dict[str, Any]:
+    """Rollouts under commands, by the key `motion`; nothing without commands.
+
+    Those before and after the fit, and after each step but the last.
 
     Args:
         motions: The result of `geodrake.control.rollout.commanded_motions`.
     """
     if motions is None:
         return {}
-    before, after = motions
-    return {"motion": {"before": rollout_dict(before), "after": rollout_dict(after)}}
+    before, *between, after = map(rollout_dict, motions)
+    return {"motion": {"before": before, "after": after, "steps": between}}
 
 
 def to_json(result: Mapping[str, Any]) -> str:

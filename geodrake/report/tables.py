@@ -284,14 +284,18 @@ def formulas_table(draft: Draft) -> Table:
     return Table(head, rows, words=2)
 
 
-def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Table:
+def departures_table(
+    after: Rollout, before: Rollout | None, units: Units, between: Sequence[Rollout] = ()
+) -> Table:
     """How far every joint departs from its measured motion.
 
     Args:
         after: The rollout.
         before: A rollout of the same passages with another model; None for none.
         units: Units of the joints of the model.
+        between: Rollouts with the models on the way.
     """
+    others = (before, *between) if before else ()
     rows = []
     for j, joint in enumerate(after.joints):
         log, instant = joint.worst
@@ -299,13 +303,14 @@ def departures_table(after: Rollout, before: Rollout | None, units: Units) -> Ta
             cells(
                 f"{joint.joint}, {units.at(joint.joint, 'rad')}",
                 number(joint.moved),
-                *([number(before.joints[j].rms)] if before else []),
+                *(number(other.joints[j].rms) for other in others),
                 number(joint.rms),
                 departure(joint.relative),
                 f"{log} {instant:.1f} s",
             )
         )
-    ends = ("before", "after") if before else ("departure",)
+    steps = [f"after step {k + 1}" for k in range(len(between))]
+    ends = ("before", *steps, "after") if before else ("departure",)
     return Table(("joint", "moved", *ends, "share of motion", "worst at"), tuple(rows))
 
 

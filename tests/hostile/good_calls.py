@@ -1634,7 +1634,7 @@ def _diagnosis(t):
         "rollout.commanded_motions",
         Call(
             geodrake.control.rollout.commanded_motions,
-            {"model": t.model, "after": t.model, "logs": (t.log,)},
+            {"model": t.model, "after": t.model, "logs": (t.log,), "between": ()},
             slow=True,
             allows={"logs": ("a text",)},  # files are read where there are servos
         ),

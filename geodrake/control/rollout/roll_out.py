@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geodrake.boundary.arguments import function, instance, integer, real_array
+from geodrake.boundary.arguments import function, instance, instances, integer, real_array
 from geodrake.control.rollout.acting import LoggedEffort, ServoedCommand, told_joints
 from geodrake.control.rollout.driven_simulation import DrivenSimulation
 from geodrake.control.rollout.passages import moving_passages
@@ -114,30 +114,36 @@ def command_rollout(
 
 
 def commanded_motions(
-    model: RobotModel, after: RobotModel, logs: Sequence[JointLog | str | Path]
-) -> tuple[Rollout, Rollout] | None:
+    model: RobotModel,
+    after: RobotModel,
+    logs: Sequence[JointLog | str | Path],
+    *,
+    between: Sequence[RobotModel] = (),
+) -> tuple[Rollout, ...] | None:
     """How far a robot departs from its motion under the commands of logs, before and after a fit.
 
     Args:
         model: The model before.
         after: The model after, which knows the servos.
         logs: Logs or their files.
+        between: Models on the way, as after the steps of an explanation.
 
     Returns:
-        Rollouts of both models, with the same servos; None if they have none.
+        Rollouts of all models in their order, with the same servos and in the same passages; None
+        if they have none.
     """
     logs = checked_logs(model, logs, (), None, None)
+    models = (model, *instances(between, "between", RobotModel))
     if not any(servos_of(instance(after, "after", RobotModel))):
         return None
     case = open_case(after, logs, candidates=False)
     if not any(told_joints(case.model, log).any() for log in case.asked.logs):
         return None
-    same = replace(model, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
-    before = open_case(same, logs, candidates=False)
-    return (
-        case_rollout(before, most=_COMPARED, commands=True),
-        case_rollout(case, most=_COMPARED, commands=True),
-    )
+    found = []
+    for each in models:
+        same = replace(each, effort_signals=after.effort_signals, bandwidths=after.bandwidths)
+        found.append(case_rollout(replace(case, model=same), most=_COMPARED, commands=True))
+    return (*found, case_rollout(case, most=_COMPARED, commands=True))
 
 
 def case_rollout(

@@ -130,13 +130,17 @@ class ColumnSearch:
     def _promising(
         self, fitted: Fitter, base: ColumnFit, entries: Sequence[Entry], most: int
     ) -> tuple[list[Entry], list[float]]:
-        """Mistakes, with what they cost, that are worth another fit, and what they gain in this."""
+        """Mistakes, with what they cost, that are worth another fit, and what they gain in this.
+
+        What many sizes gain shows only when they are found: such mistakes are always among them.
+        """
         plain, gains = fitted(base.assignment, base, ()), []
         for mistake, cost in entries:
             fit = fitted(mistake.assignment, base, mistake.free)
             gains.append(fit.gain_over(plain, self._of_rates) - cost)
-        order = np.argsort(gains)[::-1][:most].tolist()
-        kept = [k for k in order if _is_promising(entries[k], gains[k])]
+        many = [len(mistake.free) > 1 for mistake, _ in entries]
+        order = sorted(range(len(entries)), key=lambda k: (not many[k], -gains[k]))[:most]
+        kept = [k for k in order if many[k] or _is_promising(entries[k], gains[k])]
         return [entries[k] for k in kept], [gains[k] for k in kept]
 
     def _refined(self, mistake: ColumnMistake, base: ColumnFit) -> tuple[ColumnMistake, ColumnFit]:
@@ -158,15 +162,14 @@ class ColumnSearch:
 def _is_promising(entry: Entry, gain: float) -> bool:
     """Whether a mistake may prove right when it is fitted to the end.
 
-    What data gain from a size grows as it is found; from many sizes, it shows only then.
+    What data gain from a size grows as it is found.
 
     Args:
         entry: The mistake, and what it costs.
         gain: What it gains by a first fit, less its cost.
     """
     mistake, cost = entry
-    seen = mistake.sizes > 0 and gain + cost > _UNSEEN
-    return gain > _HOPELESS or len(mistake.free) > 1 or seen
+    return gain > _HOPELESS or (mistake.sizes > 0 and gain + cost > _UNSEEN)
 
 
 def _costs(tried: Sequence[ColumnMistake]) -> list[float]:
