@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.control import command_rollout, roll_out
-from geodrake.control.rollout import case_rollout
+from geodrake.control.rollout import case_rollout, commanded_motions
 from geodrake.effects import EffortDelay, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.errors import ArgumentError, LogError
 from geodrake.identification.logs.case import open_case
@@ -17,7 +17,7 @@ from geodrake.logs.files import write_log
 from geodrake.logs.motion import JointLog
 from geodrake.model import EffortSignal
 from geodrake.model.saved_model import load_model, save_model
-from geodrake.report.json_output import rollout_dict
+from geodrake.report.json_output import motions_dict, rollout_dict
 from geodrake.report.rollout import render_rollout
 from geodrake.robot import gears
 from geodrake.robot.transmission import Drive
@@ -194,6 +194,19 @@ def test_reports_say_what_the_model_was_under(arm):
     assert "arm under the efforts of log" in render_rollout(
         (opened, None), title="t", model_name="arm", log_names=["log"]
     )
+
+
+def test_models_on_the_way_have_their_motions(arm):
+    """Servos are known, and what the joints have beside them is added bit by bit."""
+    log, model = arm
+    logs, viscous = [without_efforts(log, "a", "b")], replace(model, effects=model.effects[:2])
+    bare = replace(model, effects=(), effort_signals=())  # servos are those of the last model
+    motions = commanded_motions(bare, model, logs, between=[viscous])
+    shares = [motion.relative for motion in motions]
+    assert shares[0] > shares[1] > 10 * shares[2]
+    told = motions_dict(motions)["motion"]
+    assert [told[key]["relative"] for key in ("before", "after")] == [shares[0], shares[2]]
+    assert [step["relative"] for step in told["steps"]] == [shares[1]]
 
 
 def test_the_command_line_refuses_logs_without_commands(arm, tmp_path):

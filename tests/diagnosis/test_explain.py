@@ -181,6 +181,11 @@ def test_steps_tell_values_with_their_deviations(explained):
     assert all(one.error_after == next_.error_before for one, next_ in pairwise(found.steps))
     assert found.steps[0].error_before == pytest.approx(found.refitted.nrms)
     assert found.steps[-1].error_after == pytest.approx(found.end.nrms)
+    *before, last = found.steps
+    assert last.model is None  # after which it is that of the explanation
+    for count, step in enumerate(before, 1):
+        names = {fitted.effect.name for fitted in step.model.effects}
+        assert names == {found_before.effect for found_before in found.steps[:count]}
 
 
 def test_fitted_model_predicts_new_motions(model, fitted):
