@@ -85,6 +85,7 @@ def examples() -> list[Example]:
         Example(effects.LoadDependentFriction(ELBOW), (0.12,)),
         Example(effects.CoupledFriction((ROLL, PITCH), -1), (2.0, 1.0), PITCH),
         Example(effects.FrictionDrift(ELBOW, 6.0), (6.0, 2.0)),
+        Example(effects.ThermalFriction(ELBOW, 30.0), (-0.5, -0.2)),
         Example(effects.Hysteresis(ELBOW, 0.2), (6.0,)),
         Example(effects.EffortOffset(ELBOW), (3.0,)),
         Example(effects.EffortScale(ELBOW), (0.1,)),
@@ -114,7 +115,8 @@ def motion_of(model: RobotModel) -> RobotMotion:
     q = sizes * (np.sin(phase) + 0.25 * np.sin(second)) + np.array([0.0, 0.3, -1.0, 0.0, 0.0, 0.0])
     v = sizes * rates * (np.cos(phase) + 0.575 * np.cos(second))
     vd = -sizes * rates**2 * (np.sin(phase) + 1.3225 * np.sin(second))
-    return model.motion(Motion(q, v, vd, t, q[:0]), sign_width=np.full(6, 0.01))
+    warmth = 30.0 + 12.0 * np.sin(0.4 * t[:, None] + np.arange(6))
+    return model.motion(Motion(q, v, vd, t, q[:0], warmth), sign_width=np.full(6, 0.01))
 
 
 def delayed(motion: RobotMotion) -> Array:

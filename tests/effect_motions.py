@@ -53,6 +53,7 @@ def random_motion(n=20, *, width=0.0, seed=0):
         {"hand": body}.__getitem__,
         RobotBodies(tree, q, phi),
         np.arange(n) * 0.01,
+        temperature=30.0 + 5.0 * np.random.default_rng(seed + 1).normal(size=(n, 3)),
     )
 
 
@@ -66,6 +67,7 @@ def instances():
         effects.LoadDependentFriction("elbow"),
         effects.CoupledFriction(("elbow", "wrist"), -1),
         effects.FrictionDrift("elbow", 5.0),
+        effects.ThermalFriction("elbow", 30.0),
         effects.Hysteresis("elbow", 0.3),
         effects.EffortOffset("elbow"),
         effects.EffortScale("elbow"),

@@ -190,6 +190,12 @@ def _with(
     for candidate in case.dataset.effects:
         if candidate.name == kind.name and candidate not in start.unknowns.effects:
             options.setdefault(candidate.where, []).append(candidate)
+    if "temperature" in kind.depends_on and not options:
+        raise ArgumentError(
+            f"{kind.name} can be added nowhere: no log has a temperature of a joint that changes, "
+            "or the model has it already.",
+            advice="Log it as <joint>.temperature, in °C, while the robot warms up or cools down.",
+        )
     places = _places(kind.name, options, where)
     best = [
         max((start.with_effects([c]) for c in options[place]), key=lambda h: gain_of(start, h))

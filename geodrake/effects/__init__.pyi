@@ -29,6 +29,7 @@ from geodrake.effects.role import Proposer, Role
 from geodrake.effects.rotor_inertia import RotorInertia
 from geodrake.effects.shape import Shape
 from geodrake.effects.stribeck_friction import StribeckFriction
+from geodrake.effects.thermal_friction import ThermalFriction
 from geodrake.effects.torque_ripple import TorqueRipple
 from geodrake.effects.user_code import load_effect_file
 from geodrake.effects.viscous_friction import ViscousFriction
@@ -68,6 +69,7 @@ __all__ = [
     "RotorInertia",
     "Shape",
     "StribeckFriction",
+    "ThermalFriction",
     "TorqueRipple",
     "ViscousFriction",
     "WrongInertia",

@@ -48,7 +48,7 @@ __all__ = [
 Array = NDArray[np.float64]
 Values = dict[str, float]
 
-SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history"})
+SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history", "temperature"})
 """What columns may depend on; see `Effect`."""
 
 
@@ -70,9 +70,10 @@ class Effect(CheckedFields, abc.ABC):
         shapes: Unit and usual values of its shape parameters.
         depends_on: The signals that its columns depend on: positions "q", velocities "v" and
             accelerations "vd" of the joints, "load", the effort that the joints need otherwise,
-            the "time" since a log began, where "bodies" are and how they move, and the "history"
-            of the motion. One that leaves it out is tried (see `dependencies`); a dependence on
-            the history must be declared.
+            the "time" since a log began, where "bodies" are and how they move, the "history" of
+            the motion, and the "temperature" of the joints: without one in a log nobody tries it
+            there. One that leaves it out is tried (see `dependencies`); a dependence on
+            the history or the temperature must be declared.
         state_count: How many hidden states it has, decided by the motion so far.
         stated_as: What a robot's file calls it, if files state it.
         summary: The reported value that stands for all of them in a line.
@@ -349,7 +350,8 @@ class JointEffect(Effect):
 
     def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """The columns at the joint itself; see `Effect.formula_rows`."""
-        if type(self).rows is not JointEffect.rows and not self.depends_on & {"time", "history"}:
+        unseen = self.depends_on & {"time", "history", "temperature"}
+        if type(self).rows is not JointEffect.rows and not unseen:
             return self.rows(motion)
         columns = self.columns(motion.joint(self.joint))
         shaped = [np.broadcast_to(column, (len(motion.v),)) for column in columns]

@@ -3,7 +3,7 @@
 Effects that come with geodrake declare it. One of a user's own need not: all that its base class
 may see is right, but costs simulations and controllers time if it depends on less. Accelerations
 and loads are tried, and one that defines `rows` is given the time; that it depends on the history
-of the motion it must declare.
+of the motion or the temperature it must declare.
 """
 
 from __future__ import annotations

@@ -58,6 +58,8 @@ class RobotMotion(Short):
         states: Effect -> (N, s) its hidden state, where it is known, as in a simulation.
         effort: Gives the effort (N, nv) that the model needs with all its effects, scales left
             aside; None where nobody computes it.
+        temperature: (N, nv) temperatures of motors or gears, °C; NaN where one is not known, None
+            where none is.
     """
 
     joints: tuple[str, ...]
@@ -73,6 +75,7 @@ class RobotMotion(Short):
     effort: Callable[[], Array] | None = None
     before: Array | None = None
     states: Mapping[Any, Array] = field(default_factory=dict)
+    temperature: Array | None = None
 
     def joint(self, name: str) -> JointMotion:
         """The motion of one joint.
@@ -93,6 +96,18 @@ class RobotMotion(Short):
                 f"There is no joint {name!r}.", advice=f"Joints are: {', '.join(self.joints)}."
             )
         return self.joints.index(name)
+
+    def warmer(self, name: str, reference: float) -> Array:
+        """(N,) degrees by which a joint is warmer than a reference, °C; 0 where nobody knows.
+
+        Args:
+            name: Name of the joint.
+            reference: The reference, °C.
+        """
+        if self.temperature is None:
+            return np.zeros(len(self.v))
+        above = self.temperature[:, self.index(name)] - reference
+        return above if above.dtype == object else np.nan_to_num(above)
 
     def body_motions(self, effect: str) -> RobotBodies:
         """The bodies' poses and Jacobians.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from geodrake.boundary.arguments import instance, instances, number, one_of
 
-_SCALES = ("", "speed", "reach", "duration")
+_SCALES = ("", "speed", "reach", "duration", "temperature")
 _LINEAR = (("kg·m²", "kg"), ("N·m", "N"), ("rad", "m"))
 
 
@@ -21,7 +21,7 @@ class Shape:
         unit: SI unit at a joint that turns.
         grid: Values to try, as shares of a size if there is a `scale`; none for the default.
         scale: Size that the grid is relative to: "speed", the joint's peak speed, "reach", its
-            range of motion, or "duration", that of the longest log.
+            range of motion, "duration", that of the longest log, or "temperature", its mean.
         usual: The value to try where that size is not known.
     """
 

@@ -30,7 +30,8 @@ def log_of_frame(
         frame: A DataFrame of pandas or polars, a table of Arrow, a structured array, or a mapping
             of names to arrays. Columns are `time` (numbers, durations or dates),
             `<joint>.position`, `<joint>.effort` (or `.current`, `.voltage`, `.pwm`, `.command`) and
-            perhaps `<joint>.velocity`; or `position`, `effort` … (N, n), with the joints in order.
+            perhaps `<joint>.velocity` and `<joint>.temperature`; or `position`, `effort` … (N, n),
+            with the joints in order.
             Without `time`, the index of a pandas frame is the time, if it is one of dates,
             durations or seconds.
         joints: Names of a model's joints, if the log must have the same and in their order.

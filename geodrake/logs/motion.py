@@ -18,6 +18,7 @@ from geodrake.errors import ArgumentError, LogError
 from geodrake.logs.filtering import ZeroPhaseFilter
 from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.smoothing import Stretch
+from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.time_stamps import check_time
 
 Array = NDArray[np.float64]
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 MEMORY = 20_000
 """Samples before the first one that effects with a memory look back at."""
 
-QUANTITIES = ("position", "velocity", "acceleration", "effort", "command")
+QUANTITIES = ("position", "velocity", "acceleration", "effort", "command", "temperature")
 """What a log may hold of each of its joints."""
 
 EFFORT_KINDS = ("effort", "current", "voltage", "pwm")
@@ -59,6 +60,7 @@ class JointLog(Short):
         command: (N, n) positions that servos were told to go to, rad or m; NaN at joints that have
             none.
         effort_kinds: Joint -> what its efforts are, of `EFFORT_KINDS`; efforts where it is none.
+        temperature: (N, n) temperatures of motors or gears, °C; NaN at joints that have none.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -78,6 +80,7 @@ class JointLog(Short):
     standing: Mapping[str, float] = field(default_factory=dict)
     command: Array | None = None
     effort_kinds: Mapping[str, str] = field(default_factory=dict)
+    temperature: Array | None = None
 
     def __post_init__(self) -> None:
         for share in np.ravel(np.asarray(self.effort_uncertainty, object)):
@@ -134,8 +137,8 @@ class JointLog(Short):
     def columns(self) -> dict[str, Array]:
         """What was measured, (N,) each, by the names that log files have for it.
 
-        Efforts of joints that have commands in their place are left out, as are commands where
-        there are none.
+        Efforts of joints that have commands in their place are left out, as are commands and
+        temperatures where there are none.
         """
         columns = {"time": self.time}
         for quantity in QUANTITIES:
@@ -145,6 +148,7 @@ class JointLog(Short):
                 kinds = self.effort_kinds if quantity == "effort" else {}
                 told = self.command is not None and not np.isnan(self.command[:, at]).all()
                 left_out = {"effort": told and np.isnan(column).all(), "command": not told}
+                left_out["temperature"] = np.isnan(column).all()
                 if not left_out.get(quantity, False):
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
         return columns
@@ -204,6 +208,7 @@ class Motion(Short):
         vd: (N, nv) generalized accelerations.
         time: (N,) instants, s, if they matter.
         before: (M, nq) positions right before the first sample; None for samples out of order.
+        temperature: (N, nv) temperatures, °C, NaN where not known; None if none is.
     """
 
     q: Array
@@ -211,9 +216,10 @@ class Motion(Short):
     vd: Array
     time: Array | None = None
     before: Array | None = None
+    temperature: Array | None = None
 
     def __post_init__(self) -> None:
-        for name in ("q", "v", "vd", "time", "before"):
+        for name in ("q", "v", "vd", "time", "before", "temperature"):
             if (values := getattr(self, name)) is not None or name in ("q", "v", "vd"):
                 object.__setattr__(self, name, real_array(values, name, finite=False))
         if self.q.ndim != 2 or self.v.ndim != 2 or self.vd.ndim != 2:
@@ -236,7 +242,8 @@ class Motion(Short):
         before = self.before
         if before is not None:
             before = np.concatenate([before, self.q[: samples.indices(len(self))[0]]])[-MEMORY:]
-        return Motion(self.q[samples], self.v[samples], self.vd[samples], time, before)
+        warmth = None if self.temperature is None else self.temperature[samples]
+        return Motion(self.q[samples], self.v[samples], self.vd[samples], time, before, warmth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +262,7 @@ class Trajectory:
         payloads: Known payloads that the robot carried.
         gain_deviations: (n,) how well the gains of the efforts are known.
         bandwidths: Those asked for of efforts and regressors, and of the motion, Hz.
+        temperatures: Courses of the joints' temperatures, if there are any.
     """
 
     name: str
@@ -268,11 +276,17 @@ class Trajectory:
     payloads: tuple[KnownPayload, ...] = ()
     gain_deviations: Array | float = 0.0
     bandwidths: tuple[float, float] = (0.0, 0.0)
+    temperatures: Temperatures | None = None
 
     @property
     def output_counts(self) -> tuple[int, ...]:
         """How many filtered and decimated samples each segment gives."""
         return tuple(self.filter.output_count(len(segment)) for segment in self.segments)
+
+    def temperature(self, time: Array) -> Array | None:
+        """(N, n) temperatures at time stamps (N,), s, NaN at joints without; None of all."""
+        courses = self.temperatures
+        return None if courses is None else courses.at(time - self.began, self.joints)
 
 
 def match_joints(log: JointLog, model_joints: Sequence[str]) -> JointLog:

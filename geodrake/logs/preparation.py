@@ -18,6 +18,7 @@ from geodrake.logs.filtering import (
 )
 from geodrake.logs.motion import JointLog, Trajectory
 from geodrake.logs.smoothing import Segment, Stretch, smooth_pieces
+from geodrake.logs.temperatures import Temperatures
 from geodrake.logs.uniform_log import UniformLog, make_uniform
 from geodrake.logs.unit_hints import position_unit_hint
 from geodrake.logs.white_noise import quiet_density
@@ -120,6 +121,7 @@ def _prepare(
         log.payloads,
         log.gain_deviations,
         (bandwidth, motion_bandwidth),
+        Temperatures.of(log.joints, log.time, log.temperature),
     )
     _check_outputs(uniform, low_pass, sum(trajectory.output_counts))
     dropped = len(uniform.pieces) - len(stretches)

@@ -32,6 +32,7 @@ from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import inertial_parameters
 from geodrake.logs.motion import Motion
+from geodrake.logs.temperatures import Temperatures
 from geodrake.model.effort_signal import EffortSignal
 from geodrake.model.simulation.driven_robot import Driving, add_driven_robot
 from geodrake.model.simulation.robot_in_diagram import (
@@ -180,12 +181,18 @@ class RobotModel(Short):
             v = times(self.actuation.jacobian(q), v)
         return self.coordinates.plant_velocities(v)
 
-    def driving(self, sign_width: Array, log: str | None = None) -> Driving | None:
+    def driving(
+        self,
+        sign_width: Array,
+        log: str | None = None,
+        temperatures: Temperatures | None = None,
+    ) -> Driving | None:
         """How a plant of the model moves, if that has other coordinates than the model.
 
         Args:
             sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
             log: Name of the log that is simulated, in which the model's contacts act.
+            temperatures: Those of its joints, in its time.
 
         Raises:
             ModelError: An effect has hidden states, or makes a joint soft.
@@ -206,8 +213,10 @@ class RobotModel(Short):
         number = 0 if log is None else log_number(log)
 
         def needed(q: Array, v: Array, vd: Array, time: float) -> Array:
-            seen = self.motion(Motion(q, v, vd), sign_width=sign_width)
-            return self._unscaled_effort(replace(seen, time=np.full(len(q), time), log=number))
+            instants = np.full(len(q), time)
+            warmth = None if temperatures is None else temperatures.at(instants, self.joints)
+            seen = self.motion(Motion(q, v, vd, temperature=warmth), sign_width=sign_width)
+            return self._unscaled_effort(replace(seen, time=instants, log=number))
 
         return Driving(self.tree, self.coordinates, self.total_phi, self.joints, needed, gain)
 
@@ -380,6 +389,8 @@ class RobotModel(Short):
             before = np.full((len(motion.before), len(self.joints)), np.nan)
             before[:, at_velocity] = motion.before[:, at_position]
             seen = replace(seen, before=before)
+        if motion.temperature is not None:
+            seen = replace(seen, temperature=motion.temperature)
         return replace(seen, effort=cache(lambda: self._unscaled_effort(seen)))
 
     def effort(self, motion: Motion, *, sign_width: ArrayLike = 0.0) -> Array:

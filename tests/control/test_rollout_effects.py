@@ -11,9 +11,11 @@ from geodrake.control.rollout import roll_out
 from geodrake.control.systems import EffectForce
 from geodrake.effects import (
     Contact,
+    CoulombFriction,
     FittedEffect,
     FrictionDrift,
     Hysteresis,
+    ThermalFriction,
     ViscousFriction,
 )
 from geodrake.effects.robot_motion import log_number
@@ -113,6 +115,28 @@ class TestDrift:
         """Of a log that begins when the gear is warm, the model's time is too early."""
         model = with_effects(pendulum, LOSS, self.drift)
         assert departure(model, self.log(begins=10.0)) > 100 * departure(model, self.log())
+
+
+class TestTemperature:
+    """Friction of a hinge that heats up and cools down, as its log says."""
+
+    warm = (ThermalFriction("hinge", 30.0), [-0.03, -0.02])
+
+    def test_is_that_of_the_log(self, pendulum):
+        def temperature(t):
+            return 30.0 + 15.0 * np.sin(0.2 * t)
+
+        def needed(t, q, v, z):
+            change = -0.03 * np.tanh(v / 0.02) - 0.02 * v
+            return 0.5 * np.tanh(v / 0.02) + 0.4 * v + (temperature(t) - 30.0) * change
+
+        log = swung("heating", needed)
+        friction = ((CoulombFriction("hinge"), [0.5]), (ViscousFriction("hinge"), [0.4]))
+        model = with_effects(pendulum, *friction, self.warm)
+        readings = np.round(temperature(log.time - FIRST_STAMP), 1)[:, None]
+        known = departure(model, dataclasses.replace(log, temperature=readings), most=3)
+        assert known < 1e-2
+        assert departure(model, log, most=3) > 20 * known  # without readings it stays at 30 °C
 
 
 class TestContact:

@@ -87,6 +87,7 @@ MANY = [
     (effects.CoupledRotorInertia(("joint1", "joint2")), [0.05]),
     (effects.RotorInertia("joint2"), [0.2]),
     (effects.FrictionDrift("joint1", 3.0), [0.5, 0.2]),
+    (effects.ThermalFriction("joint2", 25.0), [-0.02, -0.01]),
     (effects.Hysteresis("joint0", 0.05), [0.7]),
     (effects.GravityTilt(), [0.03, -0.02]),
     (effects.AerodynamicDrag("link2"), [0.4, 0.1, 0.0, 0.05]),

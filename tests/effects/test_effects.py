@@ -30,6 +30,7 @@ NAMES_OF_DESIGN = (
     "load_dependent_friction",
     "coupled_friction",
     "friction_drift",
+    "thermal_friction",
     "hysteresis",
     "effort_offset",
     "effort_scale",
@@ -90,7 +91,13 @@ class TestEveryEffect:
             effect.joint = "wrist"
 
 
-@pytest.mark.parametrize("name", [e.name for e in instances() if "friction" in e.name])
+# What friction gains with the temperature may be less.
+RUBBING = [
+    e.name for e in instances() if "friction" in e.name and "temperature" not in e.depends_on
+]
+
+
+@pytest.mark.parametrize("name", RUBBING)
 def test_friction_brakes(name):
     effect = next(e for e in instances() if e.name == name)
     motion = random_motion(200, width=0.3)
@@ -139,6 +146,19 @@ class TestEquations:
         np.testing.assert_allclose(effort, fade * (2.0 * np.sign(self.v) + 3.0 * self.v))
         settled = dataclasses.replace(self.motion, time=None)
         np.testing.assert_array_equal(effects.FrictionDrift("elbow", 5.0).regressor(settled), 0.0)
+
+    def test_friction_of_a_warm_joint(self):
+        effect, at = effects.ThermalFriction("elbow", 30.0), self.motion.index("elbow")
+        warmer = self.motion.temperature[:, at] - 30.0
+        expected = warmer * (-0.2 * np.sign(self.v) - 0.1 * self.v)
+        np.testing.assert_allclose(self.elbow(effect, [-0.2, -0.1]), expected)
+        readings = np.full_like(self.motion.temperature, 40.0)
+        readings[::2] = np.nan  # not known: no change is added
+        some = effect.regressor(dataclasses.replace(self.motion, temperature=readings))[:, at]
+        np.testing.assert_array_equal(some[::2], 0.0)
+        np.testing.assert_allclose(some[1::2, 1], 10.0 * self.v[1::2])
+        none = dataclasses.replace(self.motion, temperature=None)
+        np.testing.assert_array_equal(effect.regressor(none), 0.0)
 
     def test_spring_and_rest_position(self):
         k, q_0, center = 2.0, 0.7, 0.3

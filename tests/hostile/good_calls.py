@@ -1077,6 +1077,7 @@ def _effects(t):
         m.NonlinearViscousFriction: {"exponent": 0.5},
         m.CoupledFriction: {"sign": 1},
         m.FrictionDrift: {"time_constant": 100.0},
+        m.ThermalFriction: {"reference": 30.0},
         m.Hysteresis: {"breakaway_angle": 0.01},
         m.JointSpring: {"exponent": 1, "center": 0.1},
         m.TorqueRipple: {"order": 3.0},

@@ -22,6 +22,7 @@ from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
+from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
@@ -184,11 +185,13 @@ def case_rollout(
     @cache
     def simulation(log: str) -> Simulation | DrivenSimulation:
         loaded = carrying(model, carried[log])
-        servoed = commands and told_joints(model, logs[log]).any()
-        acting = ServoedCommand(model, logs[log]) if servoed else LoggedEffort(len(model.joints))
-        if loaded.transmission and (driving := loaded.driving(width, log)) is not None:
+        whole = logs[log]
+        servoed = commands and told_joints(model, whole).any()
+        acting = ServoedCommand(model, whole) if servoed else LoggedEffort(len(model.joints))
+        warmth = Temperatures.of(whole.joints, whole.time, whole.temperature)
+        if loaded.transmission and (driving := loaded.driving(width, log, warmth)) is not None:
             return DrivenSimulation(loaded, driving, acting, fastest=fastest, steps=steps)
-        return Simulation(loaded, width, log, acting, fastest=fastest, steps=steps)
+        return Simulation(loaded, width, whole, acting, fastest=fastest, steps=steps)
 
     windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
     for done, passage in enumerate(passages[k] for k in chosen):

@@ -16,7 +16,8 @@ from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems import EffectForce
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import ModelError
-from geodrake.logs.motion import Motion
+from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs.temperatures import Temperatures
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.robot_in_diagram import FORCES
 from geodrake.robot.plant import load_plant, set_inertial_parameters
@@ -87,7 +88,7 @@ class Simulation:
     Args:
         model: The model.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-        log: Name of the log.
+        log: The log.
         acting: What acts on the joints.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
@@ -97,7 +98,7 @@ class Simulation:
         self,
         model: RobotModel,
         sign_width: Array,
-        log: str,
+        log: JointLog,
         acting: Acting,
         *,
         fastest: Array,
@@ -115,7 +116,8 @@ class Simulation:
                 effects,
                 sign_width=self._whole(sign_width, 1.0),
                 phi=model.total_phi,
-                log=log,
+                log=log.name,
+                temperatures=Temperatures.of(log.joints, log.time, log.temperature),
             )
         )
         _check_followers(model, implicit=self._force.implicit)

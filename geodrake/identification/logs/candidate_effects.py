@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from geodrake.effects import catalogue
 from geodrake.effects.base import Effect
 from geodrake.effects.user_code import candidates_of
+from geodrake.identification.logs.reduce import peak_speeds
+from geodrake.logs.motion import Trajectory
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -17,10 +19,12 @@ Array = NDArray[np.float64]
 LONGEST_DELAY = 0.05
 """Delays between motion and effort are tried up to this one, s."""
 
+_LEAST_WARMING = 2.0  # °C; readings come in whole degrees, and friction changes by some % in one
+
 
 def candidate_effects(
     model: RobotModel,
-    peak_speeds: Array,
+    trajectories: Sequence[Trajectory],
     extra: Sequence[type[Effect]] = (),
     *,
     known_gains: Collection[str] = (),
@@ -33,14 +37,15 @@ def candidate_effects(
 
     Args:
         model: The robot.
-        peak_speeds: (nv,) largest speed of each joint in the logs; shape grids scale with it.
+        trajectories: Prepared logs; shape grids scale with their speeds and temperatures.
         extra: Further effect classes.
         known_gains: Joints at which known payloads take the place of known inertias, as
             `joints_with_known_gain` gives them.
     """
     single = [joint for joint in model.joints if joint in model.single_joints]
     known = [joint for joint in single if joint in known_gains]
-    speed = dict(zip(model.joints, peak_speeds.tolist(), strict=True))
+    speed = dict(zip(model.joints, peak_speeds(trajectories).tolist(), strict=True))
+    temperatures = mean_temperatures(trajectories)
     found: list[Effect] = []
     for effect in (*catalogue(), *extra):
         unknown = effect.needs_known_inertia and model.information is None
@@ -49,10 +54,8 @@ def candidate_effects(
             continue
         if effect.places == "joint":
             for joint in known if unknown else single:
-                if effect.turning_only and joint in model.sliding_joints:
-                    continue
-                if speed[joint] > 0.0:
-                    found.extend(candidates_of(effect, joint, speed[joint]))
+                sizes = {"speed": speed[joint], "temperature": temperatures.get(joint)}
+                found.extend(_at_joint(model, effect, joint, sizes))
         elif effect.places == "joint_pair":
             for pair in model.joint_pairs:
                 found.extend(candidates_of(effect, pair))
@@ -62,6 +65,43 @@ def candidate_effects(
         elif effect.places == "robot":
             found.extend(candidates_of(effect))
     return tuple(found)
+
+
+def _at_joint(
+    model: RobotModel, effect: type[Effect], joint: str, sizes: Mapping[str, float | None]
+) -> tuple[Effect, ...]:
+    """Instances of an effect to try at a joint.
+
+    Args:
+        model: The robot.
+        effect: Class of the effect.
+        joint: The joint.
+        sizes: Its peak "speed", 0 for one that is at rest, and its mean "temperature", None for
+            one of which nobody knows what changes with it.
+    """
+    speed, temperature = sizes["speed"], sizes["temperature"]
+    if not speed or (effect.turning_only and joint in model.sliding_joints):
+        return ()
+    if "temperature" not in effect.depends_on:
+        return candidates_of(effect, joint, speed)
+    if temperature is None:
+        return ()
+    return tuple(effect.shaped(joint, speed=speed, temperature=temperature))
+
+
+def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:
+    """Joint -> mean temperature in the logs, °C, where it changes enough to show what it does.
+
+    Args:
+        trajectories: Prepared logs.
+    """
+    courses = [t.temperatures.courses for t in trajectories if t.temperatures is not None]
+    found = {}
+    for joint in trajectories[0].joints:
+        values = [course[joint][1] for course in courses if joint in course]
+        if values and np.ptp(together := np.concatenate(values)) >= _LEAST_WARMING:
+            found[joint] = float(together.mean())
+    return found
 
 
 def candidate_delays(period: float, bandwidth: float) -> tuple[float, ...]:

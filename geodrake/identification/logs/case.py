@@ -23,7 +23,7 @@ from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.model_errors import ErrorTable, JointError, Series
 from geodrake.identification.logs.model_fit import effects_of
 from geodrake.identification.logs.noise import filtered_below
-from geodrake.identification.logs.reduce import peak_speeds, reduce_logs
+from geodrake.identification.logs.reduce import reduce_logs
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.signal_calibration import with_efforts
 from geodrake.identification.logs.unknowns import Unknowns
@@ -184,7 +184,7 @@ def open_case(
     delays: tuple[float, ...] = (0.0,)
     if candidates:
         gains = joints_with_known_gain(model, [log.payloads for log in matched])
-        effects += candidate_effects(model, peak_speeds(trajectories), extra, known_gains=gains)
+        effects += candidate_effects(model, trajectories, extra, known_gains=gains)
         low_pass = trajectories[0].filter
         delays = candidate_delays(low_pass.period, low_pass.bandwidth)
     shared = SharedRows() if candidates else SharedRows(signals=0)  # few reductions follow

@@ -285,6 +285,7 @@ class LogSlice:
             acceleration,
             time - self.trajectory.began,
             model.positions(self._past()),
+            self.trajectory.temperature(time),
         )
 
     def _past(self) -> Array:

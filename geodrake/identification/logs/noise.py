@@ -59,7 +59,7 @@ def noise_floor(
             density, width = quiet_density(start.effort, rate, bandwidth), gain**2 * rate / 2.0
             noise = density * width
             if robot is not None:
-                residual = _residual(start, robot, sign_width, trajectory.began)
+                residual = _residual(start, robot, sign_width, trajectory)
                 density = np.minimum(density, quiet_density(residual, rate, bandwidth))
                 mean, quietest = passband_density(residual, rate, bandwidth)
                 carried = _carried(start, robot, trajectory, sign_width)
@@ -103,6 +103,7 @@ def _carried(
         some.velocity,
         some.acceleration,
         some.time - trajectory.began,
+        temperature=trajectory.temperature(some.time),
     )
     power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
     for j, deviation in enumerate(trajectory.acceleration_noise):
@@ -113,9 +114,16 @@ def _carried(
     return power
 
 
-def _residual(segment: Segment, model: RobotModel, sign_width: ArrayLike, began: float) -> Array:
+def _residual(
+    segment: Segment, model: RobotModel, sign_width: ArrayLike, trajectory: Trajectory
+) -> Array:
     """(K, n) measured − predicted effort at the full rate."""
-    q, since = model.positions(segment.position), segment.time - began
-    motion = Motion(q, segment.velocity, segment.acceleration, since)
+    motion = Motion(
+        model.positions(segment.position),
+        segment.velocity,
+        segment.acceleration,
+        segment.time - trajectory.began,
+        temperature=trajectory.temperature(segment.time),
+    )
     needed = model.effort(motion, sign_width=sign_width)
     return segment.effort - delayed_by(model.delays, needed, segment.period)

@@ -30,7 +30,7 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             why |= {m.quantity for m in others} - {m.quantity for m in chosen}
             words = f" ({', '.join(sorted(why))})" if why else ""
             yield (f"{quantity}: {_span(chosen)} taken, and not {_span(others)}{words}")
-        if quantity != "command" and chosen and all(map(_is_doubtful, chosen)):
+        if quantity not in ("command", "temperature") and chosen and all(map(_is_doubtful, chosen)):
             yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
 
 

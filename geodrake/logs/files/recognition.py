@@ -36,12 +36,20 @@ QUANTITY_WORDS: Mapping[str, str] = {
     **dict.fromkeys(["current", "currents", "cur", "curr", "i"], "current"),
     **dict.fromkeys(["voltage", "voltages", "volt", "volts"], "voltage"),
     **dict.fromkeys(["pwm", "pwms", "duty"], "pwm"),
+    **dict.fromkeys(["temperature", "temperatures", "temp", "temps"], "temperature"),
 }
 """Words that name a quantity."""
 
 _COMMAND = frozenset(["command", "commands", "commanded", "cmd", "cmds", "action", "actions"])
 _COMMAND |= {"goal", "setpoint", "reference", "ref", "desired", "target"}  # of positions, alone
-_STRONGEST = ("acceleration", "velocity", "effort", *SIGNALS, "position")  # as in q1_torque
+_STRONGEST = (
+    "temperature",
+    "acceleration",
+    "velocity",
+    "effort",
+    *SIGNALS,
+    "position",
+)  # as in q1_torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
 _CURRENT = ("current", "currents", "cur", "curr", "i")
 _SHORT = ("v", "i")  # which say something before a number alone
@@ -57,7 +65,7 @@ ROLE_WORDS: Mapping[str, int] = {
     **dict.fromkeys(["tcp", "tool", "ee", "cartesian", "cart", "wrench", "imu", "base"], OTHER),
     **dict.fromkeys(["external", "ext", "error", "err", "errors", "limit", "min", "max"], OTHER),
     **dict.fromkeys(["gravity", "coriolis", "friction", "model", "disturbance"], OTHER),
-    **dict.fromkeys(["fraction", "scaling", "temperature", "contact"], OTHER),
+    **dict.fromkeys(["fraction", "scaling", "contact"], OTHER),
 }
 """Words that say whether numbers were measured at the joint, and so which of several are taken."""
 
@@ -65,7 +73,7 @@ ROLES = ("measured", "", "of motors", "desired", "of something else")
 _FILLERS = frozenset(
     ["joint", "joints", "jnt", "axis", "axes", "link", "robot", "side", "states", "field"]
 ) | {"msg", "data", "value", "actual", "estimated", "est", "filtered", "filt", "cycle"}
-_NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors", "temperature"])
+_NO_SIGNAL = frozenset(["limit", "limits", "min", "max", "error", "err", "errors"])
 _SUPPLY = frozenset(["supply", "bus", "battery", "main", "input"])  # which no joint has of its own
 _TIMES = frozenset(("time", "timestamp", "timestamps", "stamp", "t", "clock", "sec", "secs"))
 _TIMES |= {"datetime"}
@@ -206,7 +214,7 @@ def _joint(column: str) -> Meaning | None:
     if quantity == "command":  # of what, another part may say
         other = _quantity(tuple(w for w in _split(name) if w not in _COMMAND)) or "position"
         quantity = quantity if other == "position" else other
-    if quantity in (*SIGNALS, "command") and _NO_SIGNAL.intersection(said):
+    if quantity in (*SIGNALS, "command", "temperature") and _NO_SIGNAL.intersection(said):
         return None
     if quantity in ("current", "voltage") and _SUPPLY.intersection(said):
         return None

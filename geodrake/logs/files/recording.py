@@ -118,6 +118,7 @@ class Recording:
             standing={joint: self._place(joint, rows) for joint in self._standing},
             command=values.get("command"),
             effort_kinds=self.columns.kinds,
+            temperature=values.get("temperature"),
         )
 
     def _place(self, joint: str, rows: int) -> float:

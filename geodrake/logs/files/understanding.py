@@ -234,7 +234,7 @@ class _Understood:
         quantities, notes = [], list(self.notes)
         for quantity in QUANTITIES:
             missing = [f"{j}.{quantity}" for j in joints if (j, quantity) not in self.places]
-            some = len(missing) < len(joints) and quantity == "command"
+            some = len(missing) < len(joints) and quantity in ("command", "temperature")
             if not missing or some or quantity == "effort":
                 quantities.append(quantity)
             elif len(missing) < len(joints):

@@ -28,8 +28,9 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "effort": _EFFORTS | _SIGNALS["current"] | _SIGNALS["voltage"],
     **_SIGNALS,
     "command": _ANGLES | _LENGTHS,
+    "temperature": {"°C": 1.0},
 }
-"""Quantity -> unit -> how many rad, m, s, N·m, N, A, V or shares of the supply it is."""
+"""Quantity -> unit -> how many rad, m, s, N·m, N, A, V, shares of the supply or °C it is."""
 
 _SPELLINGS = {
     "°": "deg",
@@ -64,6 +65,9 @@ _SPELLINGS = {
     "volts": "V",
     "percent": "%",
     "‰": "permille",
+    "c": "°C",
+    "degc": "°C",
+    "celsius": "°C",
 }
 
 

@@ -26,6 +26,7 @@ from geodrake.effects import Effect
 from geodrake.effects.robot_motion import log_number
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array
+from geodrake.logs.temperatures import Temperatures
 from geodrake.model.formulas.evaluation import Scalars
 from geodrake.model.simulation.force_law import (
     EffectWithValues,
@@ -87,6 +88,11 @@ class _EffectForce(ScalarSystem):
                 "Effects that depend on accelerations or loads, and soft joints, have no formulas: "
                 "their accelerations solve equations.",
                 advice="Use ToAutoDiffXd, or leave them out.",
+            )
+        if any(terms.warmed for side in (law.motors, law.links) for terms in side.all):
+            raise ModelError(
+                "Temperatures have no formulas of the time.",
+                advice="Use ToAutoDiffXd, or leave the temperatures out.",
             )
         law.record()
 
@@ -384,6 +390,7 @@ class EffectForce(_EffectForce, LeafSystem):
 
     Effects that depend on the time since a log began (`FrictionDrift`, `Contact`) take the time of
     the Context for it. Contacts that were found in a log act only where that log is simulated.
+    Friction that goes with the temperature (`ThermalFriction`) takes that of `temperatures`.
 
     Numeric parameters of the Context are all μ (`set_effect_parameters`), and the inertial
     parameters that the plant is taken to have (`set_inertial_parameters`). No system sees the
@@ -418,6 +425,8 @@ class EffectForce(_EffectForce, LeafSystem):
             than the default ones; such as `model.total_phi`, which has the payloads: these are
             then no effects.
         log: Name of the log that is simulated; None for none.
+        temperatures: Those of the joints, in the time of the Context; without, each joint has that
+            to which its friction belongs.
         spring_damping: Damping of elastic joints, as a share of the critical one.
 
     Raises:
@@ -434,11 +443,12 @@ class EffectForce(_EffectForce, LeafSystem):
         sign_width: ArrayLike = 1e-2,
         phi: ArrayLike | None = None,
         log: str | None = None,
+        temperatures: Temperatures | None = None,
         spring_damping: float = SPRING_DAMPING,
         converter: Any = None,
     ) -> None:
         number = 0 if log is None else log_number(instance(log, "log", str))
-        motion = PlantMotion(plant, sign_width, number)
+        motion = PlantMotion(plant, sign_width, number, temperatures)
         self._declare(ForceLaw(motion, effects, phi, spring_damping=spring_damping), converter)
 
     def _construct_copy(self, other: _EffectForce, converter: Any = None) -> None:

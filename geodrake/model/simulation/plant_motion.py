@@ -19,6 +19,7 @@ from geodrake.effects.robot_motion import smoothed_sign
 from geodrake.errors import ArgumentError
 from geodrake.inertia import PARAMETERS_PER_BODY, Array, change_frame, inertial_parameters
 from geodrake.inertia.bodies import Member, lumped_bodies
+from geodrake.logs.temperatures import Temperatures
 from geodrake.model.formulas.rigid_bodies import BodyFormulas, inverse_dynamics_formula
 from geodrake.model.formulas.symbols import Formulas, Symbols
 from geodrake.robot.kinematics import KinematicTree
@@ -38,10 +39,15 @@ class PlantMotion:
         direction: The smoothed sign of velocities (nv,).
         phi: (nb, 10) inertial parameters of the plant's default Context.
         inertia_units: (nv,) units of what resists the acceleration of each velocity.
+        temperatures: Those of the joints, if any are known.
     """
 
     def __init__(
-        self, plant: MultibodyPlant | RobotInstance, sign_width: ArrayLike, log: int = 0
+        self,
+        plant: MultibodyPlant | RobotInstance,
+        sign_width: ArrayLike,
+        log: int = 0,
+        temperatures: Temperatures | None = None,
     ) -> None:
         """Reads a plant.
 
@@ -50,10 +56,11 @@ class PlantMotion:
             sign_width: Speed below which dry friction fades, rad/s or m/s; one or (nv,), of a robot
                 in a plant (n,).
             log: Number of the log that is simulated, as in `RobotMotion`.
+            temperatures: Those of the joints in the time of that log, if any are known.
         """
         robot = plant if isinstance(plant, RobotInstance) else RobotInstance(plant)
         self.robot, self.plant, self._log = robot, (plant := robot.plant), log
-        self.phi = inertial_parameters(plant)
+        self.phi, self.temperatures = inertial_parameters(plant), temperatures
         self.joints = robot.velocity_names
         width = one_or_each(sign_width, "sign_width", len(robot.joints))
         self._sign_width = np.ones(len(self.joints))  # that of other robots does not matter

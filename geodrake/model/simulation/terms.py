@@ -18,6 +18,7 @@ from geodrake.inertia import Array
 from geodrake.model.formulas.evaluation import Scalars, evaluated
 from geodrake.model.formulas.symbols import Formulas, Symbols
 from geodrake.model.simulation.plant_motion import PlantMotion
+from geodrake.model.simulation.scalars import value_of
 
 Parameters = tuple[Any, Array]
 """(k,) linear parameters of all effects, and (nb, 10) inertial parameters of the bodies."""
@@ -69,7 +70,12 @@ class Terms:
     @cached_property
     def timed(self) -> bool:
         """Whether the time must be known."""
-        return "time" in self.columns.depends_on
+        return "time" in self.columns.depends_on or self.warmed
+
+    @cached_property
+    def warmed(self) -> bool:
+        """Whether the temperatures of the joints matter, and are known."""
+        return self.plant.temperatures is not None and "temperature" in self.columns.depends_on
 
     def direct(self, at: Sample, parameters: Parameters) -> Any:
         """Effort (nv,) of effects that see neither accelerations nor loads.
@@ -135,7 +141,7 @@ class Terms:
                 place = self.hidden[effect]
                 formulas[place] = effect.state_rates(motion, z[None, place])[0]
             self._recorded["rates"] = formulas
-        inputs = _inputs(at, zero[0], zero[0], parameters[0])
+        inputs = self._inputs(at, zero[0], zero[0], parameters[0])
         return evaluated(self._recorded["rates"], inputs, scalar)
 
     def record(self, at: Sample, parameters: Parameters) -> Formulas:
@@ -166,7 +172,7 @@ class Terms:
     def _by_formulas(self, at: Sample, vd: Array, load: Any, parameters: Parameters) -> Scalars:
         formulas, scalar = self.record(at, parameters), _scalar(at, parameters, load)
         rows = [
-            evaluated(formulas, _inputs(at, row, load, parameters[0]), scalar)
+            evaluated(formulas, self._inputs(at, row, load, parameters[0]), scalar)
             for row in np.asarray(vd)
         ]
         return self.plant.own(np.array(rows, object))
@@ -182,6 +188,8 @@ class Terms:
         known: dict[str, Any] = {"states": {e: z[None, s] for e, s in self.hidden.items()}}
         if self.timed:
             known["time"] = Symbols.inputs("time", 1)
+        if self.warmed:
+            known["temperature"] = Symbols.inputs("temperature", nv)[None]
         return self.plant.formulas(q, (v, vd, load), phi, **known), z
 
     def _seen(
@@ -189,7 +197,24 @@ class Terms:
     ) -> RobotMotion:
         hidden = {e: at.hidden[None, place] for e, place in self.hidden.items()}
         time = np.full(len(q), at.time) if self.timed else None
-        return self.plant.seen(q, rates, parameters[1], time=time, states=hidden)
+        known: dict[str, Any] = {"time": time, "states": hidden}
+        if self.warmed:
+            known["temperature"] = np.repeat(self._temperature(at), len(q), axis=0)
+        return self.plant.seen(q, rates, parameters[1], **known)
+
+    def _temperature(self, at: Sample) -> Array:
+        """(1, nv) temperatures at an instant, °C; NaN where not known."""
+        plant = self.plant
+        if plant.temperatures is None:
+            return np.full((1, len(plant.joints)), np.nan)
+        return plant.temperatures.at(value_of(np.array([at.time])), plant.joints)
+
+    def _inputs(self, at: Sample, vd: Any, load: Any, mu: Any) -> dict[str, Any]:
+        """Numbers for the formulas; temperatures have no slope with the time, they are slow."""
+        known = {"q": at.q, "v": at.v, "vd": vd, "load": load, "hidden": at.hidden, "mu": mu}
+        if self.warmed:
+            known["temperature"] = self._temperature(at)[0]
+        return {**known, "time": [at.time]}
 
 
 def recorded_rows(effect: Effect, motion: RobotMotion) -> Any:
@@ -202,7 +227,7 @@ def recorded_rows(effect: Effect, motion: RobotMotion) -> Any:
     Raises:
         ModelError: It does not compute them by NumPy's functions alone.
     """
-    with_past = bool(effect.depends_on & {"time", "history"})
+    with_past = bool(effect.depends_on & {"time", "history", "temperature"})
     try:
         return (effect.rows if with_past else effect.formula_rows)(motion)
     except Exception as error:  # whatever NumPy says of symbols
@@ -213,11 +238,6 @@ def recorded_rows(effect: Effect, motion: RobotMotion) -> Any:
             f"symbols{line}: {problem}",
             advice="Let it use functions of NumPy's on whole arrays, or define formula_rows.",
         ) from error
-
-
-def _inputs(at: Sample, vd: Any, load: Any, mu: Any) -> dict[str, Any]:
-    known = {"q": at.q, "v": at.v, "vd": vd, "load": load, "hidden": at.hidden, "mu": mu}
-    return {**known, "time": [at.time]}
 
 
 def _scalar(at: Sample, parameters: Parameters, *others: Any) -> type:

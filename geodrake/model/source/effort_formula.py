@@ -40,7 +40,11 @@ class EffortFormula:
 
 def is_written(effect: Effect) -> bool:
     """Whether a formula of q, v and v̇ has an effect as it is."""
-    return effect.role not in _NOT_INCLUDED and not effect.depends_on & {"time", "history"}
+    return effect.role not in _NOT_INCLUDED and not effect.depends_on & {
+        "time",
+        "history",
+        "temperature",
+    }
 
 
 def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
@@ -80,7 +84,12 @@ def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
             _add(effort, fitted, seen)
         included.append(what)
         if not is_written(effect):
-            left_out.append(f"the history of {what}: it is as if the motion had gone on for long")
+            warm = "temperature" in effect.depends_on
+            left_out.append(
+                f"the temperature of {what}: it is that at which its effort is none"
+                if warm
+                else f"the history of {what}: it is as if the motion had gone on for long"
+            )
     total = effort.copy()
     for fitted in scales:
         at = seen.index(fitted.effect.where[0])

@@ -1,0 +1,69 @@
+"""Temperatures of joints through a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_SECOND = 1.0  # over which readings are averaged, as they come in whole degrees and change slowly
+
+
+@dataclass(frozen=True, eq=False)
+class Temperatures:
+    """Courses of the temperatures of joints.
+
+    Attributes:
+        courses: Joint -> instants since its log began (K,), s, and temperatures (K,), °C.
+    """
+
+    courses: Mapping[str, tuple[Array, Array]]
+
+    @classmethod
+    def of(cls, joints: Sequence[str], time: Array, readings: Array | None) -> Temperatures | None:
+        """The courses of measured temperatures, averaged second by second.
+
+        Args:
+            joints: Names of the n joints.
+            time: (N,) time stamps of a log, s.
+            readings: (N, n) temperatures, °C, NaN where there is none; None if nobody read any.
+
+        Returns:
+            The courses of joints that have one; None where none has.
+        """
+        if readings is None:
+            return None
+        since = time - time[np.isfinite(time)][0]
+        both = zip(joints, readings.T, strict=True)
+        courses = {joint: _averaged(since, own) for joint, own in both if np.isfinite(own).any()}
+        return cls(courses) if courses else None
+
+    def at(self, time: ArrayLike, joints: Sequence[str]) -> Array:
+        """Temperatures at some instants.
+
+        Args:
+            time: (N,) instants since the log began, s.
+            joints: Names of n joints.
+
+        Returns:
+            (N, n), °C; NaN at joints without.
+        """
+        instants = np.atleast_1d(np.asarray(time, float))
+        found = np.full((len(instants), len(joints)), np.nan)
+        for j, joint in enumerate(joints):
+            if joint in self.courses:
+                found[:, j] = np.interp(instants, *self.courses[joint])
+        return found
+
+
+def _averaged(time: Array, readings: Array) -> tuple[Array, Array]:
+    """Means (K,) of time and readings (N,) over every second in which there are any."""
+    known = np.isfinite(readings) & np.isfinite(time)
+    seconds = np.floor(time[known] / _SECOND)
+    _, second, counts = np.unique(seconds, return_inverse=True, return_counts=True)
+    mean_time, mean = (np.bincount(second, x[known]) / counts for x in (time, readings))
+    return mean_time, mean

@@ -1,0 +1,86 @@
+"""Temperatures of joints: read from files, kept, and averaged to courses."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from geodrake.errors import ArgumentError
+from geodrake.logs import JointLog, log_of_frame, read_log, write_log
+from geodrake.logs.files.reading import Reading
+from geodrake.logs.preparation import prepare_log
+from geodrake.logs.temperatures import Temperatures
+
+JOINTS = ("shoulder", "elbow")
+TIME = np.arange(2000) / 100.0
+Q = np.sin(TIME[:, None] * np.array([2.0, 3.0]))
+WARMTH = np.stack([30.0 + TIME, 45.0 - 0.5 * TIME], 1)
+
+
+def log_with(temperature):
+    return JointLog("warm", JOINTS, TIME, Q, np.cos(Q), temperature=temperature)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_a_log_keeps_them(tmp_path, suffix):
+    path = tmp_path / f"log{suffix}"
+    write_log(log_with(WARMTH), path)
+    again = read_log(path)
+    np.testing.assert_array_equal(again.temperature, WARMTH)
+    assert not any("ignored" in note for note in again.notes)
+    np.testing.assert_array_equal(again.select(["elbow"]).temperature, WARMTH[:, 1:])
+    assert list(again.to_dataframe())[-1] == "elbow.temperature"
+
+
+def test_one_joint_alone_may_have_one():
+    only = WARMTH.copy()
+    only[:, 0] = np.nan
+    columns = log_with(only).columns()
+    assert "shoulder.temperature" not in columns
+    again = log_of_frame(columns, joints=JOINTS)
+    np.testing.assert_array_equal(again.temperature, only)
+    assert log_of_frame(log_with(None).columns()).temperature is None
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["joint_temperatures_J", "motor_temperature_J", "temp_J", "axisJ.Temperature", "Temp_J (°C)"],
+)
+def test_names_of_other_loggers(form):
+    frame = {"time": TIME}
+    for quantity, values in (("q_J", Q), ("tau_J", np.cos(Q)), (form, WARMTH)):
+        frame |= {quantity.replace("J", str(k)): values[:, k] for k in range(2)}
+    log = log_of_frame(frame, joints=JOINTS)
+    np.testing.assert_array_equal(log.temperature, WARMTH)
+
+
+def test_another_unit_is_refused():
+    with pytest.raises(ArgumentError, match=r"'K' is no known unit of temperature.*°C"):
+        log_of_frame(log_with(WARMTH).columns(), reading=Reading(units={"temperature": "K"}))
+
+
+def test_limits_and_boards_are_no_temperatures_of_joints():
+    columns = log_with(None).columns()
+    columns |= {"temperature_limit_0": WARMTH[:, 0], "temperature_board": WARMTH[:, 1]}
+    log = log_of_frame(columns, joints=JOINTS)
+    assert log.temperature is None
+    assert log.joints == JOINTS
+
+
+def test_courses_are_means_over_seconds():
+    readings = np.round(WARMTH)
+    readings[300:500, 0] = np.nan
+    readings[:, 1] = np.nan
+    courses = Temperatures.of(JOINTS, TIME + 100.0, readings)
+    assert list(courses.courses) == ["shoulder"]
+    found = courses.at([2.0, 4.0, 17.3], ["elbow", "shoulder"])
+    assert np.isnan(found[:, 0]).all()
+    np.testing.assert_allclose(found[:, 1], [32.0, 34.0, 47.3], atol=0.1)  # whole degrees, and back
+    assert Temperatures.of(JOINTS, TIME, np.full_like(WARMTH, np.nan)) is None
+
+
+def test_a_prepared_log_knows_them_by_time_stamp():
+    log = dataclasses.replace(log_with(WARMTH), time=TIME + 100.0)
+    trajectory = prepare_log(log, bandwidth=5.0)
+    found = trajectory.temperature(np.array([105.0, 110.0]))
+    np.testing.assert_allclose(found, [[35.0, 42.5], [40.0, 40.0]], atol=0.05)
