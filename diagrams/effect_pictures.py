@@ -83,6 +83,7 @@ def examples() -> list[Example]:
         Example(effects.StribeckFriction(ELBOW, 0.15, 2.0), (5.0,)),
         Example(effects.NonlinearViscousFriction(ELBOW, 0.5), (6.0,)),
         Example(effects.LoadDependentFriction(ELBOW), (0.12,)),
+        Example(effects.GearEfficiency(ELBOW), (0.25, 0.1)),
         Example(effects.CoupledFriction((ROLL, PITCH), -1), (2.0, 1.0), PITCH),
         Example(effects.FrictionDrift(ELBOW, 6.0), (6.0, 2.0)),
         Example(effects.ThermalFriction(ELBOW, 30.0), (-0.5, -0.2)),

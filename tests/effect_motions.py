@@ -65,6 +65,7 @@ def instances():
         effects.StribeckFriction("elbow", 0.1, 2.0),
         effects.NonlinearViscousFriction("elbow", 0.5),
         effects.LoadDependentFriction("elbow"),
+        effects.GearEfficiency("elbow"),
         effects.CoupledFriction(("elbow", "wrist"), -1),
         effects.FrictionDrift("elbow", 5.0),
         effects.ThermalFriction("elbow", 30.0),

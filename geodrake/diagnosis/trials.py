@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from geodrake.diagnosis.candidates import Package
 from geodrake.diagnosis.judgement import Judgement, acted_upon, judge, judge_errors
-from geodrake.effects.base import Effect, Role
+from geodrake.effects.base import Effect
 from geodrake.identification.logs.criteria import (
     MORE_THAN_HALF,
     MOST,
@@ -146,7 +146,8 @@ def is_nothing(dataset: Dataset, effects: Sequence[Effect], x: Array) -> bool:
 
     A spring without stiffness is an offset, whatever its preload. A drag of nothing has no centre
     that could be elsewhere; its slopes, which have no sign, would stand for a force that drives. A
-    gain is nothing that is off, in the mean of the folds, by no more than gains are uncertain.
+    gain, or what looks like one, is nothing that is off, in the mean of the folds, by no more than
+    gains are uncertain.
 
     Args:
         dataset: The reduced logs.
@@ -158,9 +159,10 @@ def is_nothing(dataset: Dataset, effects: Sequence[Effect], x: Array) -> bool:
         sizes = own[:, [parameter.lower == 0.0 for parameter in effect.parameters]]
         if sizes.shape[1] and (sizes <= 0.0).all(axis=1).mean() > 0.5:
             return True
-        if effect.role is Role.SCALE:
+        gain = effect.as_gain(own)
+        if gain is not None:
             usual = USUAL_GAIN * dataset.gain_uncertainty[dataset.joints.index(effect.where[0])]
-            if np.abs(own.mean()) < usual:
+            if np.abs(gain.mean()) < usual:
                 return True
     return False
 

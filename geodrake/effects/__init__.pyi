@@ -13,6 +13,7 @@ from geodrake.effects.effort_offset import EffortOffset
 from geodrake.effects.effort_scale import EffortScale
 from geodrake.effects.fitted_effect import FittedEffect
 from geodrake.effects.friction_drift import FrictionDrift
+from geodrake.effects.gear_efficiency import GearEfficiency
 from geodrake.effects.gravity_compensator import GravityCompensator
 from geodrake.effects.gravity_tilt import GravityTilt
 from geodrake.effects.hysteresis import Hysteresis
@@ -50,6 +51,7 @@ __all__ = [
     "EffortScale",
     "FittedEffect",
     "FrictionDrift",
+    "GearEfficiency",
     "GravityCompensator",
     "GravityTilt",
     "Hysteresis",

@@ -276,6 +276,19 @@ class Effect(CheckedFields, abc.ABC):
         """
         raise NotImplementedError(f"{self.name} has no course along {len(along)} samples.")
 
+    def as_gain(self, parameters: Array) -> Array | None:
+        """The wrong gain of its joint's effort that it looks like, as a share.
+
+        Args:
+            parameters: (..., k) values.
+
+        Returns:
+            (...) ε of `EffortScale`; None for effects that look like none. One that is no larger
+            than gains are uncertain is not named.
+        """
+        del parameters
+        return None
+
     @property
     def distinct(self) -> bool:
         """Whether the shape keeps the effect apart from simpler ones, so that it may be chosen."""

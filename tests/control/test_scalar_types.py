@@ -81,6 +81,7 @@ MANY = [
     (effects.StribeckFriction("joint2", 0.4), [1.0]),
     (effects.AsymmetricFriction("joint0"), [0.4, 0.6, 0.1, 0.2]),
     (effects.LoadDependentFriction("joint0"), [0.15]),
+    (effects.GearEfficiency("joint1"), [0.2, 0.1]),
     (effects.JointSpring("joint2"), [2.0, 0.3]),
     (effects.TorqueRipple("joint0", 9.5), [0.2, 0.3]),
     (effects.CoupledFriction(("joint1", "joint2")), [0.3, 0.2]),

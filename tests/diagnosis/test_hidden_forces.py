@@ -380,16 +380,17 @@ def explained_rubbing(seed):
     return explain(model_file("arm6"), [effort_log("arm6", seed, rubbing).log])
 
 
+@pytest.fixture(scope="module")
+def known(tmp_path_factory):
+    """An arm whose inertias are known from another log."""
+    model = explained_rubbing(1).model
+    path = tmp_path_factory.mktemp("known") / "arm6.yaml"
+    save_model(model, path)
+    return load_model(path)
+
+
 class TestEffortScale:
     """A gain can be told once the inertias are known from another log."""
-
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def known(tmp_path_factory):
-        model = explained_rubbing(1).model
-        path = tmp_path_factory.mktemp("known") / "arm6.yaml"
-        save_model(model, path)
-        return load_model(path)
 
     @pytest.mark.parametrize(
         ("joint", "name"),
@@ -446,3 +447,39 @@ class TestEffortScale:
 
 def random_states(n=50, nv=6):
     return np.random.default_rng(3).normal(size=(3, n, nv))
+
+
+class TestGearEfficiency:
+    """Of a joint that moves, other losses in driving than in braking are a gain of its load."""
+
+    @staticmethod
+    def geared(driving, braking, uncertainty, seed=7):
+        def hidden(seen):
+            effort, v, load = rubbing(seen), seen.v[:, 1], seen.load[:, 1]
+            loss = np.where(load * v > 0.0, driving, braking) * np.abs(load)
+            effort[:, 1] += loss * v / np.hypot(v, 5e-3)
+            return effort
+
+        recording = effort_log("arm6", seed, hidden)
+        log = dataclasses.replace(recording.log, effort_uncertainty=uncertainty)
+        return dataclasses.replace(recording, log=log)
+
+    @pytest.mark.parametrize("seed", [7, pytest.param(8, marks=pytest.mark.thorough)])
+    def test_found(self, known, seed):
+        recording = self.geared(0.25, 0.1, 0.0, seed)
+        steps, _ = assert_found(known, recording, {"gear_efficiency": ("shoulder_pitch",)})
+        losses = steps["gear_efficiency"]["shoulder_pitch"]
+        assert losses["driving_loss"] == pytest.approx(0.25, abs=0.01)
+        assert losses["braking_loss"] == pytest.approx(0.1, abs=0.01)
+
+    @pytest.mark.thorough
+    @pytest.mark.parametrize(
+        ("driving", "braking", "uncertainty"), [(0.15, 0.07, 0.05), (0.12, 0.12, 0.0)]
+    )
+    def test_only_where_the_difference_is_more_than_gains_may_be_off(
+        self, known, driving, braking, uncertainty
+    ):
+        steps = explain(known, [self.geared(driving, braking, uncertainty).log]).steps
+        names = [step.effect for step in steps]
+        assert "load_dependent_friction" in names
+        assert "gear_efficiency" not in names

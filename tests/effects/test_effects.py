@@ -28,6 +28,7 @@ NAMES_OF_DESIGN = (
     "stribeck_friction",
     "nonlinear_viscous_friction",
     "load_dependent_friction",
+    "gear_efficiency",
     "coupled_friction",
     "friction_drift",
     "thermal_friction",
@@ -139,6 +140,24 @@ class TestEquations:
     def test_load_dependent(self):
         effort = self.elbow(effects.LoadDependentFriction("elbow"), [0.1])
         np.testing.assert_allclose(effort, 0.1 * np.abs(self.load) * np.sign(self.v))
+
+    def test_efficiency_of_a_gear(self):
+        """Driving takes τ / η, braking τ η."""
+        eta = 0.8
+        effort = self.elbow(effects.GearEfficiency("elbow"), [1.0 / eta - 1.0, 1.0 - eta])
+        drives = self.load * self.v > 0.0
+        needed = np.where(drives, self.load / eta, self.load * eta)
+        np.testing.assert_allclose(self.load + effort, needed)
+
+    def test_what_looks_like_a_gain(self):
+        """Of a joint that moves, other losses in driving than in braking are a share of τ."""
+        gear, scale = effects.GearEfficiency("elbow"), effects.EffortScale("elbow")
+        losses = np.array([0.25, 0.1])
+        mean = self.elbow(effects.LoadDependentFriction("elbow"), [losses.mean()])
+        share = gear.as_gain(losses)
+        np.testing.assert_allclose(self.elbow(gear, losses), mean + share * self.load)
+        assert scale.as_gain(np.array([[0.1], [0.2]])).tolist() == [0.1, 0.2]
+        assert effects.CoulombFriction("elbow").as_gain(np.ones(1)) is None
 
     def test_drift_of_friction(self):
         effort = self.elbow(effects.FrictionDrift("elbow", 0.05), [2.0, 3.0])
