@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import LogError
+from geodrake.logs.effort_steps import step_notes
 from geodrake.logs.motion import JointLog
 from geodrake.logs.sensor_faults import without_faults
 from geodrake.logs.smoothing import Piece
@@ -64,7 +65,7 @@ def make_uniform(log: JointLog) -> UniformLog:
             row, or a sensor that failed for good.
     """
     log = without_faults(log)
-    notes = list(log.notes)
+    notes = [*log.notes, *step_notes(log)]
     if log.acceleration is not None:
         notes.append("measured accelerations are not used; they are derived from velocities")
     velocity = log.velocity
