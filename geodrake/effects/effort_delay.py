@@ -25,6 +25,9 @@ class EffortDelay(Effect):
     efforts, or the regressor columns that they come from, into what the log shows. Shift before
     filtering. In a simulation it is `geodrake.control.DelayedEffort`.
 
+    Efforts that were commanded, and not measured, are ahead of the motion if they act late: δ is
+    then negative, and −δ the time after which a command acts.
+
     Attributes:
         delay: δ, s; negative if the efforts are ahead.
         joint: The joint whose effort lags; all joints of the log if None.
@@ -34,7 +37,7 @@ class EffortDelay(Effect):
     joint: str | None = None
 
     name = "effort_delay"
-    law = "effort logged at t is that needed at t − δ"
+    law = "effort logged at t is that needed at t − δ; δ < 0 where it is a command that acts late"
     list_position = 22
     complexity = 1
     role = Role.DELAY

@@ -33,6 +33,22 @@ def steps_of(found):
     return {step.effect: step.parameters for step in found.steps}
 
 
+def test_effort_commands_that_act_late_are_a_negative_delay():
+    """The column says at t what acts at t + 12 ms, so it is ahead of the motion."""
+    late, log = 3, effort_log("double_pendulum", 3, duration=10.0).log
+    told = dataclasses.replace(
+        log,
+        time=log.time[:-late],
+        position=log.position[:-late],
+        velocity=log.velocity[:-late],
+        effort=log.effort[late:],
+    )
+    (step,) = explain(load_model(MODELS / "double_pendulum.urdf"), [told]).steps
+    assert step.effect == "effort_delay"
+    (values,) = step.parameters.values()
+    np.testing.assert_allclose(list(values.values()), -0.012, atol=1e-3)
+
+
 class TestTemperature:
     """A gear that warms up, cools down and warms up again: time says nothing of it."""
 

@@ -20,7 +20,7 @@ _MOTION = ("position", "velocity", "acceleration", "command")
 _SWAPPED = {
     "swapped_efforts": ("effort",),
     "swapped_positions": _MOTION,
-    "swapped_joints": (*_MOTION, "effort"),
+    "swapped_joints": (*_MOTION, "effort", "temperature"),
 }
 _MULTIPLIED = {
     "effort": ("effort",),
