@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from geodrake.diagnosis.columns.corrections import corrected
+from geodrake.diagnosis.columns.finding import ColumnFinding
 from geodrake.errors import ArgumentError
 from geodrake.logs import JointLog, log_of_frame, read_log, write_log
 from geodrake.logs.files.reading import Reading
@@ -77,6 +79,11 @@ def test_courses_are_means_over_seconds():
     assert np.isnan(found[:, 0]).all()
     np.testing.assert_allclose(found[:, 1], [32.0, 34.0, 47.3], atol=0.1)  # whole degrees, and back
     assert Temperatures.of(JOINTS, TIME, np.full_like(WARMTH, np.nan)) is None
+
+
+def test_columns_of_swapped_joints_take_theirs_along():
+    swap = ColumnFinding("swapped_joints", JOINTS, (), 50.0, 0.99, (), 1.0, 0.1, "swapped", "")
+    np.testing.assert_array_equal(corrected(log_with(WARMTH), [swap]).temperature, WARMTH[:, ::-1])
 
 
 def test_a_prepared_log_knows_them_by_time_stamp():
