@@ -29,7 +29,12 @@ class CarriedBodies:
 
     @classmethod
     def of(cls, model: RobotModel, logs: Sequence[JointLog]) -> CarriedBodies:
-        """What is known to be carried in logs."""
+        """What is known to be carried in logs.
+
+        Args:
+            model: The model of the robot.
+            logs: The logs, with their known payloads.
+        """
         known = {log_number(log.name): carried_phi(model, log.payloads) for log in logs}
         return cls(model.bodies, known)
 

@@ -256,7 +256,7 @@ def _best(
     upper = np.append(np.full(len(scale) - 1, np.inf), LONGEST_DELAY) / scale
     found = []
     for start in starts:
-        search = _Search(motions, start, scale, free, rows, step)
+        search = _MotionSearch(motions, start, scale, free, rows, step)
         fit = least_squares(
             search.residual,
             np.clip(start / scale, _INSIDE, upper - _INSIDE)[free],
@@ -269,7 +269,7 @@ def _best(
 
 
 @dataclass(eq=False)
-class _Search:
+class _MotionSearch:
     """Residuals and slopes of one search; both are had from one simulation.
 
     Attributes:
