@@ -82,8 +82,8 @@ def test_command(frictional, tmp_path):
     write_log(log, tmp_path / "log.csv")
     save_model(explained, tmp_path / "arm.yaml")
     arguments = [
-        "rollout", "arm.yaml", "log.csv", "--before", PENDULUM, "--windows", "2", "--horizon", "0.2",
-        "--json", "r.json", "--report", "r.html",
+        "rollout", "arm.yaml", "log.csv", "--before", PENDULUM, "--windows", "2",
+        "--horizon", "0.2", "--json", "r.json", "--report", "r.html",
     ]  # fmt: skip
     arguments = [
         str(tmp_path / a) if str(a).startswith(("arm.", "log.", "r.")) else str(a)
