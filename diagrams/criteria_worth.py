@@ -122,7 +122,7 @@ def run_trial(trial: Trial, *, seed: int) -> dict[str, Any]:
 
 def trials(seed: int, logs: int, *, quick: bool) -> list[Trial]:
     """All of them, those with the numbers as they are first, of so many logs drawn at random."""
-    short = {"robot": "double_pendulum", "duration": 12.0, "rate": 100.0} if quick else {}
+    short = {"robot": "double_pendulum", "duration": 8.0, "rate": 100.0} if quick else {}
     more = {"effects": ("coulomb_friction", "payload"), "outside": ()} if quick else {}
     draws = [d for d in all_draws(1, seed, **more, **short) if d.case in (ONE, TWO)]
     order = np.random.default_rng(seed).permutation(len(draws))
