@@ -142,7 +142,7 @@ def test_commands_that_say_nothing(tmp_path, make, words):
 
 def test_saturated_currents(tmp_path):
     rows = table(seconds=6.0)
-    rows[:, 3] = np.clip(rows[:, 3], -0.05, 0.05)
+    rows[:, 3] = np.clip(rows[:, 3], -0.5, 0.5)
     log = write(tmp_path / "log.csv", OWN.replace("effort", "current"), rows)
     assert "it is saturated" in refused("compare", PENDULUM, log)
 
