@@ -103,7 +103,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few draws, 30 and all samples")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--draws", type=int, help="number of draws (30; 2 with --quick)")
+    parser.add_argument("--draws", type=int, help="number of draws (30; 4 with --quick)")
     parser.add_argument("--gamma", type=float, default=GAMMA, help="of the entropic divergence")
     parser.add_argument("--delta", type=float, default=0.4, help="how wrong the prior's links are")
     parser.add_argument("--hull", type=float, default=2.0, help="size of the hulls over the links'")
@@ -116,7 +116,7 @@ def main() -> None:
     counts = options.counts or ((30, TRAINING) if options.quick else COUNTS)
     if not all(0 < count <= TRAINING for count in counts):
         parser.error(f"--counts are between 1 and {TRAINING}.")
-    draws = options.draws or (2 if options.quick else 30)
+    draws = options.draws or (4 if options.quick else 30)
     plan = Plan(
         draws=draws,
         counts=tuple(counts),

@@ -215,7 +215,7 @@ def run(parser: argparse.ArgumentParser, options: argparse.Namespace) -> Sequenc
     """Rows of both ways to learn the arm."""
     logs = (f"data/{name}.csv" for name in (LEARNED, *FREE, CHANGED))
     require(parser, options.shared, "reference/ur10e.urdf", *logs)
-    end = 9.0 if options.quick else None
+    end = 12.0 if options.quick else None
     draws = [Draw(way, str(options.shared), end) for way in ("offline", "online")]
     return [row for rows in run_draws(parser, options, run_draw, draws) for row in rows]
 

@@ -131,7 +131,7 @@ def all_draws(kind: str, draws: int) -> list[Draw]:
 def quick_draws(kind: str, draws: int) -> list[Draw]:
     """Some short ones of all parts.
 
-    One second is enough for the geometric laws to be ahead. Rounds of two seconds are no faster
+    Two seconds are enough for the geometric laws to be ahead. Rounds of two seconds are no faster
     than the chosen speeds bear: at 0.8 s the natural law's loop was lost.
     """
     speed, slow = {NONE: 1.0, **speeds("wam", kind)}, speeds("wam_100_hz", kind)
@@ -139,7 +139,7 @@ def quick_draws(kind: str, draws: int) -> list[Draw]:
     for k in range(draws):
         for law in LAWS:
             found += [
-                Draw(NOISE, law, speed[law], SIGMAS[-1], k, amplitudes=(AMPLITUDE,), end=1.0),
+                Draw(NOISE, law, speed[law], SIGMAS[-1], k, amplitudes=(AMPLITUDE,), end=2.0),
                 Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, 1e-3, AMPLITUDES[:2], 2.0, 2.4),
             ]
         slowly = {"step": 1e-2, "amplitudes": (AMPLITUDE,), "end": 1.5}

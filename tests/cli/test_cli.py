@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from measurements import DATA
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -259,11 +258,3 @@ def test_demo_explains_the_log_that_ships(tmp_path, monkeypatch):
     assert len(page) < 500_000
     assert all(f'data-stage="{key}"' in page for key in ("before", "step1", "step2", "after"))
     assert "Where it failed as it stood" in result.output
-
-
-@pytest.mark.measurements("data/double_pendulum_c1_*.csv")
-def test_real_pendulum_is_explained():
-    logs = sorted(DATA.glob("double_pendulum_c1_*.csv"))
-    result = geodrake_command("explain", MODEL, *logs)
-    assert result.exit_code == 0, result.output
-    assert "coulomb_friction" in result.output
