@@ -46,12 +46,14 @@ class Draw:
         law: Its name.
         speed: γ⁻¹.
         motions: Number of motions.
+        end: When to stop, s; None for the end of the last motion.
     """
 
     case: str
     law: str
     speed: float
     motions: int = MOTIONS
+    end: float | None = None
 
 
 @cache
@@ -68,7 +70,7 @@ def run_draw(draw: Draw, *, seed: int) -> dict[str, Any]:
         arm.control, arm.law(draw.law, draw.speed), gains=VaryingGains(RATE)
     )
     motion = point_to_point(draw.motions, seed)
-    record = simulate_coupled(controller, bags, motion, seed=seed)
+    record = simulate_coupled(controller, bags, motion, seed=seed, end=draw.end)
     p = record.parameters
     physical = is_physical(p[:, :LINKS].reshape(len(p), -1, 10)).all(axis=1)
     physical &= (p[:, LINKS:] > 0).all(axis=1)
@@ -92,8 +94,8 @@ def all_draws(kind: str, *, quick: bool) -> list[Draw]:
     """Every case with every law."""
     speed = {NONE: 1.0, **speeds("sandbags", kind)}
     cases = ("link 10",) if quick else tuple(BAGS)
-    motions = 1 if quick else MOTIONS
-    return [Draw(case, law, speed[law], motions) for case in cases for law in LAWS]
+    motions, end = (1, 1.0) if quick else (MOTIONS, None)
+    return [Draw(case, law, speed[law], motions, end) for case in cases for law in LAWS]
 
 
 def main() -> None:

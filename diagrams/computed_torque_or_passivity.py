@@ -121,7 +121,7 @@ def speed_of(controller: str, law: str) -> float:
 
 def all_draws(draws: int, *, quick: bool) -> list[Draw]:
     """Every controller with every law."""
-    sigmas, end = ((0.4,), 0.8) if quick else (SIGMAS, PERIOD)
+    sigmas, end = ((0.4,), 0.2) if quick else (SIGMAS, PERIOD)
     return [
         Draw(controller, law, speed_of(controller, law), sigma, k, noise, end=end)
         for noise in (0.0, NOISE)

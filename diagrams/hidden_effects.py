@@ -78,7 +78,7 @@ def wanted_draws(logs: Mapping[str, int], seeds: Iterable[int]) -> list[Draw]:
 
 def quick_draws(seed: int) -> list[Draw]:
     """A few short logs of every study."""
-    short = {"robot": "double_pendulum", "duration": 12.0, "rate": 100.0}
+    short = {"robot": "double_pendulum", "duration": 8.0, "rate": 100.0}
     found = all_draws(1, seed, effects=QUICK_EFFECTS, outside=QUICK_OUTSIDE, others=(1, 2), **short)
     found += coverage_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)
     return [*found, *smallest_draws(1, seed, effects=QUICK_EFFECTS[:1], **short)]

@@ -27,7 +27,7 @@ from geodrake.logs import Motion
 from geodrake.model import RobotModel, load_model
 from geodrake.report import style
 
-ARM = Path(__file__).parents[1] / "models" / "arm7.urdf"
+MODELS = Path(__file__).parents[1] / "models"
 PERIOD = 1e-3  # s
 CHUNK = 20_000
 NOISE = 0.1  # N·m
@@ -72,9 +72,9 @@ class Cost:
     seconds: float
 
 
-def write_long_log(path: Path, *, samples: int, seed: int) -> None:
+def write_long_log(path: Path, robot: Path, *, samples: int, seed: int) -> None:
     """Writes the log array by array, with no more than a column in memory."""
-    model = load_model(ARM)
+    model = load_model(robot)
     joints = len(model.joints)
     rng = np.random.default_rng(seed)
     sines = rng.uniform(0.2, 1.0, (3, joints)), rng.uniform(0.5, 4.0, (3, joints))
@@ -115,17 +115,18 @@ def _measured(
     return q + rng.normal(0.0, 1e-5, q.shape), effort + rng.normal(0.0, NOISE, q.shape)
 
 
-def measure(work: str, path: Path, samples: int) -> Cost:
+def measure(work: str, robot: Path, path: Path, samples: int) -> Cost:
     """Runs a command of the library on the log in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-c", _CHILD, work, str(ARM), str(path)],
+        [sys.executable, "-c", _CHILD, work, str(robot), str(path)],
         check=True,
         capture_output=True,
         text=True,
         env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )
     memory, seconds = map(float, done.stdout.split())
-    return Cost(work, samples, 120e-9 * samples, memory, seconds)
+    raw = 8e-9 * samples * (1 + 2 * len(load_model(robot).joints))
+    return Cost(work, samples, raw, memory, seconds)
 
 
 def memory_figure(costs: Sequence[Cost]) -> Figure:
@@ -146,18 +147,19 @@ def memory_figure(costs: Sequence[Cost]) -> Figure:
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a short log, for a first look")
+    parser.add_argument("--quick", action="store_true", help="a short log of two joints")
     parser.add_argument("--seed", type=int, default=0, help="of the motion and the noise")
     parser.add_argument("--samples", type=int, help="length of the log")
     parser.add_argument("--work", nargs="+", default=["compare", "diagnose"], help="what to run")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
+    robot = MODELS / ("double_pendulum.urdf" if options.quick else "arm7.urdf")
     samples = options.samples or (20_000 if options.quick else 1_000_000)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.npz"
-        write_long_log(path, samples=samples, seed=options.seed)
-        costs = [measure(work, path, samples) for work in options.work]
+        write_long_log(path, robot, samples=samples, seed=options.seed)
+        costs = [measure(work, robot, path, samples) for work in options.work]
     table = [asdict(cost) for cost in costs]
     print(json.dumps(table, indent=2))
     if options.json:

@@ -22,6 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from long_log import MODELS, write_long_log
 from public_data import add_folder_option, require
 from rich.console import Console
 from rich.table import Table
@@ -140,8 +141,8 @@ def draw(found: dict[str, Any], path: Path) -> None:
 def main() -> None:
     """Measures, prints, and writes what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="8 s of the demo, one format")
-    parser.add_argument("--seed", type=int, default=0, help="nothing here is random")
+    parser.add_argument("--quick", action="store_true", help="two joints, 8 s, one format")
+    parser.add_argument("--seed", type=int, default=0, help="of the log of --quick")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     add_folder_option(parser)
@@ -156,14 +157,13 @@ def main() -> None:
         if not options.quick:
             cpu_seconds(folder, "demo")  # compiles, if that was not done yet
             found["demo, CPU s"] = cpu_seconds(folder, "demo")
-        robots = {"demo": (demo / "demo.urdf", [demo / "demo.csv"])}
         if options.quick:
-            rows = (demo / "demo.csv").read_text(encoding="utf-8").splitlines(keepends=True)
-            (folder / "demo.csv").write_text("".join(rows[:1601]), encoding="utf-8")
-            robots["demo"] = demo / "demo.urdf", [folder / "demo.csv"]
+            model, log = MODELS / "double_pendulum.urdf", folder / "log.npz"
+            write_long_log(log, model, samples=8000, seed=options.seed)
+            robots = {"pendulum": (model, [log])}
         else:
             model, *logs = (options.shared.resolve() / path for path in UR10E)
-            robots["UR10e"] = model, logs
+            robots = {"demo": (demo / "demo.urdf", [demo / "demo.csv"]), "UR10e": (model, logs)}
         for robot, (model, logs) in robots.items():
             (folder / robot).mkdir()
             found[robot] = measured(folder / robot, model, logs, formats, seconds)

@@ -220,14 +220,14 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
     options = parser.parse_args()
-    reduced = options.samples or (20_000 if options.quick else 500_000)
-    repeats = 3 if options.quick else 9
+    reduced = options.samples or (5_000 if options.quick else 500_000)
+    repeats, part = (2, 10) if options.quick else (9, 1)
 
     reduction = measure_reduction(samples=reduced, seed=options.seed)
     with TemporaryDirectory() as folder:
         robots = {ARM: 50_000, write_tree(Path(folder), seed=options.seed): 5_000}
         speeds = [
-            measure_speed(robot, samples=count, repeats=repeats, seed=options.seed)
+            measure_speed(robot, samples=count // part, repeats=repeats, seed=options.seed)
             for robot, count in robots.items()
         ]
     table = {"speed": [asdict(each) for each in speeds], "reduction": asdict(reduction)}

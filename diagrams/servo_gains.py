@@ -64,7 +64,7 @@ def main() -> None:
     options = parser.parse_args()
     draws = servo_draws(options.logs, options.seed)
     if options.quick:
-        draws = [ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=10.0)]
+        draws = [ServoDraw("double_pendulum", "mujoco", False, 0, options.seed, duration=6.0)]
     rows = run_draws(parser, options, run_draw, draws)
     table = summary(rows)
     columns = {"figure": "", "value": ".3g", "inside": ".0%", "off by, median": ".1%", "of": ""}

@@ -141,7 +141,7 @@ def show(found: list[EffortError]) -> None:
 def main() -> None:
     """Explains, simulates, prints, and writes what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="8 s of the log, and 0.5 s of motion")
+    parser.add_argument("--quick", action="store_true", help="4 s of the log, and 0.5 s of motion")
     parser.add_argument("--seed", type=int, default=0, help="not used: nothing is random")
     parser.add_argument("--json", type=Path, help="file for the numbers")
     parser.add_argument("--figures", type=Path, help="folder for the figure")
@@ -149,7 +149,7 @@ def main() -> None:
     log = read_log(DEMO / "demo.csv")
     if options.quick:
         arrays = ("time", "position", "velocity", "effort")
-        log = replace(log, **{name: getattr(log, name)[:1600] for name in arrays})
+        log = replace(log, **{name: getattr(log, name)[:800] for name in arrays})
     efforts = simulate(robots(log), log, 0.5 if options.quick else 8.0)
     found = errors(log, efforts)
     show(found)

@@ -140,9 +140,10 @@ def quick_draws(kind: str, draws: int) -> list[Draw]:
         for law in LAWS:
             found += [
                 Draw(NOISE, law, speed[law], SIGMAS[-1], k, amplitudes=(AMPLITUDE,), end=2.0),
-                Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, 1e-3, AMPLITUDES[:2], 2.0),
+                Draw(ROUNDS, law, speed[law], SIGMAS[-1], k, 1e-3, AMPLITUDES[:2], 2.0, 2.4),
             ]
-        found += [Draw(STEP, law, slow[law], 0.4, k, 1e-2, (AMPLITUDE,)) for law in STEPPED]
+        slowly = {"step": 1e-2, "amplitudes": (AMPLITUDE,), "end": 1.5}
+        found += [Draw(STEP, law, slow[law], 0.4, k, **slowly) for law in STEPPED]
     return found
 
 

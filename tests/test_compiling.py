@@ -58,13 +58,20 @@ def said(process):
 
 
 def test_two_processes_that_compile_at_once_do_no_harm(tmp_path):
-    both = [started(tmp_path), started(tmp_path)]
+    """Every signature has a file of its own, used as long as all that it came from stays."""
+    pairs = NUMBERS, "1, 1"
+    both = [started(tmp_path, *pairs), started(tmp_path, *pairs)]
     assert [process.stdout.readline() for process in both] == ["begins\n"] * 2
-    assert [said(process) for process in both] == [["ends", "3.0"]] * 2
-    assert said(started(tmp_path)) == ["3.0"]
+    # (What compiles a little later may find the second signature made.)
+    for process in both:
+        assert [line for line in said(process) if line not in MADE] == ["3.0"] * 2
+    assert len([*tmp_path.rglob("*scaled_sum*.nbc")]) == 2
+    assert said(started(tmp_path, *pairs)) == ["3.0"] * 2
     for path in tmp_path.rglob("*.nbc"):
         path.write_bytes(path.read_bytes()[:40])
     assert said(started(tmp_path)) == [*MADE, "3.0"]  # as the rest was cut off
+    assert said(started(tmp_path, operation="-")) == [*MADE, "1.0"]
+    assert said(started(tmp_path, factor=4.0)) == [*MADE, "5.0"]  # a constant
 
 
 def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):
@@ -83,12 +90,6 @@ def test_without_a_place_for_a_cache_it_is_compiled_all_the_same(monkeypatch):
     assert compiling.compiled(lambda x: x + 1.0)(1.0) == 2.0
 
 
-def test_what_is_kept_is_used_as_long_as_all_that_it_came_from_stays(tmp_path):
-    assert said(started(tmp_path)) == [*MADE, "3.0"]
-    assert said(started(tmp_path, operation="-")) == [*MADE, "1.0"]
-    assert said(started(tmp_path, factor=4.0)) == [*MADE, "5.0"]  # a constant
-
-
 def test_what_another_compiler_made_is_not_used(monkeypatch):
     def function(x):
         return x
@@ -101,13 +102,6 @@ def test_what_another_compiler_made_is_not_used(monkeypatch):
     assert digest() == first
     monkeypatch.setattr(compiling, "numba_version", "another")
     assert digest() != first
-
-
-def test_every_signature_has_a_file_of_its_own(tmp_path):
-    both = NUMBERS, "1, 1"
-    assert said(started(tmp_path, *both)) == [*MADE, "3.0"] * 2
-    assert len([*tmp_path.rglob("*scaled_sum*.nbc")]) == 2
-    assert said(started(tmp_path, *both)) == ["3.0", "3.0"]
 
 
 def test_divisions_by_zero_are_infinite():

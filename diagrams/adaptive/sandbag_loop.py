@@ -96,9 +96,14 @@ class UnevenFriction(LeafSystem):
 
 
 def simulate_coupled(
-    controller: AdaptiveController, bags: Sequence[int], motion: Trajectory, *, seed: int
+    controller: AdaptiveController,
+    bags: Sequence[int],
+    motion: Trajectory,
+    *,
+    seed: int,
+    end: float | None = None,
 ) -> Record:
-    """Simulates the arm with sandbags over a motion of its turns, or until it is lost."""
+    """Simulates the arm with sandbags over a motion of its turns, to `end`, or until it is lost."""
     builder = DiagramBuilder()
     plant = builder.AddSystem(make_coupled_plant(bags))
     builder.AddSystem(controller)
@@ -124,7 +129,7 @@ def simulate_coupled(
     simulator = Simulator(builder.Build())
     lost = _watch(simulator, plant, motion)
     simulator.Initialize()
-    simulator.AdvanceTo(motion.end_time())
+    simulator.AdvanceTo(motion.end_time() if end is None else end)
     logs = {name: sink.FindLog(simulator.get_context()) for name, sink in sinks.items()}
     data = {name: np.array(log.data().T) for name, log in logs.items()}
     return Record(

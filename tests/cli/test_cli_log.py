@@ -1,10 +1,10 @@
 """`geodrake log`, and how commands read logs under other names."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from pendulum_logs import PENDULUM, body_effort
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -13,17 +13,19 @@ from geodrake.cli.known_payloads import with_facts
 from geodrake.cli.reading_options import ReadingOptions
 from geodrake.logs.files import read_log
 
-PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
 OWN = "time,shoulder.position,elbow.position,shoulder.effort,elbow.effort"
 
 
 def table(seconds=24.0, rate=100.0):
-    """(N, 5) time, positions and efforts of the pendulum in plain formulas; at rest for 2 s."""
+    """(N, 5) time, positions and efforts of the pendulum; at rest for 2 s."""
     time = np.arange(round(seconds * rate)) / rate
-    angle = np.maximum(time - 2.0, 0.0)[:, None] * np.array([1.3, 2.1])
-    q = np.sin(angle)
+    rates = np.array([1.3, 2.1])
+    angle = np.maximum(time - 2.0, 0.0)[:, None] * rates
+    moving = (time > 2.0)[:, None]
+    q, v = 0.5 - 0.5 * np.cos(angle), 0.5 * rates * np.sin(angle)
+    effort = body_effort(q, v, 0.5 * rates**2 * np.cos(angle) * moving)
     noise = np.random.default_rng(0).standard_normal((len(time), 2))
-    return np.column_stack([time, q, 3.0 * np.sin(q) + 0.01 * noise])
+    return np.column_stack([time, q, effort + 0.01 * noise])
 
 
 def write(path, header, rows, separator=","):
@@ -140,7 +142,7 @@ def test_commands_that_say_nothing(tmp_path, make, words):
 
 def test_saturated_currents(tmp_path):
     rows = table(seconds=6.0)
-    rows[:, 3] = np.clip(rows[:, 3], -0.3, 0.3)
+    rows[:, 3] = np.clip(rows[:, 3], -0.5, 0.5)
     log = write(tmp_path / "log.csv", OWN.replace("effort", "current"), rows)
     assert "it is saturated" in refused("compare", PENDULUM, log)
 

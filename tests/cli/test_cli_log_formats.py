@@ -2,7 +2,6 @@
 
 import json
 import sys
-from pathlib import Path
 
 import foreign_logs
 import numpy as np
@@ -16,18 +15,19 @@ from foreign_logs import (
     ros2_store,
     write_rosbag2,
 )
+from pendulum_logs import PENDULUM, body_effort
 from typer.testing import CliRunner
 
 from geodrake.cli.app import app
 from geodrake.logs import JointLog, write_log
 
-PENDULUM = Path(__file__).parents[2] / "models" / "double_pendulum.urdf"
-
 
 def small_log(rows=40):
     time = 0.01 * np.arange(rows)
-    q = np.column_stack([np.sin(7 * time), np.cos(11 * time)])
-    return JointLog("log", ("shoulder", "elbow"), time, q, 5 * q, q)
+    rates = np.array([3.0, 5.0])
+    angle = time[:, None] * rates + [0.0, np.pi / 2]
+    q, v, vd = np.sin(angle), rates * np.cos(angle), -(rates**2) * np.sin(angle)
+    return JointLog("log", ("shoulder", "elbow"), time, q, body_effort(q, v, vd), v)
 
 
 def refused(*arguments):

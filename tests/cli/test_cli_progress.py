@@ -94,20 +94,21 @@ class TestStopped:
         assert not first.is_last and last.is_last
         assert first.before > first.after and first.where
 
-    def test_before_the_first_step_there_is_no_result(self, monkeypatch):
+    def test_before_the_first_step_there_is_no_result(self, monkeypatch, pendulum):
         def stopped(*_):
             raise StopSearch
 
         monkeypatch.setattr("geodrake.diagnosis.stepwise_search.next_step", stopped)
+        model, log = pendulum
         with pytest.raises(StopSearch):
-            explain(load_model(MODEL), [LOG])
+            explain(load_model(model), [log])
 
 
 @pytest.fixture(scope="module")
 def pendulum(tmp_path_factory):
     """Model and log of a pendulum with friction, whose search takes less time than the demo's."""
     path = tmp_path_factory.mktemp("pendulum") / "log.csv"
-    write_log(pendulum_log(1, friction((0.3, 0.2), (0.2, 0.1)), seconds=20.0), path)
+    write_log(pendulum_log(1, friction((0.3, 0.2), (0.2, 0.1)), seconds=10.0), path)
     return str(PENDULUM), str(path)
 
 

@@ -578,7 +578,7 @@ def test_the_lyapunov_value_never_rises_in_continuous_time(arm, name, measured_f
         assert manifold.contains(y[4:])
 
 
-@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+@pytest.mark.parametrize("dt", [pytest.param(1e-3, marks=pytest.mark.thorough), 1e-2])
 def test_the_lyapunov_value_of_a_sampled_law_never_rises_beyond_the_step(arm, dt):
     """Control and adaptation at a rate of their own, the plant integrated four times as often."""
     control = ControlModel.of(arm, sign_width=0.1)

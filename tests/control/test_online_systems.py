@@ -104,7 +104,7 @@ def unexplained(p, truth=TRUTH):
     return np.sqrt(np.mean(squares))
 
 
-@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("every", [pytest.param(1, marks=pytest.mark.thorough), 2])
 def test_the_estimate_explains_what_is_measured(every):
     """Exact projections by default, each with a certificate, go farther than nudges."""
     start, fallen = perturbed(0.3), {}

@@ -40,7 +40,7 @@ URDF = f"""
   </joint>
 </robot>
 """
-FIRST_STAMP, RATE, SECONDS = 100.0, 250.0, 20.0
+FIRST_STAMP, RATE, SECONDS = 100.0, 250.0, 14.0
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def with_effects(model, *effects):
     return dataclasses.replace(model, effects=fitted)
 
 
-def departure(model, *logs, most=10):
+def departure(model, *logs, most=4):
     return roll_out(model, logs, most=most, bandwidth=8.0).relative
 
 
@@ -161,7 +161,7 @@ class TestContact:
         logs = self.logs()
 
         def departs(*effects):
-            return departure(with_effects(pendulum, LOSS, *effects), *logs, most=8)
+            return departure(with_effects(pendulum, LOSS, *effects), *logs, most=6)
 
         right = departs(self.contact("second"))
         assert right < 1e-3

@@ -94,6 +94,7 @@ def test_ur10e_is_quick(ur10e_free):
     assert ur10e_free[1] < 30.0
 
 
+@pytest.mark.thorough
 def test_ur10e_third_motion_needs_nothing(ur10e_saved):
     found = explain(ur10e_saved, [DATA / "ur10e_free_c.csv"])
     assert found.steps == ()
@@ -130,6 +131,7 @@ def test_ur10e_carries_a_payload_after_the_change(ur10e_changed):
     assert 0.0 < deviation < 0.3
 
 
+@pytest.mark.thorough
 def test_ur10e_payload_that_was_put_down_is_noticed(ur10e_changed):
     found = explain(ur10e_changed.model, [DATA / "ur10e_free_c.csv"])
     (step,) = found.steps

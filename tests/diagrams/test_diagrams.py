@@ -17,7 +17,7 @@ from scripts import FOLDER, ROOT, call, start
 
 from geodrake.logs.files import read_log
 
-APART = "criteria_worth"
+APART = "wam_payload"
 ELSEWHERE = {  # run by tests of their own, with --quick, too
     "ambidex_arm",
     "body_distances",

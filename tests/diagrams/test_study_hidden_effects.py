@@ -170,13 +170,15 @@ EASIEST = ("viscous_friction", "coulomb_friction", "effort_offset", "gravity_com
 
 class TestWhatItMustShow:
     @pytest.mark.parametrize(
-        "names", [EASY, pytest.param(EASY + EASIEST, marks=pytest.mark.thorough)], ids=len
+        ("robot", "names"),
+        [
+            ("double_pendulum", EASY),
+            pytest.param("arm6", EASY + EASIEST, marks=pytest.mark.thorough),
+        ],
     )
-    def test_easy_effects(self, names):
-        rows = [
-            scoring.score_draw(draws.draw("one", (n,), 0, 0, **{**PLAIN, "shares": (0.12,)}))
-            for n in names
-        ]
+    def test_easy_effects(self, robot, names):
+        fixed = {**PLAIN, "robot": robot, "shares": (0.12,)}
+        rows = [scoring.score_draw(draws.draw("one", (n,), 0, 0, **fixed)) for n in names]
         few = len(names) // 8
         assert sum(row["first"] for row in rows) >= len(names) - few
         assert all(row["in_set"] for row in rows)
@@ -189,11 +191,17 @@ class TestWhatItMustShow:
             # The friction hides the spring, and the spring the friction: neither convinces alone.
             ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
             # Before the pair is known, bounded friction and bristles fit better than either.
-            ("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
+            pytest.param(
+                *("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
+                marks=pytest.mark.thorough,
+            ),
             # An offset leaves several times the squared error, most of it in a few folds.
             ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
             # The load changes its sign in five of eight folds.
-            ("one", ("backlash",), 2, 9, {"robot": "panda"}),
+            pytest.param(
+                *("one", ("backlash",), 2, 9, {"robot": "panda"}),
+                marks=pytest.mark.thorough,  # as the other robots of test_soft_joints.py
+            ),
             # Single rotors do as well, beside a body that cannot be.
             ("one", ("coupled_rotor_inertia",), 1, 18, {"robot": "double_pendulum"}),
             # Bodies that may move take the payload in: then only the other effect is found.
@@ -203,7 +211,10 @@ class TestWhatItMustShow:
                 marks=pytest.mark.thorough,
             ),
             # Bodies that may not move at all make one more rotor of what they are off.
-            ("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
+            pytest.param(
+                *("two", ("rotor_inertia", "payload"), 5, 103, {"robot": "panda"}),
+                marks=pytest.mark.thorough,
+            ),
             # On a coarse grid of exponents v and v² stand for |v|^1.7.
             pytest.param(
                 *("two", ("nonlinear_viscous_friction", "load_dependent_friction"), 8, 102),
@@ -224,7 +235,10 @@ class TestWhatItMustShow:
         ("case", "hidden", "number", "seed"),
         [
             # Friction that does not jump where a joint turns round.
-            ("two", ("asymmetric_friction", "load_dependent_friction"), 0, 103),
+            pytest.param(
+                *("two", ("asymmetric_friction", "load_dependent_friction"), 0, 103),
+                marks=pytest.mark.thorough,
+            ),
             # Viscous friction does half of what bristles do, and hides them.
             ("one", ("hysteresis",), 1, 15),
             # The link's acceleration is known only at a lower bandwidth than the motor's.

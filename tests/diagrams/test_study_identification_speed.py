@@ -1,19 +1,20 @@
 """The study of the speed of identification: its table says what it claims."""
 
 import json
+from contextlib import redirect_stdout
+from io import StringIO
 
 import pytest
-from scripts import start
+from scripts import call
 
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     folder = tmp_path_factory.mktemp("speed")
     options = ("--json", folder / "table.json", "--figures", folder, "--shared", folder)
-    # Without measurements, and in a process of its own, whose memory is measured.
-    done = start("identification_speed", "--quick", "--seed", 3, *options)
-    assert done.returncode == 0, done.stderr
-    assert "There are no measurements in" in done.stdout
+    with redirect_stdout(StringIO()) as told:  # without measurements
+        call("identification_speed", "--quick", "--seed", 3, *options)
+    assert "There are no measurements in" in told.getvalue()
     assert (folder / "identification_speed.png").stat().st_size > 10_000
     return json.loads((folder / "table.json").read_text(encoding="utf-8"))
 

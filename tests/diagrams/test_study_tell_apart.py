@@ -89,7 +89,7 @@ class TestRobots:
 
 class TestTold:
     def test_a_designed_motion_settles_what_the_first_left_open(self):
-        row = trial.run(trial.Draw(1, 0), iterations=10)
+        row = trial.run(trial.Draw(1, 0), iterations=5)
         assert row["ambiguous"]
         assert {"coulomb_friction", "load_dependent_friction"} <= set(row["first"]["tied"])
         assert row["designed"]["told"]

@@ -33,6 +33,7 @@ def late(q, v, vd, load):
     return np.roll(load, 6, axis=0) - load
 
 
+@cache
 def log(seed, hidden):
     found = pendulum_log(seed, hidden, seconds=16.0, rate=100.0)
     return replace(found, temperature=30.0 + 0.5 * found.time[:, None] + 0.0 * found.position)
@@ -62,23 +63,28 @@ def comes_back(model, path):
     "effect",
     [
         "viscous_friction",
-        "asymmetric_friction",
         "stribeck_friction",
-        "load_dependent_friction",
         "coupled_friction",
-        "friction_drift",
         "thermal_friction",
         "hysteresis",
-        "effort_scale",
         "effort_delay",
-        "joint_spring",
-        "torque_ripple",
-        "rotor_inertia",
         "joint_elasticity",
         "payload",
         "gravity_tilt",
-        "aerodynamic_drag",
         "wrong_inertia",
+        *(
+            pytest.param(name, marks=pytest.mark.thorough)
+            for name in (
+                "asymmetric_friction",
+                "load_dependent_friction",
+                "friction_drift",
+                "effort_scale",
+                "joint_spring",
+                "torque_ripple",
+                "rotor_inertia",
+                "aerodynamic_drag",
+            )
+        ),
     ],
 )
 @pytest.mark.parametrize("hidden", [DRIVEN, pytest.param(heavy, marks=pytest.mark.thorough)])

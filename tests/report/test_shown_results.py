@@ -4,8 +4,8 @@ import csv
 import inspect
 import sys
 from dataclasses import is_dataclass
+from functools import cache
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pandas
 import pyarrow.parquet
 import pytest
 from matplotlib.figure import Figure
+from pendulum_logs import PENDULUM, friction, pendulum_log
 from typer.testing import CliRunner
 
 from geodrake import load_model
@@ -29,16 +30,21 @@ from geodrake.excitation import (
     log_identifiability,
 )
 from geodrake.identification.models import identify_model
-from geodrake.logs.files import read_log
+from geodrake.logs.files import write_log
 from geodrake.report.series_table import check_series
 
-DEMO = files("geodrake") / "demo"
-MODEL, LOG = str(DEMO / "demo.urdf"), str(DEMO / "demo.csv")
+MODEL = str(PENDULUM)
 PACKAGES = (
     "inertia", "manifolds", "logs", "robot", "effects", "model", "identification",
     "identification.models", "diagnosis", "excitation", "excitation.identifiability",
     "control", "control.rollout",
 )  # fmt: skip
+
+
+@cache
+def recorded():
+    """A log with friction that the model lacks."""
+    return pendulum_log(1, friction((0.3, 0.2), (0.2, 0.1)), seconds=16.0, rate=100.0)
 
 
 def designed():
@@ -52,14 +58,16 @@ def designed():
 
 MAKERS = {
     "model": lambda: load_model(MODEL),
-    "log": lambda: read_log(LOG),
-    "Comparison": lambda: compare(load_model(MODEL), [LOG]),
-    "Diagnosis": lambda: diagnose(load_model(MODEL), [LOG]),
-    "Explanation": lambda: add("payload", load_model(MODEL), [LOG], where=["flange"]),
-    "ModelIdentification": lambda: identify_model(load_model(MODEL), [LOG]),
+    "log": recorded,
+    "Comparison": lambda: compare(load_model(MODEL), [recorded()]),
+    "Diagnosis": lambda: diagnose(load_model(MODEL), [recorded()]),
+    "Explanation": lambda: add(
+        "coulomb_friction", load_model(MODEL), [recorded()], where=["elbow"]
+    ),
+    "ModelIdentification": lambda: identify_model(load_model(MODEL), [recorded()]),
     "ExcitationResult": designed,
-    "LogIdentifiability": lambda: log_identifiability(load_model(MODEL), [LOG]),
-    "Rollout": lambda: roll_out(load_model(MODEL), [LOG], horizon=0.1, most=3),
+    "LogIdentifiability": lambda: log_identifiability(load_model(MODEL), [recorded()]),
+    "Rollout": lambda: roll_out(load_model(MODEL), [recorded()], horizon=0.1, most=3),
 }
 SHOWN = [name for name in MAKERS if name[0].isupper()]
 WITH_SAMPLES = [name for name in SHOWN if name != "LogIdentifiability"]
@@ -146,50 +154,57 @@ def test_a_result_without_samples_says_so(results):
         results("LogIdentifiability").to_dataframe(series=True)
 
 
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("logs") / "log.csv"
+    write_log(recorded(), path)
+    return path
+
+
 class TestSeriesFile:
     def run(self, *arguments):
         return CliRunner().invoke(app, [*map(str, arguments), "--quiet"])
 
-    def test_csv_and_parquet_agree(self, tmp_path, results):
+    def test_csv_and_parquet_agree(self, tmp_path, file):
         table, parquet = tmp_path / "s.csv", tmp_path / "s.parquet"
         for target in (table, parquet):
-            done = self.run("compare", MODEL, LOG, "--series", target)
+            done = self.run("compare", MODEL, file, "--series", target)
             assert done.exit_code == 0, done.output
             assert f"Saved the samples: {target}" in done.stdout
-        with table.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+        with table.open(newline="", encoding="utf-8") as opened:
+            rows = list(csv.DictReader(opened))
         columns = pyarrow.parquet.read_table(parquet).to_pydict()
         assert list(rows[0]) == list(columns)
-        for name in ("time", "elbow_pitch.measured", "elbow_pitch.residual"):
+        for name in ("time", "elbow.measured", "elbow.residual"):
             read = [float(row[name] or "nan") for row in rows]
             np.testing.assert_allclose(read, columns[name], rtol=1e-8)
-        assert set(columns["log"]) == {"demo"}
+        assert set(columns["log"]) == {"log"}
 
-    def test_before_and_after_of_an_addition(self, tmp_path):
+    def test_before_and_after_of_an_addition(self, tmp_path, file):
         target = tmp_path / "s.csv"
-        where = ("--where", "flange")
-        assert self.run("add", "payload", MODEL, LOG, *where, "--series", target).exit_code == 0
+        given = ("coulomb_friction", MODEL, file, "--where", "elbow")
+        assert self.run("add", *given, "--series", target).exit_code == 0
         frame = pandas.read_csv(target)
-        before, after = (frame[f"elbow_pitch.residual{end}"] for end in ("_before", ""))
+        before, after = (frame[f"elbow.residual{end}"] for end in ("_before", ""))
         assert (after**2).sum() < 0.5 * (before**2).sum()
 
-    def test_rollout_of_two_models(self, tmp_path):
+    def test_rollout_of_two_models(self, tmp_path, file):
         target = tmp_path / "s.csv"
         windows = ("--windows", 2, "--horizon", 0.05, "--before", MODEL)
-        done = self.run("rollout", MODEL, LOG, *windows, "--series", target)
+        done = self.run("rollout", MODEL, file, *windows, "--series", target)
         assert done.exit_code == 0, done.output
         frame = pandas.read_csv(target)
         assert set(frame["window"]) == {0, 1}
-        same = frame["base_yaw.residual"] == frame["base_yaw.residual_before"]
+        same = frame["shoulder.residual"] == frame["shoulder.residual_before"]
         assert same.all()
 
-    def test_other_suffixes_are_refused(self, tmp_path):
-        done = self.run("compare", MODEL, LOG, "--series", tmp_path / "s.txt")
+    def test_other_suffixes_are_refused(self, tmp_path, file):
+        done = self.run("compare", MODEL, file, "--series", tmp_path / "s.txt")
         assert done.exit_code == 2 and "does not end in .csv or .parquet" in done.stderr
 
-    def test_without_pyarrow_nothing_is_begun(self, tmp_path, monkeypatch):
+    def test_without_pyarrow_nothing_is_begun(self, tmp_path, monkeypatch, file):
         monkeypatch.setitem(sys.modules, "pyarrow", None)
-        done = self.run("compare", MODEL, LOG, "--series", tmp_path / "s.parquet")
+        done = self.run("compare", MODEL, file, "--series", tmp_path / "s.parquet")
         assert done.exit_code == 2 and 'pip install "geodrake[parquet]"' in done.stderr
 
 
