@@ -204,11 +204,11 @@ def test_fitted_model_needs_nothing_more(fitted):
     assert found.end == found.start
 
 
-def test_nothing_is_found_where_nothing_is_missing(model):
-    for seed in (60, 61):
-        found = explain(model, [pendulum_log(seed)], bandwidth=BANDWIDTH)
-        assert (found.verdict, found.steps) == ("adequate", ())
-        assert found.model.effects == ()
+@pytest.mark.parametrize("seed", [60, pytest.param(61, marks=pytest.mark.thorough)])
+def test_nothing_is_found_where_nothing_is_missing(model, seed):
+    found = explain(model, [pendulum_log(seed)], bandwidth=BANDWIDTH)
+    assert (found.verdict, found.steps) == ("adequate", ())
+    assert found.model.effects == ()
 
 
 def test_payload_is_found_on_a_fitted_model(fitted):
@@ -272,7 +272,7 @@ def test_something_that_no_effect_explains_is_said_to_be_left(model):
     assert all(0.5 < joint.removable < 1.0 for joint in found.end.joints)
 
 
-@pytest.mark.parametrize("seconds", [5.0, 1000.0])
+@pytest.mark.parametrize("seconds", [pytest.param(5.0, marks=pytest.mark.thorough), 1000.0])
 def test_time_shift_changes_nothing(model, logs, fitted, seconds):
     shifted = [replace(log, time=log.time + seconds) for log in logs]
     found = explain(model, shifted, bandwidth=BANDWIDTH)
@@ -313,7 +313,7 @@ def test_log_cut_in_two_files_gives_nearly_the_same(model, logs, fitted):
     assert_same(found.model, fitted, rtol=0.05)
 
 
-@pytest.mark.parametrize("factor", [1e-3, 1e3])
+@pytest.mark.parametrize("factor", [pytest.param(1e-3, marks=pytest.mark.thorough), 1e3])
 def test_units_of_effort_change_nothing_but_the_values(model, logs, factor):
     """Another unit of force, in model and log alike: the same steps, the same relative errors."""
     light = replace(model, phi=factor * model.phi)

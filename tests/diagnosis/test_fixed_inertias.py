@@ -61,7 +61,10 @@ def test_small_payload(seed):
     assert "wrong_inertia" in step.indistinguishable_from
 
 
-@pytest.mark.parametrize(("size", "seed", "named"), [(4.0, 4, True), (1.5, 5, False)])
+@pytest.mark.parametrize(
+    ("size", "seed", "named"),
+    [pytest.param(4.0, 4, True, marks=pytest.mark.thorough), (1.5, 5, False)],
+)
 def test_compensator_beside_bodies_that_are_off(size, seed, named):
     """Bodies must move, but not as improbably far; a small one is named beside them at most."""
 

@@ -268,6 +268,7 @@ SIMPLER = (
     "belt",
     "load and belt",
     "late efforts",
+    "late elbow",
     "two late joints",
 )
 """Cases that others contain, here, in test_hidden_forces.py or in the benchmark's tests."""
@@ -304,7 +305,7 @@ def test_one_joint_later_than_all_others():
 class TestNothingHidden:
     ROBOTS = ("arm6", "arm7", "double_pendulum")
 
-    @pytest.mark.parametrize("seed", seeds(*range(24), first=3))
+    @pytest.mark.parametrize("seed", seeds(2, 0, 1, *range(3, 24), first=2))
     def test_white_noise(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed)
@@ -315,13 +316,13 @@ class TestNothingHidden:
         floor = floor_nrms(model, recording, found.end)
         assert floor / MARGIN < found.end.nrms < MARGIN * floor
 
-    @pytest.mark.parametrize("seed", seeds(101, 102, 100, *range(103, 124), first=2))
+    @pytest.mark.parametrize("seed", seeds(101, 102, 100, *range(103, 124)))
     def test_coloured_noise(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed, colour=(0.4, 0.8)[seed % 2])
         assert explain(model_file(name), [recording.log]).steps == ()
 
-    @pytest.mark.parametrize("seed", seeds(*range(200, 212), first=2))
+    @pytest.mark.parametrize("seed", seeds(*range(200, 212)))
     def test_bodies_off(self, seed):
         name = self.ROBOTS[seed % 3]
         recording = without_effects(name, seed, off=0.2)

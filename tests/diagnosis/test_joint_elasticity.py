@@ -110,7 +110,8 @@ class TestDiagnosis:
         floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
         assert found.end.nrms < 1.15 * floor
 
-    @pytest.mark.parametrize("joint", [pytest.param(1, marks=pytest.mark.thorough), 2])
+    @pytest.mark.thorough
+    @pytest.mark.parametrize("joint", [1, 2])
     def test_in_slow_motion(self, joint):
         """The load's rates are then mostly noise of the accelerations."""
         (step,) = explain(ARM, [elastic_log(joint, 2000.0, 2, pace=0.08).log]).steps

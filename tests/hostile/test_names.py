@@ -185,7 +185,7 @@ def test_a_drafted_effect_of_any_name_runs_nothing(tmp_path, monkeypatch):
     log = f"{IN_FILES['colours']}{IN_FILES['a line end']}.csv"
     fill(tmp_path)
     rename(tmp_path, shoulder=IN_XML["code"], elbow=IN_XML["a backslash"])
-    rows = table(seconds=16.0)
+    rows = table()
     shoulder, elbow = rows[:, 1], rows[:, 2]
     rows[:, 3] += 2.0 * np.sin(shoulder) * np.cos(2 * elbow) * np.abs(elbow)
     header = (tmp_path / "log.csv").read_text(encoding="utf-8").split("\n0.0,")[0]
