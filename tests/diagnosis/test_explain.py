@@ -285,6 +285,7 @@ def test_order_of_joints_changes_nothing(model, logs, fitted):
     assert_same(found.model, fitted, rtol=1e-9)
 
 
+@pytest.mark.thorough
 def test_order_of_logs_changes_nothing(model, logs, fitted):
     assert_same(explain(model, logs[::-1], bandwidth=BANDWIDTH).model, fitted, rtol=1e-3)
 

@@ -278,6 +278,7 @@ class TestCoupledJoints:
         assert values["coulomb"] == pytest.approx(dry, rel=0.05)
         assert values["viscous"] == pytest.approx(viscous, rel=0.1)
 
+    @pytest.mark.thorough  # test_coupled.py has a smaller robot
     @pytest.mark.parametrize("seed", SEEDS)
     def test_friction_is_found_beside_that_of_all_joints(self, seed, tmp_path):
         def hidden(seen):
@@ -313,6 +314,7 @@ class TestCoupledJoints:
         expected = {"coulomb_friction": ("shoulder_pitch", "wrist_roll")}
         assert_found(model_file("arm6"), recording, expected)
 
+    @pytest.mark.thorough  # test_hidden_effects.py has a smaller robot
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize("sense", [-1, pytest.param(1, marks=pytest.mark.thorough)])
     def test_rotor_is_found(self, sense, seed):
@@ -415,8 +417,9 @@ class TestEffortScale:
 
     @pytest.mark.parametrize(
         ("uncertainty", "named"),
-        [(0.05, False), pytest.param(0.02, True, marks=pytest.mark.thorough)],
+        [(0.05, False), (0.02, True)],
     )
+    @pytest.mark.thorough
     def test_only_if_it_is_unusual(self, known, uncertainty, named):
         """Gains of torque constants that are known to 5 % may be off by 8 %."""
 
@@ -430,6 +433,7 @@ class TestEffortScale:
         steps = explain(known, [log]).steps
         assert ("effort_scale" in {step.effect for step in steps}) == named
 
+    @pytest.mark.thorough
     def test_nothing_where_nothing_changed(self, known):
         assert explain(known, [effort_log("arm6", 8, rubbing).log]).steps == ()
 

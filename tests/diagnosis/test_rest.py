@@ -22,6 +22,7 @@ WORDS = "its direction of motion times the position of "
 OPTION = "--draft-effect my_effect.py"
 
 
+@pytest.mark.thorough  # the command below is of a smaller robot
 def test_the_brake_is_told_by_joint_and_motion_in_less_time_than_the_search():
     """Friction of the wrist's pitch that another joint's position tightens."""
 

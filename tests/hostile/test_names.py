@@ -165,7 +165,16 @@ def test_joints_of_any_names_are_compared_saved_and_read_again(whats, tmp_path, 
     assert not (tmp_path / "PWNED").exists()
 
 
-@pytest.mark.parametrize("what", ["code", "markup", "half of mathematics", "a line end", "Chinese"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        *("markup", "half of mathematics"),
+        *(
+            pytest.param(what, marks=pytest.mark.thorough)
+            for what in ("code", "a line end", "Chinese")
+        ),
+    ],
+)
 def test_pages_of_any_names(what, tmp_path, monkeypatch):
     name = IN_XML[what]
 
@@ -323,7 +332,13 @@ def test_an_effect_of_any_name_is_refused_by_a_name_that_can_be_read(tmp_path, m
     assert not (tmp_path / "new.yaml").exists() and not (tmp_path / "new.html").exists()
 
 
-@pytest.mark.parametrize("what", ["code", "markup", "YAML of a mapping", "a line end"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        *("markup", "a line end"),
+        *(pytest.param(what, marks=pytest.mark.thorough) for what in ("code", "YAML of a mapping")),
+    ],
+)
 def test_an_exported_file_has_the_names_that_it_had(what, tmp_path, monkeypatch):
     fill(tmp_path)
     rename(tmp_path, shoulder=IN_XML[what], link=IN_XML[what])
