@@ -1,11 +1,13 @@
 """Compare, diagnose, add and explain from Python, on logs of a pendulum with known efforts."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
+import pendulum_logs
 import pytest
-from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, friction, pendulum_log
+from pendulum_logs import JOINTS, NOISE, PENDULUM, body_effort, friction
 
 from geodrake import load_model
 from geodrake.diagnosis import Criteria, add, compare, diagnose, explain
@@ -19,6 +21,7 @@ from geodrake.report.words import failing_words
 from geodrake.robot.regressor import inverse_dynamics_regressor
 
 BANDWIDTH = 6.0
+pendulum_log = partial(pendulum_logs.pendulum_log, seconds=20.0)
 HIDDEN = friction((0.2, 0.1), (0.1, 0.04))
 WHERE = {"coulomb_friction": JOINTS, "viscous_friction": JOINTS}
 FLOOR = NOISE * design_filter(1 / 200.0, BANDWIDTH).noise_gain
