@@ -259,6 +259,7 @@ SIMPLER = (
     "coulomb and viscous",
     "coulomb at both",
     "spring",
+    "pendulum's spring",
     "coulomb and viscous at all",
     "payload",
     "payload of seven joints",

@@ -1173,6 +1173,7 @@ def _identification(t):
                 "regularizers": ("euclidean", "pullback"),
             },
             allows={"sigma": ("nothing",)},
+            slow=True,
         ),
     )
     yield (

@@ -349,7 +349,8 @@ OUTPUTS = {
 }
 
 
-COVERED = (  # by numbers that nobody reads, tables to a full disk, and everything closed
+COVERED = (  # by numbers that nobody reads, the version to a full disk, and everything closed
+    "tables to a full disk",
     "nobody to read tables",
     "closed output",
     "closed input",
