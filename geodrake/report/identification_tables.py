@@ -16,6 +16,7 @@ from geodrake.report.tables import Cell, Table, cells
 from geodrake.report.words import effect_label, listed, places_label
 
 _MILLIMETRES = 1e3
+_FAR = 1e6  # mm, from which deviations are told as multiples of a power of ten
 
 
 def bodies_table(bodies: Sequence[BodyChange]) -> Table:
@@ -119,4 +120,6 @@ def _centre(body: BodyChange) -> Cell:
     com, deviation = _MILLIMETRES * body.com[1], _MILLIMETRES * body.com_deviation
     pairs = zip(com.tolist(), deviation.tolist(), strict=True)
     each = ", ".join(with_deviation(x, sigma) for x, sigma in pairs)
-    return Cell(f"{_place(body.com[1])} ± {np.linalg.norm(deviation):.0f}", note=each)
+    size = float(np.linalg.norm(deviation))
+    words = f"{size:.0f}" if size < _FAR else number(size)
+    return Cell(f"{_place(body.com[1])} ± {words}", note=each)

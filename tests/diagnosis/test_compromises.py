@@ -45,6 +45,7 @@ def test_rotor_that_turns_with_the_difference_of_two_joints(pace):
     assert values["inertia"] == pytest.approx(-0.01, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_drag_beside_viscous_friction():
     """v and v² together look like a power between them, which fits nearly as well."""
 
@@ -74,6 +75,7 @@ def test_spring_beside_viscous_friction(pace):
     assert all(step.where == (joint,) for step in steps.values())
 
 
+@pytest.mark.thorough
 def test_delay_beside_friction():
     """A delay that is a little off looks like a rotor: it is timed anew once friction is known."""
 

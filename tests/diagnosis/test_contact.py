@@ -204,7 +204,10 @@ class TestDiagnosis:
                 *(3, "forearm", (0.2, 0.0, 0.0), (30.0, -20.0, 0.0), (14.2, 15.0), 0.0, 2),
                 marks=pytest.mark.thorough,
             ),
-            (6, "flange", (0.05, 0.0, 0.1), (15.0, 10.0, -15.0), (12.0, 14.0), 1.0, 1),
+            pytest.param(
+                *(6, "flange", (0.05, 0.0, 0.1), (15.0, 10.0, -15.0), (12.0, 14.0), 1.0, 1),
+                marks=pytest.mark.thorough,
+            ),
         ],
     )
     def test_found(self, joint, body, point, force, window, friction, seed):
@@ -226,15 +229,27 @@ class TestDiagnosis:
         assert found.end.nrms < 1.15 * floor
         assert found.verdict == "explained"
 
-    def test_a_force_that_turns_with_its_body(self, tmp_path):
+    @pytest.mark.parametrize(
+        ("name", "joint", "body", "point", "force", "seed"),
+        [
+            ("double_pendulum", 2, "lower_link", (0.0, 0.0, -0.3), (3.0, 0.0, -1.5), 1),
+            pytest.param(
+                *("arm6", 6, "flange", (0.0, 0.0, 0.1), (12.0, 0.0, -30.0), 3),
+                marks=pytest.mark.thorough,
+            ),
+        ],
+    )
+    def test_a_force_that_turns_with_its_body(
+        self, name, joint, body, point, force, seed, tmp_path
+    ):
         """As that of a jet or a tool: its components along the body's axes are constant."""
-        force = np.array([12.0, 0.0, -30.0])
-        hidden = pushed(6, (0.0, 0.0, 0.1), force, (8.0, 11.0), turning=True)
-        found = explain(ARM, [effort_log("arm6", 3, hidden, off=0.2).log])
+        hidden = pushed(joint, point, np.array(force), (8.0, 11.0), turning=True)
+        model = load_model(MODELS / f"{name}.urdf")
+        found = explain(model, [effort_log(name, seed, hidden, off=0.2).log])
         (step,) = found.steps
-        assert (step.effect, step.where, found.verdict) == ("contact", ("flange",), "explained")
+        assert (step.effect, step.where, found.verdict) == ("contact", (body,), "explained")
         ((place, values),) = step.parameters.items()
-        assert place.startswith("flange, turning with it, ")
+        assert place.startswith(f"{body}, turning with it, ")
         assert (values["start"], values["end"]) == pytest.approx((8.0, 11.0), abs=0.02)
         pushing = [-values[f"force_{axis}"] for axis in "xyz"]
         np.testing.assert_allclose(pushing, force, atol=0.05 * np.linalg.norm(force))
@@ -277,15 +292,28 @@ class TestDiagnosis:
         assert (step.effect, step.where) == ("contact", ("flange",))
         assert step.error_after < 0.1 * step.error_before
 
-    def test_two_pushes_and_another_log(self, tmp_path):
-        first = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 30.0, 0.0]), (5.0, 6.0))
-        second = pushed(6, (0.0, 0.0, 0.1), np.array([-25.0, 0.0, 10.0]), (17.0, 18.5))
-        recording = effort_log("arm6", 4, lambda seen: first(seen) + second(seen))
-        found = explain(ARM, [recording.log])
+    @pytest.mark.parametrize(
+        ("name", "joint", "body", "point", "forces"),
+        [
+            (
+                *("double_pendulum", 2, "lower_link", (0.0, 0.0, -0.3)),
+                ((2.0, 0.0, 0.0), (-1.5, 0.0, 1.0)),
+            ),
+            pytest.param(
+                *("arm6", 6, "flange", (0.0, 0.0, 0.1), ((0.0, 30.0, 0.0), (-25.0, 0.0, 10.0))),
+                marks=pytest.mark.thorough,
+            ),
+        ],
+    )
+    def test_two_pushes_and_another_log(self, name, joint, body, point, forces, tmp_path):
+        first = pushed(joint, point, np.array(forces[0]), (5.0, 6.0))
+        second = pushed(joint, point, np.array(forces[1]), (17.0, 18.5))
+        recording = effort_log(name, 4, lambda seen: first(seen) + second(seen))
+        found = explain(load_model(MODELS / f"{name}.urdf"), [recording.log])
         (step,) = found.steps
-        assert (step.effect, step.where, len(step.parameters)) == ("contact", ("flange",), 2)
+        assert (step.effect, step.where, len(step.parameters)) == ("contact", (body,), 2)
         save_model(found.model, tmp_path / "arm.yaml")
         again = load_model(tmp_path / "arm.yaml")
         assert [f.effect for f in again.effects] == [f.effect for f in found.model.effects]
-        as_it_stands = compare(again, [effort_log("arm6", 5).log]).errors
+        as_it_stands = compare(again, [effort_log(name, 5).log]).errors
         assert as_it_stands.nrms < 0.03  # and nothing of the pushes

@@ -229,7 +229,7 @@ def test_screen_agrees_with_cross_validation():
     ("law", "words"),
     [
         (lambda t: 0.6 * np.sin(2 * np.pi * 1.37 * t), "swings at 1.37 Hz"),
-        (lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly"),
+        pytest.param(lambda t: 2.0 * (t / 24.0) ** 2, "drifts slowly", marks=pytest.mark.thorough),
     ],
 )
 def test_what_follows_the_clock(law, words):

@@ -61,7 +61,11 @@ def test_small_payload(seed):
     assert "wrong_inertia" in step.indistinguishable_from
 
 
-@pytest.mark.parametrize(("size", "seed", "named"), [(4.0, 4, True), (1.5, 5, False)])
+@pytest.mark.parametrize(
+    ("size", "seed", "named"),
+    [(4.0, 4, True), (1.5, 5, False)],
+)
+@pytest.mark.thorough
 def test_compensator_beside_bodies_that_are_off(size, seed, named):
     """Bodies must move, but not as improbably far; a small one is named beside them at most."""
 
@@ -91,6 +95,7 @@ def test_compensator_in_place_of_a_wrong_link():
     assert "wrong_inertia" in step.indistinguishable_from
 
 
+@pytest.mark.thorough  # test_wrong_inertia.py has a lighter link, too
 def test_lighter_link_is_no_payload():
     log = effort_log("arm7", 3, with_last_link(lighter(0.7)), duration=16.0, share=0.02).log
     (step,) = explain(model_file("arm7"), [log]).steps

@@ -200,14 +200,14 @@ class TestGravityTilt:
         ("name", "off"), [("arm6", 0.2), pytest.param("arm7", 0.0, marks=pytest.mark.thorough)]
     )
     def test_found_and_saved(self, name, off, seed, tmp_path):
-        recording = effort_log(name, seed, tilted(0.03, -0.05), off=off)
+        recording = effort_log(name, seed, tilted(0.03, -0.05), off=off, duration=16.0)
         steps, found = assert_found(model_file(name), recording, {"gravity_tilt": ()})
         values = steps["gravity_tilt"]["base"]
         assert set(values) == {"tilt_x", "tilt_y"}
         assert values["tilt_x"] == pytest.approx(0.03, abs=2e-3)
         assert values["tilt_y"] == pytest.approx(-0.05, abs=2e-3)
         save_model(found.model, tmp_path / "arm.yaml")
-        other = effort_log(name, seed, tilted(0.03, -0.05), off=off, share=0.031)
+        other = effort_log(name, seed, tilted(0.03, -0.05), off=off, share=0.031, duration=16.0)
         assert explain(load_model(tmp_path / "arm.yaml"), [other.log]).steps == ()
 
 
@@ -236,7 +236,7 @@ class TestAerodynamicDrag:
         ],
     )
     def test_found(self, joint, body, point, size, seed):
-        recording = effort_log("arm6", seed, dragged(joint, point, size), off=0.2)
+        recording = effort_log("arm6", seed, dragged(joint, point, size), off=0.2, duration=16.0)
         steps, _ = assert_found(model_file("arm6"), recording, {"aerodynamic_drag": (body,)})
         values = steps["aerodynamic_drag"][body]
         assert values["drag"] == pytest.approx(size, rel=0.05)
@@ -278,6 +278,7 @@ class TestCoupledJoints:
         assert values["coulomb"] == pytest.approx(dry, rel=0.05)
         assert values["viscous"] == pytest.approx(viscous, rel=0.1)
 
+    @pytest.mark.thorough  # test_coupled.py has a smaller robot
     @pytest.mark.parametrize("seed", SEEDS)
     def test_friction_is_found_beside_that_of_all_joints(self, seed, tmp_path):
         def hidden(seen):
@@ -300,6 +301,7 @@ class TestCoupledJoints:
         motion = Motion(*random_states(), time=None)
         np.testing.assert_allclose(again.effort(motion), found.model.effort(motion))
 
+    @pytest.mark.thorough  # test_coupled.py has a smaller robot
     @pytest.mark.parametrize("seed", SEEDS)
     def test_friction_of_either_joint_is_not_coupled(self, seed):
         def hidden(seen):
@@ -312,6 +314,7 @@ class TestCoupledJoints:
         expected = {"coulomb_friction": ("shoulder_pitch", "wrist_roll")}
         assert_found(model_file("arm6"), recording, expected)
 
+    @pytest.mark.thorough  # test_hidden_effects.py has a smaller robot
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize("sense", [-1, pytest.param(1, marks=pytest.mark.thorough)])
     def test_rotor_is_found(self, sense, seed):
@@ -353,6 +356,7 @@ class TestFrictionDrift:
         assert 4.0 < values["time_constant"] < 16.0
 
     @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.thorough
     def test_that_settles_at_none(self, seed):
         def hidden(seen):
             v = seen.v[:, 1]
@@ -413,8 +417,9 @@ class TestEffortScale:
 
     @pytest.mark.parametrize(
         ("uncertainty", "named"),
-        [(0.05, False), pytest.param(0.02, True, marks=pytest.mark.thorough)],
+        [(0.05, False), (0.02, True)],
     )
+    @pytest.mark.thorough
     def test_only_if_it_is_unusual(self, known, uncertainty, named):
         """Gains of torque constants that are known to 5 % may be off by 8 %."""
 
@@ -428,6 +433,7 @@ class TestEffortScale:
         steps = explain(known, [log]).steps
         assert ("effort_scale" in {step.effect for step in steps}) == named
 
+    @pytest.mark.thorough
     def test_nothing_where_nothing_changed(self, known):
         assert explain(known, [effort_log("arm6", 8, rubbing).log]).steps == ()
 

@@ -90,10 +90,12 @@ def test_at_rest_the_posture_changes():
 
 
 class TestDiagnosis:
+    """On an arm; test_other_bandwidth.py has a pendulum whose soft joint is found."""
+
     @pytest.mark.parametrize(
         ("joint", "stiffness", "friction", "seed"),
         [
-            (1, 3000.0, 0.0, 1),
+            pytest.param(1, 3000.0, 0.0, 1, marks=pytest.mark.thorough),
             pytest.param(1, 6000.0, 0.0, 2, marks=pytest.mark.thorough),
             pytest.param(2, 1500.0, 0.0, 1, marks=pytest.mark.thorough),
         ],
@@ -110,7 +112,8 @@ class TestDiagnosis:
         floor = np.sqrt(np.mean((noise / [j.std for j in found.end.joints]) ** 2))
         assert found.end.nrms < 1.15 * floor
 
-    @pytest.mark.parametrize("joint", [pytest.param(1, marks=pytest.mark.thorough), 2])
+    @pytest.mark.thorough
+    @pytest.mark.parametrize("joint", [1, 2])
     def test_in_slow_motion(self, joint):
         """The load's rates are then mostly noise of the accelerations."""
         (step,) = explain(ARM, [elastic_log(joint, 2000.0, 2, pace=0.08).log]).steps

@@ -47,6 +47,7 @@ def test_what_is_above_half_the_bandwidth_is_not_filtered_away():
     assert told(log, bandwidth=2.5)[1] == "adequate"
 
 
+@pytest.mark.thorough
 def test_a_log_with_a_contact_keeps_its_bandwidth():
     """Its pieces were dealt out to the blocks that are held out; play would show elsewhere."""
     places, verdict, elsewhere = told(pushed(loose_log(12e-3, noise=0.01)))
@@ -74,6 +75,7 @@ class TestPlay:
         log = replace(log, effort=log.effort + more(log) * log.effort.std(0) * ELBOW)
         assert told(log) == ({}, "adequate", False)
 
+    @pytest.mark.thorough
     def test_not_in_the_place_of_what_was_explained(self):
         """A small offset that shows where there is less noise."""
         log = loose_log(PLAY, noise=0.003)
@@ -83,6 +85,7 @@ class TestPlay:
         assert "backlash" not in places
         assert (verdict, elsewhere) == ("explained", False)
 
+    @pytest.mark.thorough  # test_backlash.py has one of a right model
     def test_at_the_next_bandwidth_where_the_first_does_not_do(self):
         """There it passes for a wrong body."""
         heavier = replace(MODEL, phi=MODEL.phi * [[1.0], [1.003]])
@@ -92,7 +95,9 @@ class TestPlay:
 
 
 class TestSoftness:
-    @pytest.mark.parametrize(("size", "taken"), [(0.0, True), (0.01, False)])
+    @pytest.mark.parametrize(
+        ("size", "taken"), [(0.0, True), pytest.param(0.01, False, marks=pytest.mark.thorough)]
+    )
     def test_must_take_half_of_what_is_unexplained(self, size, taken):
         """A breeze at both joints leaves more than that."""
 

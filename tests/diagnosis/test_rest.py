@@ -22,6 +22,7 @@ WORDS = "its direction of motion times the position of "
 OPTION = "--draft-effect my_effect.py"
 
 
+@pytest.mark.thorough  # the command below is of a smaller robot
 def test_the_brake_is_told_by_joint_and_motion_in_less_time_than_the_search():
     """Friction of the wrist's pitch that another joint's position tightens."""
 
@@ -100,7 +101,13 @@ def test_the_option_is_not_advised_to_who_took_it(tmp_path):
     assert OPTION not in output
 
 
-@pytest.mark.parametrize("hidden", [None, lambda seen: {1: 0.5 * np.sign(seen.v[:, 1])}])
+@pytest.mark.parametrize(
+    "hidden",
+    [
+        pytest.param(None, marks=pytest.mark.thorough),
+        lambda seen: {1: 0.5 * np.sign(seen.v[:, 1])},
+    ],
+)
 def test_the_option_is_not_advised_without_need(hidden, tmp_path):
     """Nothing is left but noise, of a right model or beside friction that was found."""
     path, page, numbers = (tmp_path / f"log.{suffix}" for suffix in ("csv", "html", "json"))

@@ -287,7 +287,7 @@ class TestTies:
 
     def test_no_body_is_impossible_for_the_error_s_sake(self):
         """An effort against the bodies' own, as if they weighed less than nothing."""
-        log = pendulum_log(2, lambda q, v, vd, load: -1.3 * load, seconds=20.0)
+        log = pendulum_log(2, lambda q, v, vd, load: -1.3 * load, seconds=8.0)
         found = explain(MODEL, [log])
         assert found.verdict == "unexplained"
         assert is_physical(found.model.total_phi).all()

@@ -48,6 +48,7 @@ def test_one_body(joint, seed):
     assert found.verdict == "explained"
 
 
+@pytest.mark.thorough  # test_hidden_effects.py has a smaller robot
 def test_many_bodies():
     found = explain(ARM, [effort_log("arm6", 3, off=0.2).log])
     (step,) = found.steps

@@ -28,7 +28,6 @@ from geodrake.logs.folds import validation_blocks
 from geodrake.logs.motion import Motion
 from geodrake.model.saved_model import save_model
 
-ARM = load_model(MODELS / "arm6.urdf")
 PENDULUM = load_model(MODELS / "double_pendulum.urdf")
 
 
@@ -182,41 +181,48 @@ def bristles(time, v, angle, fine=20):
     return z
 
 
-def noise_nrms(recording, found):
+def noise_nrms(model, recording, found):
     """nrms of the noise that was added to a log."""
-    trajectories, _ = prepare_for_model(ARM, [recording.log])
+    trajectories, _ = prepare_for_model(model, [recording.log])
     noise = recording.noise * trajectories[0].filter.noise_gain
     return np.sqrt(np.mean((noise / [joint.std for joint in found.end.joints]) ** 2))
 
 
 class TestDiagnosis:
     @pytest.mark.parametrize(
-        ("joint", "name", "size", "angle", "seed"),
+        ("robot", "joint", "name", "size", "angle", "seed"),
         [
-            (0, "base_yaw", 4.0, 0.01, 1),
-            pytest.param(1, "shoulder_pitch", 6.0, 0.1, 2, marks=pytest.mark.thorough),
-            pytest.param(3, "wrist_roll", 0.4, 0.2, 1, marks=pytest.mark.thorough),
-            pytest.param(3, "wrist_roll", 0.4, 0.03, 2, marks=pytest.mark.thorough),
+            ("double_pendulum", 1, "elbow", 0.2, 0.05, 1),
+            *(
+                pytest.param("arm6", *row, marks=pytest.mark.thorough)
+                for row in (
+                    (0, "base_yaw", 4.0, 0.01, 1),
+                    (1, "shoulder_pitch", 6.0, 0.1, 2),
+                    (3, "wrist_roll", 0.4, 0.2, 1),
+                    (3, "wrist_roll", 0.4, 0.03, 2),
+                )
+            ),
         ],
     )
-    def test_found_and_saved(self, joint, name, size, angle, seed, tmp_path):
+    def test_found_and_saved(self, robot, joint, name, size, angle, seed, tmp_path):
         def hidden(seen):
             return {joint: size * bristles(seen.time, seen.v[:, joint], angle)}
 
-        recording = effort_log("arm6", seed, hidden, off=0.2)
-        found = explain(ARM, [recording.log])
+        recording = effort_log(robot, seed, hidden, off=0.2)
+        model = load_model(MODELS / f"{robot}.urdf")
+        found = explain(model, [recording.log])
         (step,) = found.steps
         assert (step.effect, step.where) == ("hysteresis", (name,))
         assert step.parameters[name]["coulomb"] == pytest.approx(size, rel=0.02)
         assert step.parameters[name]["breakaway_angle"] == pytest.approx(angle, rel=0.03)
-        assert found.end.nrms < 1.15 * noise_nrms(recording, found)
+        assert found.end.nrms < 1.15 * noise_nrms(model, recording, found)
         assert found.verdict == "explained"
         save_model(found.model, tmp_path / "arm.yaml")
         again = load_model(tmp_path / "arm.yaml")
         assert [fitted.effect for fitted in again.effects] == [
             fitted.effect for fitted in found.model.effects
         ]
-        other = effort_log("arm6", seed, hidden, off=0.2, share=0.031)
+        other = effort_log(robot, seed, hidden, off=0.2, share=0.031)
         assert explain(again, [other.log]).steps == ()
 
     @pytest.mark.parametrize(

@@ -292,15 +292,15 @@ def pendulum_model():
     return replace(model, effects=tuple(fitted))
 
 
-def pendulum_log(seconds=24.0, rate=100.0, seed=0):
+def pendulum_log(model, seconds=12.0, rate=50.0, seed=0):
+    """A log that a model explains, so that a search in it soon ends."""
     time = np.arange(round(seconds * rate)) / rate
     rng = np.random.default_rng(seed)
-    angle = 2 * np.pi * np.array([0.13, 0.31, 0.53])[:, None, None] * time[:, None]
+    rates = 2 * np.pi * np.array([0.13, 0.31, 0.53])[:, None, None]
     phase, size = rng.uniform(0, 6, (3, 1, 2)), rng.uniform(0.3, 0.6, (3, 1, 2))
-    q = (size * np.sin(angle + phase)).sum(0)
-    tip = 1.6 * np.sin(q.sum(1))
-    effort = np.stack([2.3 * np.sin(q[:, 0]) + tip, tip], 1)
-    effort += 0.01 * rng.standard_normal(effort.shape)
+    waves = size * np.exp(1j * (rates * time[:, None] + phase))
+    q, v, vd = ((waves * (1j * rates) ** k).sum(0).imag for k in range(3))
+    effort = model.effort(Motion(q, v, vd)) + 0.01 * rng.standard_normal(q.shape)
     return JointLog("swing", ("shoulder", "elbow"), time, q, effort)
 
 
@@ -323,7 +323,7 @@ class Things:
         put("v", v)
         put("vd", vd)
         put("motion", Motion(q, v, vd))
-        put("log", pendulum_log())
+        put("log", pendulum_log(self.model))
         put("control", ControlModel.of(self.model))
         put("manifold", parameter_manifold(self.model))
         put("law", AdaptationLaw(self.manifold))
@@ -1173,13 +1173,14 @@ def _identification(t):
                 "regularizers": ("euclidean", "pullback"),
             },
             allows={"sigma": ("nothing",)},
+            slow=True,
         ),
     )
     yield (
         "identification.geodesic_least_squares",
         Call(
             m.geodesic_least_squares,
-            {**fit, "gamma": 1.0, "method": "newton", "tolerance": 1e-6, "max_iterations": 50},
+            {**fit, "gamma": 1.0, "method": "newton", "tolerance": 1e-6, "max_iterations": 15},
             infinite=True,
         ),
     )
@@ -1601,19 +1602,21 @@ def _diagnosis(t):
             infinite=True,
         ),
     )
+    brief = pendulum_log(t.model, seconds=3.0)  # of which all windows may be asked for
+    short = {"model": t.model, "logs": (brief,)}
     yield (
         "rollout.roll_out",
         Call(
             geodrake.control.rollout.roll_out,
-            {**logs, "horizon": 0.2, "most": 2, "bandwidth": 8.0, "progress": lambda *_: None},
+            {**short, "horizon": 0.2, "most": 2, "bandwidth": 8.0, "progress": lambda *_: None},
             slow=True,
             infinite=True,
             allows={"most": ("beyond floats", "beyond machine integers")},
         ),
     )
-    still = np.gradient(t.log.position, t.log.time, axis=0)
-    command = t.log.position + 0.05 * still + 0.01 * t.log.effort
-    told = replace(t.log, effort=np.full_like(t.log.effort, np.nan), command=command)
+    still = np.gradient(brief.position, brief.time, axis=0)
+    command = brief.position + 0.05 * still + 0.01 * brief.effort
+    told = replace(brief, effort=np.full_like(brief.effort, np.nan), command=command)
     yield (
         "rollout.command_rollout",
         Call(

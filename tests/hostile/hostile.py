@@ -130,10 +130,23 @@ def _table(seed, seconds, rate):
     q = (swing * np.sin(angle)).sum(0)
     v = (swing * rates[:, None] * np.cos(angle)).sum(0)
     vd = -(swing * rates[:, None] ** 2 * np.sin(angle)).sum(0)
-    tip = 1.6 * np.sin(q.sum(1))
-    effort = np.stack([2.3 * np.sin(q[:, 0]) + tip + 0.12 * vd[:, 0], tip + 0.05 * vd[:, 1]], 1)
-    effort += 0.3 * np.tanh(50.0 * v) + 0.1 * v + 0.01 * rng.standard_normal(v.shape)
+    effort = _efforts(q, v, vd) + 0.3 * np.tanh(50.0 * v) + 0.1 * v
+    effort += 0.01 * rng.standard_normal(v.shape)
     return np.column_stack([time, q, effort])
+
+
+def _efforts(q, v, vd):
+    """(N, 2) of the pendulum in `models`, by the formulas of textbooks."""
+    gravity, reach, coupling = 9.81, 0.2557, 0.6256 * 0.2 * 0.2557
+    tip = gravity * 0.6256 * reach * np.sin(q.sum(1))
+    lower, bent = 0.0099667 + 0.6256 * reach**2, coupling * np.cos(q[:, 1])
+    upper = 0.01095 + (0.5235 + 0.6256) * 0.2**2
+    turn = coupling * np.sin(q[:, 1])
+    shoulder = (upper + lower + 2 * bent) * vd[:, 0] + (lower + bent) * vd[:, 1]
+    shoulder += gravity * (0.5235 + 0.6256) * 0.2 * np.sin(q[:, 0]) + tip
+    shoulder -= turn * v[:, 1] * (2 * v[:, 0] + v[:, 1])
+    elbow = (lower + bent) * vd[:, 0] + lower * vd[:, 1] + turn * v[:, 0] ** 2 + tip
+    return np.stack([shoulder, elbow], 1)
 
 
 def table(*, seed=1, seconds=24.0, rate=100.0):

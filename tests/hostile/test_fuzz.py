@@ -1,26 +1,21 @@
 """The quick form of the fuzzer: its long run is `python tests/hostile/fuzz.py`."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
-from hostile import ROOT
-
-SCRIPT = Path(__file__).with_name("fuzz.py")
+import pytest
+from fuzz import main
 
 
-def test_nothing_breaks(tmp_path):
-    command = [sys.executable, str(SCRIPT), "--quick", "--seed", "1"]
-    command += ["--json", str(tmp_path / "fuzz.json"), "--keep", str(tmp_path / "broken")]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=600, check=False
-    )
-    ended = [path.read_text() for path in tmp_path.glob("broken/*/ended.txt")]
-    assert done.returncode == 0, (done.stdout, done.stderr, ended)
-    found = json.loads((tmp_path / "fuzz.json").read_text(encoding="utf-8"))
-    assert found["cases"] == 40 and found["broken"] == 0
+@pytest.mark.parametrize(
+    ("cases", "options"),
+    [(16, ["--quick"]), pytest.param(40, ["--cases", "40"], marks=pytest.mark.thorough)],
+)
+def test_nothing_breaks(cases, options, tmp_path, capsys):
+    target, broken = tmp_path / "fuzz.json", tmp_path / "broken"
+    code = main([*options, "--seed", "1", "--json", str(target), "--keep", str(broken)])
+    ended = [path.read_text() for path in broken.glob("*/ended.txt")]
+    assert code == 0, (capsys.readouterr(), ended)
+    found = json.loads(target.read_text(encoding="utf-8"))
+    assert found["cases"] == cases and found["broken"] == 0
     ends = {end for own in found["counts"].values() for end in own}
     assert ends == {"result", "refused"}

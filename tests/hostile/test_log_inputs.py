@@ -241,13 +241,13 @@ TABLES = [
     Row("a quote that opens the header", CSV, ("never closes",), text('"' + BODY)),
     Row("a quote that never closes", CSV, ("Row 6", "never closes"), cell('"0.05')),
     Row("a quote at the end", CSV, ("Row 2401",), text(BODY + '"')),
-    Row("a line of 100 MB", CSV, ("more than 8 MB",), text(
-        lambda: HEADER + "\n" + "1," * 50_000_000)),
-    Row("a header of 100 MB", CSV, ("more than 8 MB",), text(lambda: "x" * 100_000_000)),
-    Row("fifty million columns", CSV, ("more than 8 MB",), text(lambda: "x," * 50_000_000)),
-    Row("a hundred thousand joints", CSV, ("no joint 'j0'",), text(lambda: "\n".join(
-        ["time," + ",".join(f"j{k}.position,j{k}.effort" for k in range(50_000))]
-        + [f"{k}" + ",0" * 100_000 for k in range(12)]))),
+    Row("a line of 10 MB", CSV, ("more than 8 MB",), text(
+        lambda: HEADER + "\n" + "1," * 5_000_000)),
+    Row("a header of 10 MB", CSV, ("more than 8 MB",), text(lambda: "x" * 10_000_000)),
+    Row("five million columns", CSV, ("more than 8 MB",), text(lambda: "x," * 5_000_000)),
+    Row("ten thousand joints", CSV, ("no joint 'j0'",), text(lambda: "\n".join(
+        ["time," + ",".join(f"j{k}.position,j{k}.effort" for k in range(10_000))]
+        + [f"{k}" + ",0" * 20_000 for k in range(12)]))),
     Row("vertical tabs", CSV, ("has 0 rows",), text(BODY.replace("\n", "\x0b"))),
     Row("next lines", CSV, ("has 0 rows",), text(BODY.replace("\n", "\x85"))),
     Row("line separators", CSV, ("has 0 rows",), text(BODY.replace("\n", "\u2028"))),
@@ -295,8 +295,8 @@ TABLES = [
     Row("Arabic digits", CSV, (), cell("٠.٠٥"), code=0),
     Row("infinite time", CSV, ("split into 2 pieces",), text(
         BODY.replace("\n12.0,", "\ninf,")), code=0),
-    Row("thirty thousand columns", CSV, ("columns ignored",), text("\n".join(
-        line + f",{'x' if k == 0 else 0}" * 29_995 for k, line in enumerate(LINES[:101]))), code=0),
+    Row("three thousand columns", CSV, ("columns ignored",), text("\n".join(
+        line + f",{'x' if k == 0 else 0}" * 2_995 for k, line in enumerate(LINES[:101]))), code=0),
 ]  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def test_scs_finds_the_same(regularizer):
     assert results[0].divergence == pytest.approx(results[1].divergence, rel=1e-3)
 
 
-@pytest.mark.parametrize("gamma", [0.3, 1e-5])
+@pytest.mark.parametrize("gamma", [0.3, pytest.param(1e-5, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("regularizer", ["pullback", "entropic", "riemannian"])
 @given(seed=st.integers(0, 10_000), length=st.floats(0.05, 20.0), mass=st.floats(0.05, 20.0))
 @settings(max_examples=3, deadline=None, derandomize=True)

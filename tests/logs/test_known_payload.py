@@ -109,7 +109,8 @@ class TestGainTold:
         assert "load_dependent_friction" in steps
         assert "payload" not in steps
 
-    @pytest.mark.parametrize("seed", [6, pytest.param(7, marks=pytest.mark.thorough)])
+    @pytest.mark.thorough
+    @pytest.mark.parametrize("seed", [6, 7])
     def test_none_where_there_is_none(self, seed):
         found = explain(model_file(), two_logs(seed))
         assert {step.effect for step in found.steps} <= {"wrong_inertia"}

@@ -74,7 +74,7 @@ def test_memory_grows_with_the_log_alone(monkeypatch, tmp_path):
     monkeypatch.setattr(noise, "_SAMPLES", 10_000)
     monkeypatch.setattr(coherent_bandwidth, "_SAMPLES", 10_000)
     model, peaks = load_model(PENDULUM), []
-    lengths = (50_000, 250_000)
+    lengths = (50_000, 150_000)
     for samples in lengths:
         path = tmp_path / f"{samples}.npz"
         write_log(long_log(samples), path)

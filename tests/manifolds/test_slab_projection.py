@@ -22,7 +22,7 @@ ROBOT = Product(
     (1.0, 0.5, 2.0, 3.0),
 )
 """What a robot has: bodies and lower bounds."""
-some = settings(derandomize=True, deadline=None, max_examples=40)
+some = settings(derandomize=True, deadline=None, max_examples=15)
 
 
 def point(rng, scale=1.0):

@@ -337,13 +337,11 @@ class _System:
 
     def _prior(self, x: Array) -> tuple[Array, Array]:
         """Curvature (p, p) of half the prior's cost at x, and what it adds to the right side."""
-        H, b = self.information.copy(), self.information @ self.mean
-        d, k = self.judge.parameters.model.phi.size, PARAMETERS_PER_BODY
-        near = np.flatnonzero(np.isfinite(self.spread))
-        phi, start = x[:d].reshape(-1, k)[near], self.mean[:d].reshape(-1, k)[near]
-        G, G0 = _metric(phi), _metric(start)
-        sides = 2.0 * np.einsum("bij,bj->bi", G, phi) - np.einsum("bij,bj->bi", G0, start)
-        for body, metric, side in zip(near.tolist(), G, sides, strict=True):
+        H, b, k = self.information.copy(), self.information @ self.mean, PARAMETERS_PER_BODY
+        phi = self._bodies(x)
+        G = _metric(phi)
+        sides = 2.0 * np.einsum("bij,bj->bi", G, phi) - self._pull
+        for body, metric, side in zip(self._near.tolist(), G, sides, strict=True):
             own = slice(k * body, k * (body + 1))
             H[own, own] = metric / self.spread[body] ** 2
             b[own] = side / self.spread[body] ** 2
@@ -351,31 +349,42 @@ class _System:
 
     def prior_cost(self, x: Array) -> float:
         """What parameters pay that go far."""
-        d, k = self.judge.parameters.model.phi.size, PARAMETERS_PER_BODY
         far = x - self.mean
-        near = np.flatnonzero(np.isfinite(self.spread))
-        ratio = self._ratio(x[:d].reshape(-1, k)[near], self.mean[:d].reshape(-1, k)[near])
+        ratio = _turned(self._whitening, self._bodies(x))
         values = np.maximum(np.linalg.eigvalsh(ratio), 1e-300)
-        cost = np.sum(values - 1.0 - np.log(values), axis=1) / self.spread[near] ** 2
+        cost = np.sum(values - 1.0 - np.log(values), axis=1) / self.spread[self._near] ** 2
         return float(far @ self.information @ far + cost.sum())
 
-    @staticmethod
-    def _ratio(phi: Array, start: Array) -> Array:
-        """(nb, 4, 4) symmetric matrices similar to P₀⁻¹P."""
-        L = np.linalg.inv(np.linalg.cholesky(calc_pseudo_inertia(start)))
-        return np.asarray(L @ calc_pseudo_inertia(phi) @ np.swapaxes(L, 1, 2))
+    def _bodies(self, x: Array) -> Array:
+        """(nb, 10) inertial parameters of the bodies that `spread` is of."""
+        d = self.judge.parameters.model.phi.size
+        return np.asarray(x[:d].reshape(-1, PARAMETERS_PER_BODY)[self._near])
+
+    @cached_property
+    def _near(self) -> Indices:
+        """(nb,) indices of the bodies that `spread` is of."""
+        return np.flatnonzero(np.isfinite(self.spread))
+
+    @cached_property
+    def _pull(self) -> Array:
+        """(nb, 10) metrics at the prior mean times that mean."""
+        start = self._bodies(self.mean)
+        return np.asarray(np.einsum("bij,bj->bi", _metric(start), start))
+
+    @cached_property
+    def _whitening(self) -> Array:
+        """(nb, 4, 4) of the bodies of the prior mean: see `_whitening`."""
+        return _whitening(self._bodies(self.mean))
 
     def _stepped(self, x: Array, to: Array) -> Array:
         """From x towards other parameters, as far as bodies remain some."""
-        d, k = self.judge.parameters.model.phi.size, PARAMETERS_PER_BODY
-        near = np.flatnonzero(np.isfinite(self.spread))
-        here = x[:d].reshape(-1, k)[near]
-        ratio = self._ratio(to[:d].reshape(-1, k)[near], here)
+        here, there = self._bodies(x), self._bodies(to)
+        ratio = _turned(_whitening(here), there)
         least = np.linalg.eigvalsh(ratio)[:, 0] - 1.0  # of the change, by how much there is
         share = np.where(least < -_INSIDE, _INSIDE / np.maximum(-least, 1e-300), 1.0)
-        found = to.copy()
-        steps = share[:, None] * (to[:d].reshape(-1, k)[near] - here)
-        found[:d].reshape(-1, k)[near] = here + steps
+        found, d = to.copy(), self.judge.parameters.model.phi.size
+        bodies = found[:d].reshape(-1, PARAMETERS_PER_BODY)
+        bodies[self._near] = here + share[:, None] * (there - here)
         return found
 
     def fitted(
@@ -444,6 +453,16 @@ class _System:
         rows = [design.rows for design in self.designs]
         found[self.assignment.effort] = self.judge.samples.effective(left, rows)
         return found
+
+
+def _whitening(phi: Array) -> Array:
+    """(nb, 4, 4) inverses of the Cholesky factors of pseudo-inertias."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(calc_pseudo_inertia(phi))))
+
+
+def _turned(L: Array, phi: Array) -> Array:
+    """(nb, 4, 4) symmetric matrices similar to P₀⁻¹P, of the whitenings L of P₀."""
+    return np.asarray(L @ calc_pseudo_inertia(phi) @ np.swapaxes(L, 1, 2))
 
 
 def _metric(phi: Array) -> Array:

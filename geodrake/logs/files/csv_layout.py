@@ -130,8 +130,10 @@ def _dated(layout: CsvLayout, lines: Iterator[str]) -> tuple[CsvLayout, Iterator
 def _units(header: Sequence[str], line: str, separator: str | None) -> dict[str, str]:
     """Units in a line below the header: as many as names, most of them known ones."""
     cells = [cell.strip(' \t\r\n[]()"') for cell in line.split(separator)]
-    known = [any(find_unit(cell, quantity) for quantity in UNITS) for cell in cells]
-    if len(cells) != len(header) or 2 * sum(known) <= len(cells):
+    if len(cells) != len(header):
+        return {}
+    known = {cell for cell in set(cells) if any(find_unit(cell, each) for each in UNITS)}
+    if 2 * sum(cell in known for cell in cells) <= len(cells):
         return {}
     return dict(zip(header, cells, strict=True))
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 from geodrake.errors import ArgumentError
 
@@ -122,7 +123,8 @@ def find_unit(text: str, quantity: str) -> Unit | None:
     return None
 
 
-def _spelled(text: str) -> list[str]:
+@lru_cache(1024)
+def _spelled(text: str) -> tuple[str, ...]:
     """How a unit may be written here: as it is, without dots, with a stroke, in small letters."""
     plain = re.sub(r"[·*\s.⋅-]", "", text).replace("^2", "²").replace("s2", "s²")
     over = re.sub(r"(?:_|per)(s|min)", r"/\1", plain)
@@ -133,4 +135,4 @@ def _spelled(text: str) -> list[str]:
         found += [_SPELLINGS.get(each.lower(), each), _SPELLINGS.get(head.lower(), head)]
         found[-1] += stroke + tail
         found.append(found[-1].lower())
-    return ["rev/s" if each == "rev/s" else each.replace("rev/min", "rpm") for each in found]
+    return tuple(each.replace("rev/min", "rpm") for each in found)
