@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Optional, TypeVar
 
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
@@ -41,6 +42,9 @@ from geodrake.robot.transmission.drive import Drive
 from geodrake.robot.transmission.statements import Stated
 
 T = TypeVar("T")
+_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # those of LibYAML, where it is
+_Dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_INFORMATION = "information:"
 FORMAT = "geodrake model 1"
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?format: *['\"]?geodrake model\b", re.MULTILINE)
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -255,9 +259,12 @@ def saved_text(model: RobotModel, path: str | Path) -> str:
         fading_speed=_by_joint(model, model.fading_speed),
         fitted_to=list(model.fitted_to),
         bandwidths={log: list(both) for log, both in model.bandwidths.items()},
-        information=[] if model.information is None else model.information.tolist(),
     )
-    return str(yaml_dump_typed(saved, schema=SavedModel))
+    text = str(yaml_dump_typed(saved, schema=SavedModel))
+    if model.information is None:
+        return text
+    rows = yaml.dump(model.information.tolist(), Dumper=_Dumper, default_flow_style=None)
+    return text.removesuffix(f"{_INFORMATION} []\n") + f"{_INFORMATION}\n{rows}"
 
 
 def _by_joint(model: RobotModel, values: NDArray[np.float64] | None) -> dict[str, float]:
@@ -289,7 +296,7 @@ def _file_of(kind: type[Effect], folder: Path) -> str:
 def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel:
     text = yaml_text(path)
     try:
-        saved = yaml_load_typed(schema=SavedModel, data=text)
+        saved = _fields(text)
     except Exception as error:  # Drake raises RuntimeError and others, depending on the fault
         field = _odd_field(text)
         what = f"{path} is no geodrake model" + (f", by its field {field!r}" if field else "")
@@ -320,6 +327,26 @@ def _read(path: Path, extra: Sequence[type[Effect]], given: Given) -> RobotModel
             path=path,
         ) from error
     return loaded
+
+
+def _fields(text: str) -> SavedModel:
+    """What a saved model states; its information apart, if that is the last of it.
+
+    That is nearly all of the text, and Drake's reader, in Python, takes its time.
+    """
+    start = text.rfind(f"\n{_INFORMATION}") + 1
+    with suppress(yaml.YAMLError, RecursionError):
+        last = yaml.load(text[start:], Loader=_Loader) if start else None
+        rows = last["information"] if isinstance(last, dict) and len(last) == 1 else None
+        if isinstance(rows, list) and all(_is_numbers(row) for row in rows):
+            saved: SavedModel = yaml_load_typed(schema=SavedModel, data=text[:start])
+            return dc.replace(saved, information=[[float(x) for x in row] for row in rows])
+    whole: SavedModel = yaml_load_typed(schema=SavedModel, data=text)
+    return whole
+
+
+def _is_numbers(row: object) -> bool:
+    return isinstance(row, list) and all(type(x) in (float, int) for x in row)
 
 
 def _given_with(path: Path, saved: SavedModel, given: Given) -> Given:
