@@ -57,6 +57,7 @@ def said(process):
     return out.splitlines()
 
 
+@pytest.mark.thorough
 def test_two_processes_that_compile_at_once_do_no_harm(tmp_path):
     """Every signature has a file of its own, used as long as all that it came from stays."""
     pairs = NUMBERS, "1, 1"

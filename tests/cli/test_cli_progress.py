@@ -140,6 +140,7 @@ def test_an_interrupt_after_a_step_keeps_what_was_found(tmp_path, pendulum):
     assert yaml.safe_load((tmp_path / "model.yaml").read_text())["effects"]
 
 
+@pytest.mark.thorough
 def test_a_second_interrupt_ends_at_once(tmp_path, pendulum):
     run = started(tmp_path, pendulum, "--json", "found.json")
     run.stderr.readline()

@@ -104,6 +104,7 @@ def test_lyapunov_value_of_computed_torque():
     assert tracking_error(logs).max() < 0.3 * tracking_error(fixed).max()
 
 
+@pytest.mark.thorough
 def test_filtered_computed_torque_never_takes_the_estimate_away_from_the_truth():
     controller = computed(natural(1e-2), rate=10.0, prediction=FILTERED)
     _, logs = run(controller, 3.0)

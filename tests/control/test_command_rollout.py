@@ -169,6 +169,7 @@ def test_the_loop_is_closed(arm):
     assert closed.relative < 0.5 * opened.relative
 
 
+@pytest.mark.thorough
 def test_a_case_that_is_open_gives_the_same(arm):
     log, model = arm
     silent = without_efforts(log, "a", "b")

@@ -102,6 +102,7 @@ class TestDrift:
 
         return swung("warming", needed, begins=begins)
 
+    @pytest.mark.thorough
     def test_is_that_of_the_logs_time(self, pendulum):
         log = self.log()
         right = departure(with_effects(pendulum, LOSS, self.drift), log)

@@ -266,6 +266,7 @@ class TestDiagnosis:
         assert (step.effect, step.where) == ("contact", ("flange",))
         assert step.error_after < 0.2 * step.error_before
 
+    @pytest.mark.thorough
     def test_that_free_bodies_follow(self):
         """Two bodies that may move fit a long push half, at the cost of all the rest of the log."""
         hidden = pushed(2, [0.0, 0.0, 0.2], np.array([1.0, 0.0, 0.6]), (7.7, 11.6), ramp=0.3)
@@ -282,6 +283,7 @@ class TestDiagnosis:
         ((_, deviations),) = step.deviations.items()
         assert np.isinf(deviations["force_y"])  # across the plane of motion
 
+    @pytest.mark.thorough
     def test_named_by_one_diagnosis(self):
         hidden = pushed(6, (0.0, 0.0, 0.1), np.array([0.0, 0.0, -40.0]), (8.0, 9.5))
         log = effort_log("arm6", 2, hidden, off=0.2).log

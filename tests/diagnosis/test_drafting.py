@@ -201,6 +201,7 @@ def test_a_written_effect_is_its_formula_and_acts_on_a_plant(tmp_path):
     np.testing.assert_allclose(output, wanted, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_screen_agrees_with_cross_validation():
     """Held-out errors by the formulas of the screen, and by refitting with each candidate."""
     log = recording(INVENTED["damper that another joint's position opens"][0], 2, seconds=12.0)

@@ -464,6 +464,7 @@ def test_add_whatever_the_evidence(model):
         assert abs(step.parameters[joint]["offset"]) < 5.0 * step.deviations[joint]["offset"]
 
 
+@pytest.mark.thorough
 def test_add_a_pair_and_a_body(model, logs):
     pair = add("coupled_friction", model, logs, where=JOINTS, bandwidth=BANDWIDTH)
     assert pair.steps[0].where == JOINTS

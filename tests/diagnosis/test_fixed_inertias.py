@@ -81,6 +81,7 @@ def test_compensator_beside_bodies_that_are_off(size, seed, named):
     assert step.error_after < step.error_before
 
 
+@pytest.mark.thorough
 def test_compensator_in_place_of_a_wrong_link():
     """Its sine is that of a first moment of the link, which stays where nothing else moves."""
 

@@ -368,6 +368,7 @@ class TestFrictionDrift:
         assert {step.effect for step in steps} <= {"friction_drift"} | beside
 
     @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.thorough
     def test_not_where_friction_stays(self, seed):
         steps = explained_rubbing(seed).steps
         assert {step.effect for step in steps} == {"coulomb_friction", "viscous_friction"}

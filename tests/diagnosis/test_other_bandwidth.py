@@ -98,6 +98,7 @@ class TestSoftness:
     @pytest.mark.parametrize(
         ("size", "taken"), [(0.0, True), pytest.param(0.01, False, marks=pytest.mark.thorough)]
     )
+    @pytest.mark.thorough
     def test_must_take_half_of_what_is_unexplained(self, size, taken):
         """A breeze at both joints leaves more than that."""
 

@@ -104,6 +104,7 @@ def test_ur10e_third_motion_needs_nothing(ur10e_saved):
 
 
 @pytest.mark.measurements("data/ur10e_free_d.csv")
+@pytest.mark.thorough
 def test_ur10e_another_day_needs_nothing(ur10e_saved):
     """Friction of another law lowers the error; gains that are off by little do so as well."""
     assert not diagnose(ur10e_saved, [DATA / "ur10e_free_d.csv"]).candidates
@@ -149,6 +150,7 @@ def test_ur10e_payload_is_named_by_one_diagnosis(ur10e_saved, ur10e_changed):
     assert diagnosis.start == ur10e_changed.start
 
 
+@pytest.mark.thorough
 def test_tx40_has_friction_coupled_friction_and_rotors(tx40):
     found = places(tx40)
     assert {"viscous_friction", "coulomb_friction", "rotor_inertia"} <= found.keys()

@@ -94,6 +94,7 @@ def test_command_report_and_numbers_tell_it_and_what_to_do(tmp_path):
     assert correlates[0]["words"] == WORDS + "shoulder"
 
 
+@pytest.mark.thorough
 def test_the_option_is_not_advised_to_who_took_it(tmp_path):
     path, target = file_of(tightened, tmp_path / "log.csv"), tmp_path / "my_effect.py"
     output = run("explain", PENDULUM, path, "--draft-effect", target)
@@ -108,6 +109,7 @@ def test_the_option_is_not_advised_to_who_took_it(tmp_path):
         lambda seen: {1: 0.5 * np.sign(seen.v[:, 1])},
     ],
 )
+@pytest.mark.thorough
 def test_the_option_is_not_advised_without_need(hidden, tmp_path):
     """Nothing is left but noise, of a right model or beside friction that was found."""
     path, page, numbers = (tmp_path / f"log.{suffix}" for suffix in ("csv", "html", "json"))

@@ -104,6 +104,7 @@ class TestPlaces:
         found = explained(pendulum_log(seed, seconds=16.0))
         assert (found.verdict, found.steps) == ("adequate", ())
 
+    @pytest.mark.thorough
     def test_of_two_bodies_that_stood_for_a_mass_the_better_one_is_named(self):
         """Although ten parameters cost more than so small a mass is worth."""
         known = add(
@@ -218,6 +219,7 @@ class TestChoice:
         for step in found.steps:
             assert "asymmetric_friction" in step.indistinguishable_from
 
+    @pytest.mark.thorough
     def test_what_suited_best_before_another_effect_was_known_gives_way(self):
         """While friction is unknown a compensator may suit better than a spring."""
 
@@ -285,6 +287,7 @@ class TestTies:
         assert (candidates[0].effect, candidates[0].where) == ("rotor_inertia", ("shoulder",))
         assert {"rotor_inertia", "wrong_inertia"} <= tied(candidates)
 
+    @pytest.mark.thorough
     def test_no_body_is_impossible_for_the_error_s_sake(self):
         """An effort against the bodies' own, as if they weighed less than nothing."""
         log = pendulum_log(2, lambda q, v, vd, load: -1.3 * load, seconds=8.0)

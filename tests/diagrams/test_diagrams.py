@@ -17,7 +17,16 @@ from scripts import FOLDER, ROOT, call, start
 
 from geodrake.logs.files import read_log
 
-APART = "wam_payload"
+APART = "criteria_worth"
+LONG = {  # whose parts are tested elsewhere, too
+    "ambidex_sandbags",
+    "long_log",
+    "pages_and_exports",
+    "real_robots",
+    "scara_excitation",
+    "simulate_fitted",
+    "wam_payload",
+}
 ELSEWHERE = {  # run by tests of their own, with --quick, too
     "ambidex_arm",
     "body_distances",
@@ -127,7 +136,12 @@ MEASUREMENTS = {
     "real_robots": ("data/double_pendulum_c1_*.csv",),
 }
 NEEDING = {name: pytest.mark.measurements(*paths) for name, paths in MEASUREMENTS.items()}
-CASES = [pytest.param(name, marks=NEEDING.get(name, ())) for name in SCRIPTS]
+CASES = [
+    pytest.param(
+        name, marks=(*NEEDING.get(name, ()), *([pytest.mark.thorough] if name in LONG else []))
+    )
+    for name in SCRIPTS
+]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -214,6 +228,7 @@ class TestHiddenEffectLog:
         arm = (ROOT / "models" / "arm6.urdf").read_bytes()
         assert hashlib.sha256(demo).digest() == hashlib.sha256(arm).digest()
 
+    @pytest.mark.thorough
     def test_several_effects(self, tmp_path):
         call(
             self.SCRIPT,

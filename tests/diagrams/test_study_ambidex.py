@@ -237,6 +237,7 @@ def means(quick, column, cells):
     return np.mean(full, axis=0)
 
 
+@pytest.mark.thorough  # the order of regularizers is that of test_study_cheetah.py
 class TestQuick:
     def line(self, quick, count, name):
         found = [

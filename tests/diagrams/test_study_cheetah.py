@@ -88,6 +88,7 @@ def quick_gallop(request, tmp_path_factory):
     return json.loads((folder / "table.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.thorough
 def test_distance_aware_regularizers_carry_over_to_the_floating_base(quick_gallop):
     found = {(row["regularizer"], row["quantity"]): row for row in quick_gallop}
     for quantity in ("body force", "body moment"):

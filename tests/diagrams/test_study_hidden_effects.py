@@ -189,14 +189,20 @@ class TestWhatItMustShow:
         ("case", "hidden", "number", "seed", "fixed"),
         [
             # The friction hides the spring, and the spring the friction: neither convinces alone.
-            ("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
+            pytest.param(
+                *("two", ("joint_spring", "viscous_friction"), 7, 8, {"robot": "panda"}),
+                marks=pytest.mark.thorough,
+            ),
             # Before the pair is known, bounded friction and bristles fit better than either.
             pytest.param(
                 *("two", ("gravity_compensator", "viscous_friction"), 3, 11, {"robot": "panda"}),
                 marks=pytest.mark.thorough,
             ),
             # An offset leaves several times the squared error, most of it in a few folds.
-            ("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
+            pytest.param(
+                *("one", ("gravity_compensator",), 2, 8, {"robot": "arm7"}),
+                marks=pytest.mark.thorough,
+            ),
             # The load changes its sign in five of eight folds.
             pytest.param(
                 *("one", ("backlash",), 2, 9, {"robot": "panda"}),

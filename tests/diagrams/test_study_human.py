@@ -33,6 +33,7 @@ def tables(tmp_path_factory):
 
 
 @NEEDED
+@pytest.mark.thorough
 def test_training_errors_are_the_sources(tables):
     found = {line["regularizer"]: line for line in tables["errors"]}
     for name, expected in TABLE.items():

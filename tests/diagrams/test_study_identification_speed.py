@@ -8,6 +8,9 @@ import pytest
 from scripts import call
 
 
+pytestmark = pytest.mark.thorough  # three processes that use the memory of a large program
+
+
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     folder = tmp_path_factory.mktemp("speed")

@@ -88,6 +88,7 @@ class TestRobots:
 
 
 class TestTold:
+    @pytest.mark.thorough
     def test_a_designed_motion_settles_what_the_first_left_open(self):
         row = trial.run(trial.Draw(1, 0), iterations=5)
         assert row["ambiguous"]

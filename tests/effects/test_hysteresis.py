@@ -232,6 +232,7 @@ class TestDiagnosis:
             pytest.param("arm6", 3.0, marks=pytest.mark.thorough),
         ],
     )
+    @pytest.mark.thorough
     def test_not_where_friction_forgets(self, robot, size):
         def hidden(seen):
             v = np.where(np.arange(seen.v.shape[1]) < 3, seen.v, 0.0)

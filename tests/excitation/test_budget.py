@@ -80,6 +80,7 @@ def test_no_time_for_a_close_look_is_said():
     assert any("collisions were looked for every 0.3" in note for note in result.notes)
 
 
+@pytest.mark.thorough
 def test_no_motion_in_that_time_is_an_error():
     begin = time.monotonic()
     with pytest.raises(ArgumentError, match=r"No motion within the limits was found in 0\.5 s"):

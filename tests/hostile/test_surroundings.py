@@ -360,6 +360,7 @@ def test_an_interrupt_that_nothing_can_raise_comes_again(tmp_path):
     assert stopped_in(tmp_path, EXPLAIN, begin) == (130, "", "Interrupted.\n")
 
 
+@pytest.mark.thorough
 def test_a_signal_that_is_to_be_ignored_is_ignored(tmp_path):
     fill(tmp_path)
     code = "import signal, os\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + HOOK.format(

@@ -115,6 +115,7 @@ class TestGainTold:
         found = explain(model_file(), two_logs(seed))
         assert {step.effect for step in found.steps} <= {"wrong_inertia"}
 
+    @pytest.mark.thorough
     def test_of_all_joints_where_the_stated_mass_is_wrong(self):
         """10 % too large looks like gains 1/1.1 of all joints, and a note says so."""
         found = explain(model_file(), two_logs(8, stated=replace(WEIGHT, mass=3.3)))

@@ -368,6 +368,7 @@ def test_dynamics_are_checked_at_the_actuators(wrist, curved):
         assert found.holds and found.joints == model.joints
 
 
+@pytest.mark.thorough
 def test_a_rollout_stays_with_the_motion_of_the_motors(wrist):
     hidden = lambda v: 0.1 * v * [0.0, 1.0, 0.0]  # noqa: E731
     log = log_of(wrist, 0, hidden, seconds=10.0)

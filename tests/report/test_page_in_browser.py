@@ -178,6 +178,7 @@ def test_tables_sort_and_filter(opened):
     assert table.locator("tbody tr:visible").count() == 2
 
 
+@pytest.mark.thorough
 def test_residuals_are_those_of_one_model_at_a_time(opened):
     page = opened()
     parts = page.locator(".dependence:visible")
@@ -223,6 +224,7 @@ def test_tables_of_long_names_need_no_scrolling(opened, tmp_path, width):
     assert tables.first.get_by_text(" and ".join((", ".join(joints[:2]), joints[2]))).count() == 1
 
 
+@pytest.mark.thorough
 def test_plots_follow_the_width(opened):
     page = opened()
     drawn(page)
@@ -248,6 +250,7 @@ def test_schemes(opened, scheme):
     assert not is_dark()
 
 
+@pytest.mark.thorough
 def test_paper_has_the_pictures(opened):
     page = opened()
     drawn(page)

@@ -323,6 +323,7 @@ def test_figures_can_be_drawn(joints):
     assert "sensor noise" in text
 
 
+@pytest.mark.thorough
 def test_reports_are_reproducible():
     shown = explanation(("elbow",))
     assert render_explanation(shown, **NAMES) == render_explanation(shown, **NAMES)
