@@ -7,7 +7,6 @@ from io import StringIO
 import pytest
 from scripts import call
 
-
 pytestmark = pytest.mark.thorough  # three processes that use the memory of a large program
 
 
