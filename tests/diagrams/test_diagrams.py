@@ -136,12 +136,16 @@ MEASUREMENTS = {
     "real_robots": ("data/double_pendulum_c1_*.csv",),
 }
 NEEDING = {name: pytest.mark.measurements(*paths) for name, paths in MEASUREMENTS.items()}
-CASES = [
-    pytest.param(
-        name, marks=(*NEEDING.get(name, ()), *([pytest.mark.thorough] if name in LONG else []))
-    )
-    for name in SCRIPTS
-]
+
+
+def marks_of(name):
+    return [
+        *([NEEDING[name]] if name in NEEDING else []),
+        *([pytest.mark.thorough] if name in LONG else []),
+    ]
+
+
+CASES = [pytest.param(name, marks=marks_of(name)) for name in SCRIPTS]
 
 
 @pytest.mark.parametrize("name", CASES)
