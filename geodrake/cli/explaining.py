@@ -77,14 +77,20 @@ def _explained(given: Input) -> _Explained:
     explanation = found.explanation
     if explanation.is_interrupted:
         return _Explained(explanation, ())
-    motions = None
-    with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
-        between = [step.model for step in explanation.steps if step.model is not None]
-        motions = commanded_motions(given.model, explanation.model, given.logs, between=between)
+    motions = _motions(given, explanation)
     if explanation.verdict != "unexplained":
         return _Explained(explanation, (), motions)
     given.progress("Looking what the rest goes with")
     return _Explained(explanation, rest_correlates(found), motions)
+
+
+def _motions(given: Input, found: Explanation) -> tuple[Rollout, ...] | None:
+    """Motions under commands before, after the steps, and after the last; None without."""
+    between = [step.model for step in found.steps if step.model is not None]
+    for models in (between, []):  # an effect on the way may be one that no simulation has
+        with suppress(LogError, ModelError):  # as where nothing moves for as long as a window
+            return commanded_motions(given.model, found.model, given.logs, between=models)
+    return None
 
 
 def _show(console: Console, found: _Explained, units: Units) -> None:

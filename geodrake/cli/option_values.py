@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,11 @@ class _Limits:
         joints = [joint] if joint else list(self.model.joints)
         if quantity == "position":
             self.position |= dict.fromkeys(joints, _range(value))
+        elif quantity in _SIGNALS and value.endswith("%"):
+            raise ArgumentError(
+                f"--limits has {text!r}; there is no limit of {quantity}s that it is a share of.",
+                advice=f"Write it as a number, such as {quantity}=8.",
+            )
         elif quantity in _SIGNALS:
             self._add_signal(quantity, joint, _number(value, "--limits"))
         elif value.endswith("%"):
@@ -121,18 +127,19 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
         for part in filter(None, text.split(",")):
             said.add(part)
     absolute: Mapping[str, Mapping[str, float]] = said.absolute
-    limits = motion_limits(
-        model,
-        position=said.position,
-        velocity=absolute.get("velocity"),
-        acceleration=absolute.get("acceleration"),
-        effort=absolute.get("effort"),
-        signal=said.signals,
-    )
+    said_so: dict[str, Any] = {
+        "position": said.position,
+        "velocity": absolute.get("velocity"),
+        "acceleration": absolute.get("acceleration"),
+    }
+    limits = motion_limits(model, **said_so, effort=absolute.get("effort"))
     for quantity, shares in said.shares.items():
         factors = np.array([shares.get(joint, 1.0) for joint in model.joints])
         limits = replace(limits, **{quantity: factors * getattr(limits, quantity)})
-    return limits.scaled(said.scale)
+    # The lesser of a share of the model's limits and of a current's effort counts.
+    signals = motion_limits(model, **said_so, effort=np.inf, signal=said.signals)
+    least = np.minimum(limits.effort, signals.effort)
+    return replace(limits, effort=least).scaled(said.scale)
 
 
 def _share(text: str) -> float:

@@ -31,6 +31,7 @@ from geodrake.identification.logs.model_errors import Series
 from geodrake.identification.logs.model_fit import ModelFit, as_it_stands
 from geodrake.inertia import pullback_metric
 from geodrake.model.effort_signal import signal_of
+from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 Values = dict[str, dict[str, float]]
@@ -157,10 +158,17 @@ def steps_of(case: Case, trail: Trail, fit: ModelFit) -> tuple[Step, ...]:
                 tables[i + 1].by_joint(),
                 _weighed(trail, group, rivals),
                 systematic,
-                *(() if group is ordered[-1] else (_series(after), searched_model(case, after))),
+                *(() if group is ordered[-1] else (_series(after), _model(case, after, fit))),
             )
         )
     return tuple(steps)
+
+
+def _model(case: Case, after: Hypothesis, fit: ModelFit) -> RobotModel:
+    """The model after a step, efforts as late as they are in the end."""
+    late = tuple(found for found in fit.model.effects if found.effect.role is Role.DELAY)
+    model = searched_model(case, after)
+    return replace(model, effects=(*model.effects, *late))
 
 
 def _series(hypothesis: Hypothesis) -> tuple[Series, ...]:

@@ -106,8 +106,11 @@ class RobotMotion(Short):
         """
         if self.temperature is None:
             return np.zeros(len(self.v))
-        above = self.temperature[:, self.index(name)] - reference
-        return above if above.dtype == object else np.nan_to_num(above)
+        own = self.temperature[:, self.index(name)]
+        if own.dtype != object:
+            return np.nan_to_num(own - reference)
+        unknown = [isinstance(value, float) and np.isnan(value) for value in own]
+        return np.asarray(np.where(unknown, reference, own) - reference)
 
     def body_motions(self, effect: str) -> RobotBodies:
         """The bodies' poses and Jacobians.

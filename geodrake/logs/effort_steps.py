@@ -37,7 +37,7 @@ def step_notes(log: JointLog) -> Iterator[str]:
         )
         yield (
             f"efforts come in steps: {each}; a step over √12 is the deviation of the noise that it "
-            "makes, below which no model takes the error"
+            "makes in single readings, before they are filtered"
         )
 
 

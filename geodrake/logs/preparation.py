@@ -117,7 +117,7 @@ def _prepare(
         _speed_noise(uniform, smoother),
         _acceleration_noise(uniform, low_pass, derived=derived),
         tuple(notes),
-        float(log.time[0]),
+        float(log.time[np.isfinite(log.time)][0]),
         log.payloads,
         log.gain_deviations,
         (bandwidth, motion_bandwidth),

@@ -58,7 +58,7 @@ def render_drafted(
 
 
 def render_explained(
-    found: tuple[Explanation, Sequence[Correlate], tuple[Rollout, Rollout] | None],
+    found: tuple[Explanation, Sequence[Correlate], Sequence[Rollout] | None],
     *,
     title: str,
     model_name: str,
@@ -102,7 +102,7 @@ def motions_section(motions: Sequence[Rollout] | None, units: Units) -> Section:
     text = (
         f"The model is simulated under the logged commands, in windows of {after.horizon:g} s that "
         "start at the measured state, and its motion compared with the measured one; before with "
-        "the model as it was and the same servos."
+        "the model as it was and the same servos, and after each step."
     )
     return Section(MOTIONS, (text,), (departures_table(after, before, units, between),))
 

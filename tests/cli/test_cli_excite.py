@@ -271,6 +271,10 @@ class TestLimits:
             effort = limits_of([text], driven).effort
             np.testing.assert_allclose(effort, [plain.effort[0], 0.6])
         np.testing.assert_allclose(limits_of(["current=1e6"], driven).effort, plain.effort)
+        both = limits_of(["effort=50%,current=0.3"], driven).effort
+        np.testing.assert_allclose(both, [0.5 * plain.effort[0], 0.6])
+        with pytest.raises(ArgumentError, match="no limit of currents that it is a share of"):
+            limits_of(["current=50%"], driven)
         for text in ("voltage=1", "shoulder.current=1"):
             with pytest.raises(ArgumentError, match="the model knows no efforts by it"):
                 limits_of([text], driven)

@@ -4,7 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, InitializeAutoDiff
+from pydrake.autodiffutils import (
+    AutoDiffXd,
+    ExtractGradient,
+    ExtractValue,
+    InitializeAutoDiff,
+)
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia, UnitInertia
@@ -17,6 +22,7 @@ from geodrake.control.systems import EffectForce
 from geodrake.effects import JointEffect, Parameter
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import from_spatial_inertia, inertial_parameters
+from geodrake.logs.temperatures import Temperatures
 from geodrake.model.simulation.scalars import scalars
 from geodrake.robot.plant import set_inertial_parameters
 
@@ -250,3 +256,21 @@ def test_parameters_that_cannot_be_are_refused():
         force.set_effect_parameters(context, {effects.ViscousFriction("joint2"): [1.0]})
     with pytest.raises(ArgumentError, match="'joint1' was made soft"):
         force.set_effect_parameters(context, {spring: [0.0]})
+
+
+def test_a_joint_without_a_temperature_is_as_warm_as_its_reference():
+    """In floats and in AutoDiff alike; the other joint has a course."""
+    times, warmth = np.array([0.0, 10.0]), np.array([40.0, 40.0])
+    terms = [(effects.ThermalFriction(f"joint{i}", 25.0), [-0.02, -0.01]) for i in (1, 2)]
+    temperatures = Temperatures({"joint2": (times, warmth)})
+    force = EffectForce(arm(), terms, sign_width=0.05, temperatures=temperatures)
+    found = []
+    for system, scalar in ((force, float), (force.ToAutoDiffXd(), AutoDiffXd)):
+        context = system.CreateDefaultContext()
+        for port, values in ((0, STATE), (1, EFFORT)):
+            numbers = values if scalar is float else scalars(values, scalar)
+            system.get_input_port(port).FixValue(context, numbers)
+        forces = system.get_output_port(0).Eval(context)
+        found.append(forces if scalar is float else ExtractValue(forces).ravel())
+    assert found[0][1] == 0.0 != found[0][2]
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)

@@ -120,7 +120,7 @@ class ColumnSearch:
         best = max(gains, default=0.0)
         ranked = []
         for (mistake, cost), first in zip(entries, gains, strict=True):
-            if first < min(best - _FAR, _SHARE * best):
+            if len(mistake.free) <= 1 and first < min(best - _FAR, _SHARE * best):
                 continue
             refined, fit = self._refined(mistake, base)
             gain = fit.gain_over(base, self._of_rates) - cost

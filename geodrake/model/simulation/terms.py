@@ -189,7 +189,10 @@ class Terms:
         if self.timed:
             known["time"] = Symbols.inputs("time", 1)
         if self.warmed:
-            known["temperature"] = Symbols.inputs("temperature", nv)[None]
+            courses = self.plant.temperatures.courses if self.plant.temperatures else {}
+            is_known = [joint in courses for joint in self.plant.joints]
+            warmth = np.where(is_known, Symbols.inputs("temperature", nv), np.nan)
+            known["temperature"] = warmth[None]
         return self.plant.formulas(q, (v, vd, load), phi, **known), z
 
     def _seen(
