@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.errors import ArgumentError
 from geodrake.excitation import MotionLimits, motion_limits
-from geodrake.model.effort_signal import COMMAND, KINDS
+from geodrake.excitation.limits import signal_limits
+from geodrake.logs.motion import SIGNAL_KINDS
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-_SIGNALS = tuple(kind for kind in KINDS if kind != COMMAND)
-_QUANTITIES = ("position", "velocity", "acceleration", "effort", *_SIGNALS)
+_QUANTITIES = ("position", "velocity", "acceleration", "effort", *SIGNAL_KINDS)
 _EXAMPLE = "Write 0.5, velocity=1.5, velocity=50% or JOINT.position=-1:0.5."
 
 
@@ -84,12 +83,12 @@ class _Limits:
         joints = [joint] if joint else list(self.model.joints)
         if quantity == "position":
             self.position |= dict.fromkeys(joints, _range(value))
-        elif quantity in _SIGNALS and value.endswith("%"):
+        elif quantity in SIGNAL_KINDS and value.endswith("%"):
             raise ArgumentError(
                 f"--limits has {text!r}; there is no limit of {quantity}s that it is a share of.",
                 advice=f"Write it as a number, such as {quantity}=8.",
             )
-        elif quantity in _SIGNALS:
+        elif quantity in SIGNAL_KINDS:
             self._add_signal(quantity, joint, _number(value, "--limits"))
         elif value.endswith("%"):
             self.shares.setdefault(quantity, {}).update(dict.fromkeys(joints, _share(value)))
@@ -127,19 +126,19 @@ def limits_of(given: Sequence[str] | None, model: RobotModel) -> MotionLimits:
         for part in filter(None, text.split(",")):
             said.add(part)
     absolute: Mapping[str, Mapping[str, float]] = said.absolute
-    said_so: dict[str, Any] = {
-        "position": said.position,
-        "velocity": absolute.get("velocity"),
-        "acceleration": absolute.get("acceleration"),
-    }
-    limits = motion_limits(model, **said_so, effort=absolute.get("effort"))
+    limits = motion_limits(
+        model,
+        position=said.position,
+        velocity=absolute.get("velocity"),
+        acceleration=absolute.get("acceleration"),
+        effort=absolute.get("effort"),
+    )
     for quantity, shares in said.shares.items():
         factors = np.array([shares.get(joint, 1.0) for joint in model.joints])
         limits = replace(limits, **{quantity: factors * getattr(limits, quantity)})
-    # The lesser of a share of the model's limits and of a current's effort counts.
-    signals = motion_limits(model, **said_so, effort=np.inf, signal=said.signals)
-    least = np.minimum(limits.effort, signals.effort)
-    return replace(limits, effort=least).scaled(said.scale)
+    # After the shares, which are of the model's limits: the lesser counts.
+    effort = np.minimum(limits.effort, signal_limits(model, said.signals))
+    return replace(limits, effort=effort).scaled(said.scale)
 
 
 def _share(text: str) -> float:

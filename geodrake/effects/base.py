@@ -51,6 +51,9 @@ Values = dict[str, float]
 SIGNALS = frozenset({"q", "v", "vd", "load", "time", "bodies", "history", "temperature"})
 """What columns may depend on; see `Effect`."""
 
+BEYOND_MOTION = frozenset({"time", "history", "temperature"})
+"""Those of them that a formula of the present q, v and v̇ does not have."""
+
 
 class Effect(CheckedFields, abc.ABC):
     """A physical effect at its place, and all that anyone asks of it.
@@ -363,8 +366,7 @@ class JointEffect(Effect):
 
     def formula_rows(self, motion: RobotMotion) -> Mapping[str, Array]:
         """The columns at the joint itself; see `Effect.formula_rows`."""
-        unseen = self.depends_on & {"time", "history", "temperature"}
-        if type(self).rows is not JointEffect.rows and not unseen:
+        if type(self).rows is not JointEffect.rows and not self.depends_on & BEYOND_MOTION:
             return self.rows(motion)
         columns = self.columns(motion.joint(self.joint))
         shaped = [np.broadcast_to(column, (len(motion.v),)) for column in columns]

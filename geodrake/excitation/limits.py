@@ -12,7 +12,8 @@ from geodrake.boundary.arguments import instance, instances, number, positive, r
 from geodrake.boundary.showing import Short
 from geodrake.errors import ArgumentError
 from geodrake.excitation.trajectory import joint_order
-from geodrake.model.effort_signal import COMMAND, signal_of
+from geodrake.logs.motion import SIGNAL_KINDS
+from geodrake.model.effort_signal import signal_of
 from geodrake.model.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -154,29 +155,37 @@ def motion_limits(
             raise ArgumentError(f"Limits of position are pairs; {joint!r} has {pair}.")
         lower[at], upper[at] = limits
     efforts = _overridden(model, model.effort_limits, effort, "effort")
-    for joint, value in ({} if signal is None else instance(signal, "signal", Mapping)).items():
-        at = _index(model, joint)
-        efforts[at] = min(efforts[at], _effort_of(model, joint, value))
     return MotionLimits(
         model.joints,
         lower,
         upper,
         _overridden(model, model.velocity_limits, velocity, "velocity"),
         _overridden(model, model.acceleration_limits, acceleration, "acceleration"),
-        efforts,
+        efforts if signal is None else np.minimum(efforts, signal_limits(model, signal)),
     )
 
 
-def _effort_of(model: RobotModel, joint: str, limit: float) -> float:
-    """The effort, N·m or N, that the largest current, voltage or duty cycle of a joint makes."""
-    known = signal_of(model.effort_signals, joint)
-    if known is None or known.kind == COMMAND:
-        raise ArgumentError(
-            f"The model knows no current, voltage or duty cycle that moves {joint!r}.",
-            advice="Limit its effort, or start from a model that was fitted to such logs.",
-            joint=joint,
-        )
-    return abs(known.gain) * number(limit, f"signal of {joint}", lower=0.0)
+def signal_limits(model: RobotModel, signal: Mapping[str, float]) -> Array:
+    """Largest efforts (nv,) that limited currents, voltages or duty cycles make, N·m or N.
+
+    Args:
+        model: The robot, which knows what makes efforts of these.
+        signal: Their largest values of joints by name, A, V or 1; efforts of others are inf.
+
+    Raises:
+        ArgumentError: There is no such joint, or the model knows no such signal of it.
+    """
+    efforts = np.full(len(model.joints), np.inf)
+    for joint, limit in instance(signal, "signal", Mapping).items():
+        at, known = _index(model, joint), signal_of(model.effort_signals, joint)
+        if known is None or known.kind not in SIGNAL_KINDS:
+            raise ArgumentError(
+                f"The model knows no current, voltage or duty cycle that moves {joint!r}.",
+                advice="Limit its effort, or start from a model that was fitted to such logs.",
+                joint=joint,
+            )
+        efforts[at] = abs(known.gain) * number(limit, f"signal of {joint}", lower=0.0)
+    return efforts
 
 
 def _overridden(model: RobotModel, values: Array, given: ByJoint, what: str) -> Array:

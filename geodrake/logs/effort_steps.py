@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 _ROWS = 20_000  # of a log that are looked at
 _FEWEST, _MOST = 3, 500  # steps between the least and the greatest value
-_TOLERANCE = 0.1  # of a step, as printed numbers are rounded
+_TOLERANCE = 0.1  # of a distance between values, as printed numbers are rounded
 _SHARE = 0.95  # of the distances between values that are whole steps
 _ROUNDING = 1e-9  # of the largest value
 _LEAST_SHARE = 0.25  # of the noise's power that steps make

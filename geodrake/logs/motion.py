@@ -29,7 +29,13 @@ MEMORY = 20_000
 QUANTITIES = ("position", "velocity", "acceleration", "effort", "command", "temperature")
 """What a log may hold of each of its joints."""
 
-EFFORT_KINDS = ("effort", "current", "voltage", "pwm")
+PARTIAL = ("command", "temperature")
+"""Those that some joints may have and others not."""
+
+SIGNAL_KINDS = ("current", "voltage", "pwm")
+"""What may be measured of a motor in the place of an effort."""
+
+EFFORT_KINDS = ("effort", *SIGNAL_KINDS)
 """What efforts may be measured as: N·m or N, A, V, or a share of the supply's voltage."""
 
 USUAL_GAIN_DEVIATION = 0.05
@@ -147,9 +153,8 @@ class JointLog(Short):
             for at, (joint, column) in enumerate(zip(self.joints, values.T, strict=True)):
                 kinds = self.effort_kinds if quantity == "effort" else {}
                 told = self.command is not None and not np.isnan(self.command[:, at]).all()
-                left_out = {"effort": told and np.isnan(column).all(), "command": not told}
-                left_out["temperature"] = np.isnan(column).all()
-                if not left_out.get(quantity, False):
+                may_lack = quantity in PARTIAL or (quantity == "effort" and told)
+                if not (may_lack and np.isnan(column).all()):
                     columns[f"{joint}.{kinds.get(joint, quantity)}"] = column
         return columns
 

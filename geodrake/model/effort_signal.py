@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from geodrake.boundary.arguments import instance, number
 from geodrake.errors import ArgumentError
-from geodrake.logs.motion import EFFORT_KINDS
+from geodrake.logs.motion import SIGNAL_KINDS
 
 COMMAND = "command"
 """The kind of a joint of which only the position that its servo was told to go to is known."""
 
-KINDS = (*(kind for kind in EFFORT_KINDS if kind != "effort"), COMMAND)
+KINDS = (*SIGNAL_KINDS, COMMAND)
 
 
 @dataclass(frozen=True)

@@ -188,7 +188,7 @@ def test_steps_tell_values_with_their_deviations(explained):
     assert last.model is None  # after which it is that of the explanation
     for count, step in enumerate(before, 1):
         names = {fitted.effect.name for fitted in step.model.effects}
-        assert names == {found_before.effect for found_before in found.steps[:count]}
+        assert names == {s.effect for s in found.steps[:count]}
 
 
 def test_fitted_model_predicts_new_motions(model, fitted):

@@ -139,10 +139,8 @@ NEEDING = {name: pytest.mark.measurements(*paths) for name, paths in MEASUREMENT
 
 
 def marks_of(name):
-    return [
-        *([NEEDING[name]] if name in NEEDING else []),
-        *([pytest.mark.thorough] if name in LONG else []),
-    ]
+    marks = [NEEDING[name]] if name in NEEDING else []
+    return [*marks, pytest.mark.thorough] if name in LONG else marks
 
 
 CASES = [pytest.param(name, marks=marks_of(name)) for name in SCRIPTS]

@@ -22,7 +22,6 @@ from geodrake.identification.logs.case import Case, open_case
 from geodrake.identification.logs.inputs import checked_logs
 from geodrake.identification.logs.reduce import peak_speeds
 from geodrake.logs.motion import JointLog
-from geodrake.logs.temperatures import Temperatures
 from geodrake.model.carried_payloads import carrying
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.servos import servos_of
@@ -180,18 +179,17 @@ def case_rollout(
     steps = allowed_steps([passages[k] for k in chosen])
     fastest = np.maximum(peak_speeds(case.trajectories), 1e-3)
     least = _SIGN_WIDTH * fastest
-    width, carried = model.sign_widths(least), {t.name: t.payloads for t in case.trajectories}
+    width, prepared = model.sign_widths(least), {t.name: t for t in case.trajectories}
 
     @cache
     def simulation(log: str) -> Simulation | DrivenSimulation:
-        loaded = carrying(model, carried[log])
-        whole = logs[log]
-        servoed = commands and told_joints(model, whole).any()
-        acting = ServoedCommand(model, whole) if servoed else LoggedEffort(len(model.joints))
-        warmth = Temperatures.of(whole.joints, whole.time, whole.temperature)
+        loaded = carrying(model, prepared[log].payloads)
+        servoed = commands and told_joints(model, logs[log]).any()
+        acting = ServoedCommand(model, logs[log]) if servoed else LoggedEffort(len(model.joints))
+        warmth = prepared[log].temperatures
         if loaded.transmission and (driving := loaded.driving(width, log, warmth)) is not None:
             return DrivenSimulation(loaded, driving, acting, fastest=fastest, steps=steps)
-        return Simulation(loaded, width, whole, acting, fastest=fastest, steps=steps)
+        return Simulation(loaded, width, log, warmth, acting=acting, fastest=fastest, steps=steps)
 
     windows, notes = list[Window](), dict.fromkeys(_unheard(case) if commands else ())
     for done, passage in enumerate(passages[k] for k in chosen):

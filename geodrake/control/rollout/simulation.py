@@ -16,7 +16,7 @@ from geodrake.control.rollout.passages import Passage
 from geodrake.control.systems import EffectForce
 from geodrake.effects.deflection import DeflectionEffect
 from geodrake.errors import ModelError
-from geodrake.logs.motion import JointLog, Motion
+from geodrake.logs.motion import Motion
 from geodrake.logs.temperatures import Temperatures
 from geodrake.model.robot_model import RobotModel
 from geodrake.model.simulation.robot_in_diagram import FORCES
@@ -88,7 +88,8 @@ class Simulation:
     Args:
         model: The model.
         sign_width: (nv,) speeds below which dry friction fades, rad/s or m/s.
-        log: The log.
+        log: Name of the log.
+        temperatures: Those of its joints, if any are known.
         acting: What acts on the joints.
         fastest: (nv,) peak speeds of the measured motion, rad/s or m/s.
         steps: One item for each step of the integrator that is left.
@@ -98,9 +99,10 @@ class Simulation:
         self,
         model: RobotModel,
         sign_width: Array,
-        log: JointLog,
-        acting: Acting,
+        log: str,
+        temperatures: Temperatures | None,
         *,
+        acting: Acting,
         fastest: Array,
         steps: Iterator[int],
     ) -> None:
@@ -116,8 +118,8 @@ class Simulation:
                 effects,
                 sign_width=self._whole(sign_width, 1.0),
                 phi=model.total_phi,
-                log=log.name,
-                temperatures=Temperatures.of(log.joints, log.time, log.temperature),
+                log=log,
+                temperatures=temperatures,
             )
         )
         _check_followers(model, implicit=self._force.implicit)

@@ -350,7 +350,7 @@ class _System:
     def prior_cost(self, x: Array) -> float:
         """What parameters pay that go far."""
         far = x - self.mean
-        ratio = _turned(self._whitening, self._bodies(x))
+        ratio = _turned(self._prior_whitening, self._bodies(x))
         values = np.maximum(np.linalg.eigvalsh(ratio), 1e-300)
         cost = np.sum(values - 1.0 - np.log(values), axis=1) / self.spread[self._near] ** 2
         return float(far @ self.information @ far + cost.sum())
@@ -372,8 +372,8 @@ class _System:
         return np.asarray(np.einsum("bij,bj->bi", _metric(start), start))
 
     @cached_property
-    def _whitening(self) -> Array:
-        """(nb, 4, 4) of the bodies of the prior mean: see `_whitening`."""
+    def _prior_whitening(self) -> Array:
+        """(nb, 4, 4) inverse Cholesky factors of the bodies at the prior mean."""
         return _whitening(self._bodies(self.mean))
 
     def _stepped(self, x: Array, to: Array) -> Array:

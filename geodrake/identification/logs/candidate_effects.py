@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,10 @@ def candidate_effects(
             continue
         if effect.places == "joint":
             for joint in known if unknown else single:
-                sizes = {"speed": speed[joint], "temperature": temperatures.get(joint)}
-                found.extend(_at_joint(model, effect, joint, sizes))
+                if effect.turning_only and joint in model.sliding_joints:
+                    continue
+                if speed[joint] > 0.0:
+                    found.extend(_at_joint(effect, joint, speed[joint], temperatures.get(joint)))
         elif effect.places == "joint_pair":
             for pair in model.joint_pairs:
                 found.extend(candidates_of(effect, pair))
@@ -68,25 +70,21 @@ def candidate_effects(
 
 
 def _at_joint(
-    model: RobotModel, effect: type[Effect], joint: str, sizes: Mapping[str, float | None]
-) -> tuple[Effect, ...]:
+    effect: type[Effect], joint: str, speed: float, temperature: float | None
+) -> Sequence[Effect]:
     """Instances of an effect to try at a joint.
 
     Args:
-        model: The robot.
         effect: Class of the effect.
         joint: The joint.
-        sizes: Its peak "speed", 0 for one that is at rest, and its mean "temperature", None for
-            one of which nobody knows what changes with it.
+        speed: Its peak speed, rad/s or m/s.
+        temperature: Its mean temperature, °C; None where it does not change or nobody knows it.
     """
-    speed, temperature = sizes["speed"], sizes["temperature"]
-    if not speed or (effect.turning_only and joint in model.sliding_joints):
-        return ()
     if "temperature" not in effect.depends_on:
         return candidates_of(effect, joint, speed)
     if temperature is None:
         return ()
-    return tuple(effect.shaped(joint, speed=speed, temperature=temperature))
+    return effect.shaped(joint, speed=speed, temperature=temperature)
 
 
 def mean_temperatures(trajectories: Sequence[Trajectory]) -> dict[str, float]:

@@ -6,12 +6,11 @@ unknown:
     s_j = a_j (Y_j φ + h_j + Y_e μ) + noise,    a_j = 1 / g_j
 
 What scales a_j is φ, which is known as well as its prior says, and the effort h of payloads that
-are known. The effects μ that any joint may
-have are free; their columns are projected out. What is left are log |a_j| and the bodies, moved
-along geodesics from where the model has them, P = L exp(X) Lᵀ with L Lᵀ = P₀: the norm of X is the
-geometric distance ([Lee2019] Eq. (2.2.10)), so that bodies twice as heavy are as far as bodies half
-as heavy, and gains are not drawn to either side. The noise of a joint is profiled out on the scale
-of its own signal: a gain of zero explains nothing.
+are known. The effects μ that any joint may have are free; their columns are projected out. What is
+left are log |a_j| and the bodies, moved along geodesics from where the model has them, P = L exp(X)
+Lᵀ with L Lᵀ = P₀: the norm of X is the geometric distance ([Lee2019] Eq. (2.2.10)), so that bodies
+twice as heavy are as far as bodies half as heavy, and gains are not drawn to either side. The noise
+of a joint is profiled out on the scale of its own signal: a gain of zero explains nothing.
 """
 
 from __future__ import annotations

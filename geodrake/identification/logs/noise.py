@@ -97,14 +97,7 @@ def _carried(
     segment: Segment, model: RobotModel, trajectory: Trajectory, sign_width: ArrayLike
 ) -> Array:
     """(n,) mean square that noise of the accelerations makes of a segment's predicted efforts."""
-    some = segment[:: max(1, len(segment) // _POSES)]
-    motion = Motion(
-        model.positions(some.position),
-        some.velocity,
-        some.acceleration,
-        some.time - trajectory.began,
-        temperature=trajectory.temperature(some.time),
-    )
+    motion = _motion(segment[:: max(1, len(segment) // _POSES)], model, trajectory)
     power, needed = np.zeros(len(trajectory.joints)), model.effort(motion, sign_width=sign_width)
     for j, deviation in enumerate(trajectory.acceleration_noise):
         faster = motion.vd.copy()
@@ -114,16 +107,20 @@ def _carried(
     return power
 
 
-def _residual(
-    segment: Segment, model: RobotModel, sign_width: ArrayLike, trajectory: Trajectory
-) -> Array:
-    """(K, n) measured − predicted effort at the full rate."""
-    motion = Motion(
+def _motion(segment: Segment, model: RobotModel, trajectory: Trajectory) -> Motion:
+    """A segment as the model's motion, in the time and at the temperatures of its log."""
+    return Motion(
         model.positions(segment.position),
         segment.velocity,
         segment.acceleration,
         segment.time - trajectory.began,
         temperature=trajectory.temperature(segment.time),
     )
-    needed = model.effort(motion, sign_width=sign_width)
+
+
+def _residual(
+    segment: Segment, model: RobotModel, sign_width: ArrayLike, trajectory: Trajectory
+) -> Array:
+    """(K, n) measured − predicted effort at the full rate."""
+    needed = model.effort(_motion(segment, model, trajectory), sign_width=sign_width)
     return segment.effort - delayed_by(model.delays, needed, segment.period)

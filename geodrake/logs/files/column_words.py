@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from geodrake.logs.files.column_names import Source, listed
 from geodrake.logs.files.reading import Reading
-from geodrake.logs.files.recognition import MOTOR, PLAIN, ROLES, SIGNALS, Meaning
-from geodrake.logs.motion import QUANTITIES
+from geodrake.logs.files.recognition import MOTOR, PLAIN, ROLES, Meaning
+from geodrake.logs.motion import PARTIAL, QUANTITIES, SIGNAL_KINDS
 
 _SI = {"current": "A", "voltage": "V", "pwm": "shares of the supply"}
-_UNITS_WITH = {**dict.fromkeys(SIGNALS, "effort"), "command": "position"}
+_UNITS_WITH = {**dict.fromkeys(SIGNAL_KINDS, "effort"), "command": "position"}
 _CONSTANT = " (torque constant × gear ratio)"
 _KIND_WORDS = {"current": "motor currents", "voltage": "voltages", "pwm": "duty cycles"}
 
@@ -30,13 +30,13 @@ def choice_words(best: Mapping[tuple[str, str], Sequence[Meaning]]) -> Iterator[
             why |= {m.quantity for m in others} - {m.quantity for m in chosen}
             words = f" ({', '.join(sorted(why))})" if why else ""
             yield (f"{quantity}: {_span(chosen)} taken, and not {_span(others)}{words}")
-        if quantity not in ("command", "temperature") and chosen and all(map(_is_doubtful, chosen)):
+        if quantity not in PARTIAL and chosen and all(map(_is_doubtful, chosen)):
             yield f"{quantity}: {_span(chosen)} may not be measured at the joints, by the name"
 
 
 def _is_doubtful(meaning: Meaning) -> bool:
     """Whether a column may not be measured at the joint; currents are of motors anyway."""
-    return meaning.role > (MOTOR if meaning.quantity in SIGNALS else PLAIN)
+    return meaning.role > (MOTOR if meaning.quantity in SIGNAL_KINDS else PLAIN)
 
 
 def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]:
@@ -50,14 +50,14 @@ def unit_words(sources: Mapping[str, Source], reading: Reading) -> Iterator[str]
     for name, source in sources.items():
         quantity = name.rpartition(".")[2]
         same[source.kind if quantity == "effort" else quantity][name] = source
-    for quantity in ("time", *QUANTITIES, *SIGNALS):
+    for quantity in ("time", *QUANTITIES, *SIGNAL_KINDS):
         columns = same[quantity].values()
         units = dict.fromkeys(s.unit.name for s in columns if s.unit and s.unit.factor != 1.0)
         if units:
             asked = {quantity, _UNITS_WITH.get(quantity, quantity)}.intersection(reading.units)
             told = "as asked for" if asked else "by the names of columns"
             yield f"{quantity} is in {', '.join(units)}, {told}: converted"
-    for kind in SIGNALS:
+    for kind in SIGNAL_KINDS:
         joints = [name.rpartition(".")[0] for name in same[kind]]
         if joints:
             yield (

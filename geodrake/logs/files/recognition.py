@@ -13,14 +13,11 @@ from dataclasses import dataclass
 from itertools import zip_longest
 
 from geodrake.logs.files.units import Unit, find_unit
-from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES
+from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, SIGNAL_KINDS
 
 Words = tuple[str | int, ...]
 
-SIGNALS = tuple(kind for kind in EFFORT_KINDS if kind != "effort")
-"""What may be measured in the place of efforts."""
-
-OF_JOINTS = (*QUANTITIES, *SIGNALS)
+OF_JOINTS = (*QUANTITIES, *SIGNAL_KINDS)
 """What a column of a joint may be."""
 
 QUANTITY_WORDS: Mapping[str, str] = {
@@ -47,7 +44,7 @@ _STRONGEST = (
     "acceleration",
     "velocity",
     "effort",
-    *SIGNALS,
+    *SIGNAL_KINDS,
     "position",
 )  # as in q1_torque
 _DERIVED = {"dot": {"position": "velocity"}, "ddot": {"position": "acceleration"}}
@@ -214,12 +211,12 @@ def _joint(column: str) -> Meaning | None:
     if quantity == "command":  # of what, another part may say
         other = _quantity(tuple(w for w in _split(name) if w not in _COMMAND)) or "position"
         quantity = quantity if other == "position" else other
-    if quantity in (*SIGNALS, "command", "temperature") and _NO_SIGNAL.intersection(said):
+    if quantity in (*SIGNAL_KINDS, *PARTIAL) and _NO_SIGNAL.intersection(said):
         return None
     if quantity in ("current", "voltage") and _SUPPLY.intersection(said):
         return None
     plain, unit = _without_unit(parts[place], quantity)
-    if unit is None and quantity in SIGNALS:  # of another kind: see `understanding`
+    if unit is None and quantity in SIGNAL_KINDS:  # of another kind: see `understanding`
         plain, unit = _without_unit(parts[place], "effort")
     used = _used(_split(plain))
     joint = _rest(plain, used)

@@ -25,7 +25,7 @@ from geodrake.logs.files.reading import ColumnMapping, Reading
 from geodrake.logs.files.recognition import OF_JOINTS, Meaning, meaning_of
 from geodrake.logs.files.signal_columns import candidates, check_kind, effort_source
 from geodrake.logs.files.units import Unit, find_unit, unit_of
-from geodrake.logs.motion import EFFORT_KINDS, QUANTITIES, check_joints
+from geodrake.logs.motion import EFFORT_KINDS, PARTIAL, QUANTITIES, check_joints
 
 _MAPPING_ADVICE = "Or say which column is what by --mapping."
 
@@ -234,7 +234,7 @@ class _Understood:
         quantities, notes = [], list(self.notes)
         for quantity in QUANTITIES:
             missing = [f"{j}.{quantity}" for j in joints if (j, quantity) not in self.places]
-            some = len(missing) < len(joints) and quantity in ("command", "temperature")
+            some = len(missing) < len(joints) and quantity in PARTIAL
             if not missing or some or quantity == "effort":
                 quantities.append(quantity)
             elif len(missing) < len(joints):

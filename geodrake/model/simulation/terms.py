@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.effects import Effect, JointMotion, RobotMotion
+from geodrake.effects.base import BEYOND_MOTION
 from geodrake.effects.column_checks import line_of
 from geodrake.effects.effect_columns import EffectColumns
 from geodrake.errors import ArgumentError, ModelError
@@ -230,7 +231,7 @@ def recorded_rows(effect: Effect, motion: RobotMotion) -> Any:
     Raises:
         ModelError: It does not compute them by NumPy's functions alone.
     """
-    with_past = bool(effect.depends_on & {"time", "history", "temperature"})
+    with_past = bool(effect.depends_on & BEYOND_MOTION)
     try:
         return (effect.rows if with_past else effect.formula_rows)(motion)
     except Exception as error:  # whatever NumPy says of symbols

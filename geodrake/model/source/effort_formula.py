@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geodrake.effects import Effect, FittedEffect, RobotMotion, Role
+from geodrake.effects.base import BEYOND_MOTION
 from geodrake.effects.column_checks import line_of
 from geodrake.errors import ArgumentError, ModelError
 from geodrake.inertia import Array
@@ -40,11 +41,7 @@ class EffortFormula:
 
 def is_written(effect: Effect) -> bool:
     """Whether a formula of q, v and v̇ has an effect as it is."""
-    return effect.role not in _NOT_INCLUDED and not effect.depends_on & {
-        "time",
-        "history",
-        "temperature",
-    }
+    return effect.role not in _NOT_INCLUDED and not effect.depends_on & BEYOND_MOTION
 
 
 def effort_formula(model: RobotModel, sign_width: ArrayLike) -> EffortFormula:
