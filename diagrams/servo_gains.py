@@ -38,6 +38,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "departure over that of the true model, median": float(
             np.median([_worse(row) for row in rows])
         ),
+        "departure over the motion before, median": _on_the_way(rows, 0),
+        "after the first step": _on_the_way(rows, 1),
+        "at the end": _on_the_way(rows, -1),
         "seconds a log, median": float(np.median([row["seconds"] for row in rows])),
     }
     for what in dict.fromkeys(value["what"] for value in values):
@@ -49,6 +52,13 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "values": len(same),
         }
     return table
+
+
+def _on_the_way(rows: Sequence[Mapping[str, Any]], at: int) -> float:
+    """Median over logs of the departure over the motion, RMS of all joints, at a step."""
+    return float(
+        np.median([np.sqrt(np.square(row["motion on the way"][at]).mean()) for row in rows])
+    )
 
 
 def _worse(row: Mapping[str, Any]) -> float:

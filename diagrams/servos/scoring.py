@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from geodrake.control.rollout import command_rollout
+from geodrake.control.rollout import command_rollout, commanded_motions
 from geodrake.diagnosis import Explanation, explain
 from geodrake.effects import CoulombFriction, FittedEffect, RotorInertia, ViscousFriction
 from geodrake.model import EffortSignal, RobotModel
@@ -44,7 +44,7 @@ def score_servo(draw: ServoDraw) -> dict[str, Any]:
         "extra": sorted({s.effect for s in found.steps} - {*HIDDEN, "effort_delay"}),
         "nrms": [found.start.nrms, found.refitted.nrms, found.end.nrms],
         **_in_set(made, model, found),
-        **_motion(made, model, found.model),
+        **_motion(made, model, found),
         "values": [*_gains(made, found.model), *_effects(made, model, found)],
     }
 
@@ -85,8 +85,11 @@ def _in_set(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, 
     return {"in_set": not missing, "missing": missing}
 
 
-def _motion(made: ServoLog, model: RobotModel, found: RobotModel) -> dict[str, Any]:
-    """Departure from the motion under the commands, of what was found and of the true model."""
+def _motion(made: ServoLog, model: RobotModel, found: Explanation) -> dict[str, Any]:
+    """Departures from the motion under the commands: of what was found and of the true model.
+
+    They are shares of what each joint moves; those on the way are before and after every step.
+    """
     servos, joints = made.servos, made.log.joints
     true = [
         *(CoulombFriction(joint) for joint in joints),
@@ -110,9 +113,15 @@ def _motion(made: ServoLog, model: RobotModel, found: RobotModel) -> dict[str, A
             )
         ),
     )
-    ours, best = (command_rollout(each, [made.log], most=_WINDOWS) for each in (found, truth))
+    between = [step.model for step in found.steps if step.model is not None]
+    motions = commanded_motions(model, found.model, [made.log], between=between)
+    if motions is None:
+        raise RuntimeError("A log of commands has servos.")
+    best = command_rollout(truth, [made.log], most=_WINDOWS)
+    on_the_way = [[joint.relative for joint in motion.joints] for motion in motions]
     return {
-        "motion": [joint.relative for joint in ours.joints],
+        "motion": on_the_way[-1],
+        "motion on the way": on_the_way,
         "motion of the true model": [joint.relative for joint in best.joints],
     }
 
