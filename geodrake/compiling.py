@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import CodeType
-from typing import Any, TypeVar, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +21,7 @@ try:
     from numba import __version__ as numba_version
     from numba import config, njit
     from numba.core import caching, event
+    from numba.core.compiler_lock import global_compiler_lock
 except ImportError as error:
     raise GeodrakeError(
         f"geodrake needs Numba, which cannot be imported: {error}.",
@@ -31,6 +34,8 @@ if config.DISABLE_JIT:  # type: ignore[attr-defined]
     )
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_LONGEST_WAIT, _PAUSE = 120.0, 0.02  # s, for what another process compiles
 
 _SOURCES: dict[Callable[..., Any], str] = {}
 """Of each compiled function a digest of compiler, files, constants and functions it is made from.
@@ -111,7 +116,8 @@ def _compiled(function: F, **options: Any) -> F:
     source = sha256("".join(map(str, parts)).encode())
     _SOURCES[function] = source.hexdigest()
     with suppress(RuntimeError):  # there is no place for a cache
-        dispatcher._cache = _Kept(function, _SOURCES[function])
+        dispatcher._cache = kept = _Kept(function, _SOURCES[function])
+        dispatcher.compile = kept.in_turn(dispatcher.compile)
     return cast(F, dispatcher)
 
 
@@ -158,21 +164,69 @@ class _Kept(_FunctionCache):
     """What was compiled of a function, as long as all that it came from is what it was.
 
     Numba looks at the time of the function's own file alone, and a full disk or a file that was
-    cut off would be an error of the call.
+    cut off would be an error of the call. Of processes that need the same, one compiles it.
     """
 
     def __init__(self, function: Callable[..., Any], source: str) -> None:
         super().__init__(function)
-        self._cache_file = _Files(self.cache_path, self._impl.filename_base, source)
+        base = self._impl.filename_base
+        self._cache_file = _Files(self.cache_path, base, source)
+        self._lock = Path(self.cache_path, f"{base}.lock")
+        self._turns = list[BinaryIO]()
+
+    def in_turn(self, compile_one: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Numba's way to compile the function for a signature, after which it is others' turn.
+
+        Args:
+            compile_one: That way.
+        """
+
+        def alone(signature: Any) -> Any:
+            with global_compiler_lock:
+                try:
+                    return compile_one(signature)
+                finally:
+                    while self._turns:
+                        with suppress(OSError):
+                            self._lock.unlink(missing_ok=True)
+                        self._turns.pop().close()
+
+        return alone
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """What was kept; None if there is nothing that can be read."""
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:
-            return None
+        """What was kept; None if nothing was that can be read, when it is our turn to make it."""
+        found = self._read(sig, target_context)
+        if found is None:
+            self._take_turn()
+            found = self._read(sig, target_context)  # another process may have made it
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keeps what was compiled, if there is room."""
         with suppress(Exception):
             super().save_overload(sig, data)
+
+    def _read(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:
+            return None
+
+    def _take_turn(self) -> None:
+        """Waits while another process compiles, unless that takes too long."""
+        end = time.monotonic() + _LONGEST_WAIT
+        with suppress(OSError):  # a folder that cannot be written, or one without locks
+            self._impl.locator.ensure_cache_path()
+            file = self._lock.open("wb")
+            self._turns.append(file)
+            while not _is_locked(file) and time.monotonic() < end:
+                time.sleep(_PAUSE)
+
+
+def _is_locked(file: BinaryIO) -> bool:
+    """Locks a file, unless another has."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

@@ -1,5 +1,6 @@
 """Compiled loops: kept on disk, shared by processes, made anew when a file of theirs changes."""
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -58,14 +59,15 @@ def said(process):
 
 
 @pytest.mark.thorough
-def test_two_processes_that_compile_at_once_do_no_harm(tmp_path):
+def test_of_two_processes_one_compiles(tmp_path):
     """Every signature has a file of its own, used as long as all that it came from stays."""
     pairs = NUMBERS, "1, 1"
-    both = [started(tmp_path, *pairs), started(tmp_path, *pairs)]
-    assert [process.stdout.readline() for process in both] == ["begins\n"] * 2
-    # (What compiles a little later may find the second signature made.)
-    for process in both:
-        assert [line for line in said(process) if line not in MADE] == ["3.0"] * 2
+    first = started(tmp_path, *pairs)
+    assert first.stdout.readline() == "begins\n"
+    second = started(tmp_path, pairs[0])
+    assert said(first) == ["ends", "3.0", *MADE, "3.0"]
+    assert said(second) == ["3.0"]
+    assert not [*tmp_path.rglob("*.lock")]
     assert len([*tmp_path.rglob("*scaled_sum*.nbc")]) == 2
     assert said(started(tmp_path, *pairs)) == ["3.0"] * 2
     for path in tmp_path.rglob("*.nbc"):
@@ -81,6 +83,30 @@ def test_without_room_it_is_compiled_all_the_same(monkeypatch, tmp_path):
 
     monkeypatch.setattr(compiling.caching.FunctionCache, "save_overload", full)
     assert compiling.compiled(lambda x: x + 1.0)(1.0) == 2.0
+
+
+def test_what_another_process_compiles_is_waited_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiling.caching.config, "CACHE_DIR", str(tmp_path))
+    function = compiling.compiled(lambda x: x + 1.0)
+    lock = function._cache._lock
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    other, waited = lock.open("wb"), []
+    fcntl.flock(other, fcntl.LOCK_EX)
+
+    def pause(seconds):
+        waited.append(seconds)
+        if len(waited) == 3:
+            other.close()
+
+    monkeypatch.setattr(compiling.time, "sleep", pause)
+    assert function(1.0) == 2.0
+    assert len(waited) == 3
+    assert not lock.exists()
+    with lock.open("wb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        monkeypatch.setattr(compiling, "_LONGEST_WAIT", 0.0)
+        assert function(1) == 2.0  # compiled all the same
 
 
 def test_without_a_place_for_a_cache_it_is_compiled_all_the_same(monkeypatch):
