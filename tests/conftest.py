@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections import defaultdict
+from collections import Counter, defaultdict
 from functools import cache
 from pathlib import Path
 
@@ -42,8 +42,15 @@ def is_quick(module):
     )
 
 
+@pytest.hookimpl(tryfirst=True)  # before marks decide what is run
 def pytest_collection_modifyitems(items):
+    cases = Counter()
     for item in items:
+        if mark := item.get_closest_marker("sampled"):
+            test = item.module, item.originalname
+            if cases[test] % mark.args[0]:
+                item.add_marker("thorough")
+            cases[test] += 1
         if is_quick(item.module) and not any(map(item.get_closest_marker, LONG_MARKS)):
             item.add_marker("quick")
 

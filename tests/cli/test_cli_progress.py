@@ -126,6 +126,7 @@ def started(folder, pendulum, *options):
     )
 
 
+@pytest.mark.thorough
 def test_an_interrupt_after_a_step_keeps_what_was_found(tmp_path, pendulum):
     run = started(tmp_path, pendulum, "--json", "found.json", "--save", "model.yaml")
     first = run.stderr.readline()

@@ -43,6 +43,7 @@ def test_a_file_beside_the_model_is_taken_and_said(files, tmp_path):
     assert json.loads(out.read_text())["error"]["nrms"] < 0.1
 
 
+@pytest.mark.thorough
 def test_none_and_another_file_instead(files, tmp_path):
     robot, log = files / "arm.urdf", files / "log.csv"
     (tmp_path / "turned.yaml").write_text(WRIST.replace("ratio: -8", "ratio: 8"))

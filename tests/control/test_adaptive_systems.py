@@ -131,6 +131,7 @@ def test_with_the_true_model_nothing_is_left_to_adapt(make):
     np.testing.assert_allclose(logs["parameters"], np.tile(TRUTH, (len(time), 1)), atol=1e-3)
 
 
+@pytest.mark.thorough
 def test_adaptation_tracks_better_than_none():
     adapted, fixed = (run(passive(law), 3.0)[1] for law in (natural(0.02), None))
     assert tracking_error(adapted)[-150:].max() < 0.3 * tracking_error(fixed)[-150:].max()

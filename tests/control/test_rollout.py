@@ -57,6 +57,7 @@ def test_effects_take_the_departure_away(frictional):
     assert departed == {"shoulder", "elbow"}
 
 
+@pytest.mark.thorough
 def test_late_efforts_are_advanced():
     log = recording(HiddenEffects(late=0.02), late=0.02)
     model = load_model(PENDULUM)

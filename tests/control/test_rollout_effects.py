@@ -158,6 +158,7 @@ class TestContact:
         at_end = Contact("rod", start, end, 0.02, log_number(log), 0.0, 0.0, -0.6)
         return at_end, [self.push, 0.0, 0.0, 0.0, 0.0, 0.0]
 
+    @pytest.mark.thorough
     def test_acts_in_its_log_and_at_its_time(self, pendulum):
         logs = self.logs()
 

@@ -200,6 +200,7 @@ def test_rollouts_have_springs(pendulum):
     assert np.mean(window_departures(with_effects(pendulum, *MOTORS), log)) > 8 * np.mean(found)
 
 
+@pytest.mark.thorough
 def test_rollouts_have_play(pendulum):
     """Sides are not those of the log, and a link on its way between them is a guess: the median."""
     log = swung(2e3, 0.05)

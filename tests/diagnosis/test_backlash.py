@@ -51,7 +51,8 @@ def test_found(seed):
     assert step.error_after < 0.35 * step.error_before
 
 
-@pytest.mark.parametrize("half_width", [3e-4, pytest.param(8e-3, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("half_width", [3e-4, 8e-3])
 def test_shows_above_the_bandwidth_of_the_motion(half_width):
     """Low-passed as suits the motion, the blows are gone, or look like ripple."""
     log = loose_log(half_width, noise=0.01)

@@ -61,7 +61,8 @@ def test_drag_beside_viscous_friction():
     assert steps["viscous_friction"].parameters[joint]["viscous"] == pytest.approx(3.0, rel=0.15)
 
 
-@pytest.mark.parametrize("pace", [0.5, pytest.param(0.15, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("pace", [0.5, 0.15])
 def test_spring_beside_viscous_friction(pace):
     """While the friction is not known a compensator of another phase fits better than a spring."""
 

@@ -294,6 +294,7 @@ class TestDiagnosis:
         assert (step.effect, step.where) == ("contact", ("flange",))
         assert step.error_after < 0.1 * step.error_before
 
+    @pytest.mark.thorough
     @pytest.mark.parametrize(
         ("name", "joint", "body", "point", "forces"),
         [

@@ -118,6 +118,7 @@ THOROUGH = (
 """The gyroscope's, which a test below needs too, shows how a draft is found."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "name",
     [

@@ -331,6 +331,7 @@ class TestCoupledJoints:
 
 
 class TestFrictionDrift:
+    @pytest.mark.thorough
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("joint", "name", "size"),

@@ -160,6 +160,7 @@ def test_tx40_has_friction_coupled_friction_and_rotors(tx40):
     assert tx40.end.pooled_rms <= 0.95
 
 
+@pytest.mark.thorough
 def test_tx40_link_without_inertia_is_reported(tx40):
     assert any("link_6" in note for note in tx40.notes)
 
@@ -171,7 +172,9 @@ def test_pendulum_has_dry_friction_at_both_joints(pendulum):
     assert step.parameters["elbow"]["coulomb"] == pytest.approx(0.12, rel=0.25)
 
 
-@pytest.mark.parametrize("robot", ["ur10e_free", "tx40", "pendulum"])
+@pytest.mark.parametrize(
+    "robot", ["ur10e_free", "pendulum", pytest.param("tx40", marks=pytest.mark.thorough)]
+)
 def test_fitted_models_are_physical(robot, request):
     found = request.getfixturevalue(robot)
     model = (found[0] if robot == "ur10e_free" else found).model

@@ -229,6 +229,7 @@ class TestChoice:
         found = explained(pendulum_log(1, hidden, seconds=20.0))
         assert places(found) == {"joint_spring": JOINTS, "coulomb_friction": JOINTS}
 
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize(("stiffness", "is_spring"), [(0.3, True), (-0.3, False)])
     def test_a_spring_without_stiffness_is_none(self, stiffness, is_spring):
         """Though its preload alone explains an offset."""
@@ -313,6 +314,7 @@ class TestShapes:
         (step,) = [s for s in found.steps if s.effect == "nonlinear_viscous_friction"]
         assert step.parameters["elbow"]["exponent"] == pytest.approx(1.4, rel=0.03)
 
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize("exponent", [0.9, 1.1])
     def test_a_power_that_is_nearly_viscous_friction_is_told_beside_it(self, exponent):
         found = explained(pendulum_log(9, at_elbow(power(exponent))))

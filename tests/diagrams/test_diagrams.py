@@ -17,14 +17,19 @@ from scripts import FOLDER, ROOT, call, start
 
 from geodrake.logs.files import read_log
 
-APART = "criteria_worth"
+APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "ambidex_sandbags",
+    "iiwa_excitation",
     "long_log",
+    "online_payload",
     "pages_and_exports",
     "real_robots",
     "scara_excitation",
+    "servo_gains",
     "simulate_fitted",
+    "tell_apart",
+    "wam_adaptation",
     "wam_payload",
 }
 ELSEWHERE = {  # run by tests of their own, with --quick, too

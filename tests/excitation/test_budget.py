@@ -63,6 +63,7 @@ def designed(seconds, world=SlowWorld, **more):
     return result, time.monotonic() - begin
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seeds", [1, 4])
 def test_starts_share_the_time(seeds):
     result, took = designed(1.5, seeds=seeds)

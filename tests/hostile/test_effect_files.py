@@ -390,6 +390,7 @@ CANDIDATES = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "row",
     [*FILES, *CLASSES, *ATTRIBUTES, *RELATIONS, *COLUMNS, *CANDIDATES],

@@ -363,11 +363,13 @@ PATHS = [
 ]  # fmt: skip
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", ARCHIVES, ids=str)
 def test_archive(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", TABLES, ids=str)
 def test_table(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

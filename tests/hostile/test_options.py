@@ -169,6 +169,7 @@ def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", [*CHECK, *LOG_OPTIONS], ids=str)
 def test_options_of_commands_on_logs(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

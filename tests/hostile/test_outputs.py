@@ -146,6 +146,7 @@ def fail_at(monkeypatch, number, error):
     monkeypatch.setattr(Path, "replace", failing)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("number", [1, 2, 3])
 @pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), KeyboardInterrupt()])
 def test_where_one_file_cannot_be_renamed_none_is_new(kept, monkeypatch, number, error):
@@ -360,6 +361,7 @@ COVERED = (  # by numbers that nobody reads, the version to a full disk, and eve
 )
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "what",
     [pytest.param(n, marks=pytest.mark.thorough) if n in COVERED else n for n in OUTPUTS],

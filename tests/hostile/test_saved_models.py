@@ -493,6 +493,7 @@ IN_THE_REST = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", [*GOOD, *IN_BODIES, *IN_EFFECTS, *IN_THE_REST], ids=str)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)

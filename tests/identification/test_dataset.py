@@ -464,6 +464,7 @@ class TestSharedRows:
             options = {} if shared is None else {"shared": shared}
             yield reduce_logs(which, trajectories, folds, effects=effects, delays=delays, **options)
 
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize("room", [0, 3_000, pytest.param(10**8, marks=pytest.mark.thorough)])
     def test_change_nothing(self, model, trajectories, folds, room, monkeypatch):
         monkeypatch.setattr(reduce, "CHUNK", 1111)

@@ -238,6 +238,7 @@ def luminance(page, selector, name):
     return sum(map(float, re.findall(r"[\d.]+", color)[:3])) / 3
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_schemes(opened, scheme):
     page = opened(color_scheme=scheme)
