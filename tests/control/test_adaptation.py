@@ -545,6 +545,7 @@ def passivity_terms(control, truth, estimate, q, qd, t, *, gain=5.0):
     return qdd, sample.covector(r), tracking_energy(M, r)
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("measured_friction", [False, True])
 @pytest.mark.parametrize("name", ["natural", "pullback", "euclidean"])
 def test_the_lyapunov_value_never_rises_in_continuous_time(arm, name, measured_friction):

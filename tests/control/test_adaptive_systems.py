@@ -66,6 +66,7 @@ def computed(law="natural", **options):
 # The laws of [Lee2019] Chapter 5 in closed loop
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("gains", GAINS)
 @pytest.mark.parametrize("time_step", [0.0, 1e-3, 4e-3])
 def test_lyapunov_value_never_rises(gains, time_step):

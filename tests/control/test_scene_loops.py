@@ -50,6 +50,7 @@ def computed_torque():
 class TestTracking:
     """A crate that falls onto the table and another robot leave the arm's loop as it is alone."""
 
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize("make", [passivity, computed_torque])
     @pytest.mark.parametrize("actuated", [(), ("elbow", "shoulder")])
     def test_it_is_that_of_the_robot_alone(self, make, actuated):

@@ -58,6 +58,7 @@ def shared(i, j, sense, law):
 
 
 class TestCandidates:
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize("sense", [1, -1])
     @pytest.mark.parametrize(("i", "j", "size"), [(0, 2, 0.5), (1, 3, 0.2), (0, 3, 0.2)])
@@ -96,6 +97,7 @@ class TestCandidates:
         _, apart = diagnosed(lambda *motion: belt(*motion) * np.eye(4)[3])
         assert apart == []
 
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         "law",

@@ -47,6 +47,7 @@ def case(request):
     return log, explain(MODEL, [log])
 
 
+@pytest.mark.sampled(2)
 def test_the_error_of_a_rival_is_that_of_adding_it(case):
     log, found = case
     (step,) = found.steps

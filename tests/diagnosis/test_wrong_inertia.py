@@ -57,6 +57,7 @@ def test_many_bodies():
     assert all("gain_alone" in values for values in step.parameters.values())
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("upper", "lower", "body", "may_carry"),
     [

@@ -185,6 +185,7 @@ class TestWhatItMustShow:
         assert sum(not row["extra"] for row in rows) >= len(names) - few
         assert np.median([row["over_floor"] for row in rows]) < 1.1
 
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize(
         ("case", "hidden", "number", "seed", "fixed"),
         [

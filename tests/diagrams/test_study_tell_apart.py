@@ -51,6 +51,7 @@ class TestRobots:
         assert np.abs(v).max() < 0.6 * trial.SPEED
         assert np.ptp(q, axis=0).max() < 1.6
 
+    @pytest.mark.sampled(3)
     @pytest.mark.parametrize("number", range(len(CASES)))
     def test_efforts_are_those_of_another_engine(self, number):
         """Pinocchio's inverse dynamics of the simulated motion, and the hidden effect's formula."""

@@ -48,6 +48,7 @@ def dahl(time, angle):
     return solve_ivp(rate, time[[0, -1]], [0.0], "RK45", time, max_step=step, rtol=1e-8).y[0]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("angle", [0.02, 0.1, 0.5])
 def test_bend(angle):
     time = np.arange(0.0, 6.0, 0.002)

@@ -176,6 +176,7 @@ class TestProgram:
 
 
 class TestDesigns:
+    @pytest.mark.sampled(2)
     @pytest.mark.parametrize("family", [SHORT, SplineMotion(4.0, 9)], ids=repr)
     @pytest.mark.parametrize("solver", ["snopt", "ipopt"])
     def test_within_limits_and_better_than_random(self, family, solver):

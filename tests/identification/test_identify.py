@@ -237,6 +237,7 @@ def test_a_bound_is_met_where_the_conic_solver_gives_up(regularizer, monkeypatch
         np.testing.assert_allclose(result.phi, first.phi, atol=1e-6)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("solver", [None, "newton", "clarabel"])
 @pytest.mark.parametrize("regularizer", REGULARIZERS)
 def test_contradictory_constraints_are_named(regularizer, solver):

@@ -45,6 +45,7 @@ def errors(model, path):
     return np.array([[e.rms, e.std, e.floor] for e in table.joints])
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("write", FORMATS, ids=lambda write: write.__name__)
 def test_compare_says_the_same_as_of_a_csv(tmp_path, model, log, csv_errors, write):
     path = write(tmp_path, log)

@@ -59,6 +59,7 @@ def comes_back(model, path):
     assert path.read_bytes() == text
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "effect",
     [

@@ -269,6 +269,7 @@ def test_the_proof_tells_efforts_and_commands_to_actuators(tmp_path):
         assert effort.is_rounding and position.is_rounding and position.typical > 0.01
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("old", "new"),
     [

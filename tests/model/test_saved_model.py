@@ -178,6 +178,7 @@ def test_base_of_another_robot_is_refused(fitted, saved):
         load_model(saved)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -187,6 +187,7 @@ def test_residuals_are_those_of_one_model_at_a_time(opened):
     assert parts.count() == 1 and parts.get_attribute("data-label") == "as it stands"
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("width", "scripts"),
     [

@@ -102,6 +102,7 @@ def check_self_contained(html):
     return " ".join("".join(page.text).replace("\N{NO-BREAK SPACE}", " ").split())
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("count", [1, 6, 30])
 def test_pages_hold_all_joints(count):
