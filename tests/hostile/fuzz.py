@@ -112,14 +112,14 @@ def main(arguments=None):
     """Run the fuzzer from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=5000, help="over all kinds of files")
-    parser.add_argument("--quick", action="store_true", help="only eight cases")
+    parser.add_argument("--quick", action="store_true", help="only 16 cases")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write the counts here")
     parser.add_argument("--keep", type=Path, help="folder for what broke")
     parser.add_argument("--kind", action="append", choices=FILES, help="only this; repeatable")
     options = parser.parse_args(arguments)
     kinds = options.kind or list(FILES)
-    each = -(-(8 if options.quick else options.cases) // len(kinds))
+    each = -(-(16 if options.quick else options.cases) // len(kinds))
     counts, broken, begin = {}, 0, time.perf_counter()
     warm_up()
     with Progress(console=Console(stderr=True)) as progress:

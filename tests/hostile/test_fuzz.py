@@ -8,7 +8,7 @@ from fuzz import main
 
 @pytest.mark.parametrize(
     ("cases", "options"),
-    [(8, ["--quick"]), pytest.param(40, ["--cases", "40"], marks=pytest.mark.thorough)],
+    [(16, ["--quick"]), pytest.param(40, ["--cases", "40"], marks=pytest.mark.thorough)],
 )
 def test_nothing_breaks(cases, options, tmp_path, capsys):
     target, broken = tmp_path / "fuzz.json", tmp_path / "broken"

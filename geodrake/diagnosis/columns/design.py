@@ -188,6 +188,11 @@ class JointDesign:
         """Normal matrix of all folds."""
         return np.asarray(self.grams.sum(axis=0))
 
+    @property
+    def summary(self) -> JointDesign:
+        """What a fit to all folds needs: one normal matrix, and no samples."""
+        return replace(self, X=self.X[:0], grams=self.total[None])
+
 
 def joint_motion(samples: ColumnSamples, assignment: Assignment) -> tuple[Array, Array, Array]:
     """(N, n) positions, velocities and accelerations of the joints by an assignment.

@@ -41,6 +41,7 @@ CARRIED = 3.0
 """A body that may hold a payload is known to within this geometric distance."""
 
 _ROUNDS, _QUICK_ROUNDS = 60, 8  # of Newton's method at most, in which weights change too
+_MOST_KEPT = 200_000_000  # bytes of normal matrices
 _SCREENINGS = 3  # fits of a screening
 _SETTLED = 0.1  # of twice a log-likelihood: how little the last of them gains
 _FIRST = 0.1  # of the samples are independent, before residuals say
@@ -105,6 +106,7 @@ class ColumnJudge:
     parameters: Parameters
     _designs: dict[tuple[object, ...], tuple[JointDesign, ...]] = field(default_factory=dict)
     _screened: dict[tuple[object, ...], ColumnFit] = field(default_factory=dict)
+    _summaries: dict[tuple[object, ...], tuple[JointDesign, ...]] = field(default_factory=dict)
     _rows: EffectRows = field(default_factory=dict)
 
     def keep(self, assignment: Assignment) -> None:
@@ -112,19 +114,35 @@ class ColumnJudge:
         self._designs = {assignment.motion_key: self.designs(assignment)}
         self._screened = {}
 
-    def designs(self, assignment: Assignment, *, slopes: bool = True) -> tuple[JointDesign, ...]:
-        """Normal matrices for the motion of an assignment.
+    def designs(self, assignment: Assignment) -> tuple[JointDesign, ...]:
+        """Normal matrices for the motion of an assignment, fold by fold.
+
+        Args:
+            assignment: The assignment.
+        """
+        found = self._designs.get(assignment.motion_key)
+        return self._made(assignment, slopes=True) if found is None else found
+
+    def summaries(self, assignment: Assignment, *, slopes: bool) -> tuple[JointDesign, ...]:
+        """Those of all folds together, which further fits of the same motion find again.
 
         Args:
             assignment: The assignment.
             slopes: Whether errors of zeros have their columns.
         """
-        found = self._designs.get(assignment.motion_key)
+        if kept := self._designs.get(assignment.motion_key):
+            return kept
+        key = (*assignment.motion_key, slopes)
+        found = self._summaries.get(key)
         if found is None:
-            found = joint_designs(
-                self.samples, self.parameters, assignment, self._rows, slopes=slopes
-            )
+            found = tuple(d.summary for d in self._made(assignment, slopes=slopes))
+            each = sum(design.grams.nbytes for design in found)
+            if (len(self._summaries) + 1) * each < _MOST_KEPT:
+                self._summaries[key] = found
         return found
+
+    def _made(self, assignment: Assignment, *, slopes: bool) -> tuple[JointDesign, ...]:
+        return joint_designs(self.samples, self.parameters, assignment, self._rows, slopes=slopes)
 
     def screened(
         self, assignment: Assignment, base: ColumnFit, wide: Collection[int] = ()
@@ -139,7 +157,7 @@ class ColumnJudge:
         key = (assignment.effort_key, *wide)
         found = self._screened.get(key)
         if found is None:
-            designs = self.designs(assignment, slopes=bool(wide))
+            designs = self.summaries(assignment, slopes=bool(wide))
             found = _System.of(self, designs, assignment, wide).screened(base)
             self._screened[key] = found
         return replace(found, assignment=assignment, rates=self.rate_errors(assignment))
@@ -154,7 +172,7 @@ class ColumnJudge:
             base: A fit whose errors say how much each joint counts at first.
             wide: Parameters of small errors that may be large.
         """
-        system = _System.of(self, self.designs(assignment, slopes=bool(wide)), assignment, wide)
+        system = _System.of(self, self.summaries(assignment, slopes=bool(wide)), assignment, wide)
         return system.fitted(base.effective, _QUICK_ROUNDS, base.mse, held_out=False)
 
     def fit(
