@@ -98,6 +98,7 @@ def check(logs):
     assert (np.abs(logs["actuation"]) <= np.array([8.0, 4.0]) + 1e-9).all()
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     ("kind", "fault"),
     [

@@ -112,6 +112,7 @@ class TestDrift:
         assert right < 1e-3
         assert min(wrong, never) > 100 * right
 
+    @pytest.mark.thorough
     def test_time_is_that_since_the_log_began(self, pendulum):
         """Of a log that begins when the gear is warm, the model's time is too early."""
         model = with_effects(pendulum, LOSS, self.drift)

@@ -64,6 +64,7 @@ def test_shows_above_the_bandwidth_of_the_motion(half_width):
     assert any("Hz at which backlash shows" in note for note in found.notes)
 
 
+@pytest.mark.thorough
 def test_a_bandwidth_that_was_asked_for_stays():
     log = loose_log(3e-4, noise=0.01)
     assert open_case(MODEL, [log], candidates=False).trajectories[0].filter.bandwidth < 1.5

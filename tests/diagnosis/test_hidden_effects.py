@@ -368,6 +368,7 @@ REFINED = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", seeds(1, 2, 3))
 @pytest.mark.parametrize(
     "name",

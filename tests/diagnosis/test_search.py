@@ -130,6 +130,7 @@ class TestPlaces:
         }
         assert payload.where == (min(errors, key=errors.get),)
 
+    @pytest.mark.sampled(3)
     @pytest.mark.parametrize(
         ("known", "name", "size", "found"),
         [

@@ -96,6 +96,7 @@ def test_distances_between_bodies_help_where_samples_are_few(names_after):
     assert (names["least"] < 0).any()
 
 
+@pytest.mark.thorough
 def test_an_adaptive_loop_stays_physical(names_after, tmp_path):
     names = names_after("adaptive_loop")
     late = names["late"]
