@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from geodrake.report.adaptation_view import AdaptationView, save_recording
-    from geodrake.report.draft import draft_figure, render_drafted, render_explained
+    from geodrake.report.draft import draft_figure, render_drafted
     from geodrake.report.excitation import (
         eigenvalue_figure,
         render_excitation,
     )
+    from geodrake.report.explained import render_explained
     from geodrake.report.export_page import render_export
     from geodrake.report.figures import (
         candidate_figure,
@@ -22,12 +23,10 @@ if TYPE_CHECKING:
     from geodrake.report.identifiable import identifiable_figure, render_identifiable
     from geodrake.report.identification_page import render_identification
     from geodrake.report.numbers import Units
-    from geodrake.report.report import (
+    from geodrake.report.report import render_comparison, render_diagnosis, render_explanation
+    from geodrake.report.result_figures import (
         comparison_figures,
         diagnosis_figures,
-        render_comparison,
-        render_diagnosis,
-        render_explanation,
         report_figures,
         save_figures,
     )
@@ -66,6 +65,8 @@ __all__ = [
 _MODULES = (
     "numbers",
     "report",
+    "explained",
+    "result_figures",
     "draft",
     "excitation",
     "export_page",
@@ -79,7 +80,7 @@ _MODULES = (
 
 
 def __getattr__(name: str) -> Any:
-    """Import matplotlib when a figure or a page is first asked for; words and numbers need none."""
+    """Import matplotlib when a figure is first asked for; words and most pages need none."""
     if name in __all__:
         for module in _MODULES:
             found = vars(import_module(f"geodrake.report.{module}"))

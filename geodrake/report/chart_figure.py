@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 
 from geodrake.report import style
 from geodrake.report.charts import Chart, Panel, Plot, Stage
+from geodrake.report.worst_joints import of_worst
 
 _COLORS = {"measured": style.MEASURED, "before": style.BEFORE, "after": style.AFTER}
 
@@ -27,7 +28,7 @@ def chart_figure(chart: Chart) -> Figure:
             _draw(style.polish(ax), chart, panel, plot)
     for ax in grid[-1]:
         ax.set_xlabel(chart.axis, **style.plain(style.SMALL, style.QUIET))
-    style.note_below(figure, style.of_worst(len(panels), len(chart.panels)))
+    style.note_below(figure, of_worst(len(panels), len(chart.panels)))
     if len(chart.stages) > 1:
         style.legend_above(figure, [_line(stage) for stage in chart.stages])
     return figure

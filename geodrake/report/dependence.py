@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.identification.logs.model_errors import Comparison, JointError, Series
-from geodrake.report import style
 from geodrake.report.charts import Stage
 from geodrake.report.frame import Frame
 from geodrake.report.numbers import Units, number
@@ -20,6 +19,7 @@ from geodrake.report.static_plot import (
     noise_band,
     value_ticks,
 )
+from geodrake.report.worst_joints import worst_joints
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def residual_dependence(comparison: Comparison, stage: Stage, units: Units) -> D
         stage: Which of the two it is.
         units: Units of the joints.
     """
-    shown = style.worst_joints(comparison.errors)
+    shown = worst_joints(comparison.errors)
     rows = []
     for entry in comparison.errors.joints:
         own = [s for s in comparison.series if s.joint == entry.joint and len(s.time)]

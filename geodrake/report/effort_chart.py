@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from geodrake.diagnosis.results import Explanation
 from geodrake.identification.logs.model_errors import Comparison, Series
 from geodrake.identification.logs.worst_windows import worst_windows
-from geodrake.report import style
 from geodrake.report.charts import Chart, Panel, Plot, Shade, Stage
 from geodrake.report.curves import gap_filled
 from geodrake.report.numbers import Units, number
 from geodrake.report.timeline import Timeline, log_of
 from geodrake.report.words import effect_label, worst_joint
+from geodrake.report.worst_joints import worst_joints
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def effort_chart(
         models[AFTER] = after.series
     final = after or before
     timeline = Timeline.of(before.series)
-    shown = style.worst_joints(final.errors)
+    shown = worst_joints(final.errors)
     badges = _badges(before, after)
     panels = []
     for start, end in zip(before.errors.joints, final.errors.joints, strict=True):

@@ -21,11 +21,12 @@ from geodrake.report.page import (
     Page,
     Section,
     Tile,
-    pictures,
     render,
     without_empty,
 )
+from geodrake.report.pictures import pictures
 from geodrake.report.tell_apart import pairs_section, tiles_of_pairs
+from geodrake.report.worst_joints import MOST_JOINTS
 
 _FINE = 600  # instants that are drawn
 _COLUMNS = (
@@ -153,7 +154,7 @@ def motion_chart(result: ExcitationResult, units: Units) -> Chart:
             )
             for values, (name, unit, limit) in zip(signals, _COLUMNS, strict=True)
         )
-        panels.append(Panel(joint, "", at, plots, shown=j < style.MOST_JOINTS))
+        panels.append(Panel(joint, "", at, plots, shown=j < MOST_JOINTS))
     spans = (("", float(at[0]), float(at[-1]), 0.0),)
     axis = "time, s" if timed else "sample"
     return Chart("motion", _MOTION_CAPTION, (DESIGNED,), tuple(panels), spans, axis, not timed)

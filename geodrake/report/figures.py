@@ -14,6 +14,7 @@ from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.report import style
 from geodrake.report.numbers import number
 from geodrake.report.words import effect_label, places_label
+from geodrake.report.worst_joints import MOST_JOINTS, of_worst, worst_joints
 
 _LEAST = 1e-6  # nrms, so that a perfect model has a place on a logarithmic axis
 _MOST_CANDIDATES = 14
@@ -26,7 +27,7 @@ def joint_error_figure(
     start: ErrorTable,
     stages: Sequence[tuple[str, Sequence[float]]] = (),
     *,
-    most: int = style.MOST_JOINTS,
+    most: int = MOST_JOINTS,
 ) -> Figure:
     """Error of each joint over the standard deviation of its effort: start, steps, noise floor.
 
@@ -38,7 +39,7 @@ def joint_error_figure(
     Returns:
         One axes with a group of bars for each joint.
     """
-    shown = set(style.worst_joints(start, most))
+    shown = set(worst_joints(start, most))
     at = [i for i, joint in enumerate(start.joints) if joint.joint in shown]
     std = np.array([start.joints[i].std for i in at])
     columns = [("as it stands", np.array([start.joints[i].rms for i in at]))]
@@ -70,7 +71,7 @@ def joint_error_figure(
     handles = [Patch(color=c, label=w) for (w, _), c in zip(columns, colors, strict=True)]
     noise = Line2D([], [], color=style.FLOOR, linewidth=2, label="sensor noise")
     style.legend_above(figure, [*handles, noise], columns=4)
-    style.note_below(figure, style.of_worst(len(at), len(start.joints)))
+    style.note_below(figure, of_worst(len(at), len(start.joints)))
     return figure
 
 

@@ -23,10 +23,10 @@ from geodrake.report.page import (
     Page,
     Section,
     Tile,
-    pictures,
     render,
     without_empty,
 )
+from geodrake.report.pictures import pictures
 
 _CAPTION = (
     "Left: relative deviation of an estimate along every principal direction, most certain first. "

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from matplotlib.figure import Figure
-
 from geodrake.identification.models import ModelIdentification
 from geodrake.report import sections
+from geodrake.report.bars import Bars, joint_bars
 from geodrake.report.charts import Stage
 from geodrake.report.effort_chart import effort_chart
-from geodrake.report.figures import joint_error_figure
 from geodrake.report.identification_tables import (
     bodies_table,
     fitted_effects_table,
@@ -20,7 +18,7 @@ from geodrake.report.identification_tables import (
 )
 from geodrake.report.numbers import Units, number
 from geodrake.report.page import Page, Section, Tile, render, without_empty
-from geodrake.report.report import footer, subject, with_picture
+from geodrake.report.report import footer, subject, with_bars
 
 IDENTIFIED = Stage("after", "identified", "after")
 
@@ -57,7 +55,7 @@ def render_identification(
     joints = sections.joints_section({"before": before, "after": after}, units)
     chart = effort_chart(found.comparison, units=units, alone=IDENTIFIED)
     parts = (
-        with_picture(joints, "joint_errors", _joint_errors(found)),
+        with_bars(joints, _joint_errors(found)),
         sections.failing_section(found.comparison, charts=[chart], alone=IDENTIFIED),
         bodies_section(found),
         *effects_sections(found, units),
@@ -80,9 +78,9 @@ def render_identification(
     return render(page)
 
 
-def _joint_errors(found: ModelIdentification) -> Figure:
+def _joint_errors(found: ModelIdentification) -> Bars:
     identified = [("identified", [joint.rms for joint in found.after.joints])]
-    return joint_error_figure(found.before, identified)
+    return joint_bars(found.before, identified)
 
 
 def bodies_section(found: ModelIdentification) -> Section:

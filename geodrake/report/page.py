@@ -12,20 +12,17 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
-from matplotlib.figure import Figure
 
 from geodrake.boundary.escaping import printable
 from geodrake.errors import ArgumentError
+from geodrake.report.bars import Bars
 from geodrake.report.charts import Chart
 from geodrake.report.dependence import Dependence
 from geodrake.report.frame import HEIGHT, WIDTH
 from geodrake.report.static_plot import static_plots
-from geodrake.report.style import png, svg
 from geodrake.report.tables import Table
 
 _TEMPLATE = "report.html.jinja"
-_LARGEST_SVG = 120_000
-"""Figures of more letters are shown as pixels."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,8 @@ class Section:
         text: Paragraphs.
         tables: Tables.
         items: Entries of a list.
-        pictures: Figures.
+        bars: Errors as bars.
+        pictures: Figures of matplotlib.
         abreast: Whether the tables are narrow and may stand side by side.
         lists: Lists side by side.
         charts: Plots over time.
@@ -79,6 +77,7 @@ class Section:
     tables: tuple[Table, ...] = ()
     items: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()
+    bars: tuple[Bars, ...] = ()
     abreast: bool = False
     lists: tuple[ColoredList, ...] = ()
     charts: tuple[Chart, ...] = ()
@@ -87,7 +86,7 @@ class Section:
     @property
     def says_something(self) -> bool:
         """Whether there is anything under the heading."""
-        parts = (self.text, self.tables, self.items, self.pictures)
+        parts = (self.text, self.tables, self.items, self.pictures, self.bars)
         return any((*parts, self.lists, self.charts, self.dependences))
 
 
@@ -136,29 +135,6 @@ class Page:
     sections: tuple[Section, ...]
     footer: str
     links: Mapping[str, str] = field(default_factory=dict)
-
-
-def picture(figure: Figure, caption: str) -> Picture:
-    """A figure as an image that is part of the page.
-
-    Args:
-        figure: The figure.
-        caption: The sentence under it.
-    """
-    drawn = svg(figure)
-    if len(drawn) <= _LARGEST_SVG:
-        return Picture("", caption, Markup(drawn))  # matplotlib escapes what it writes
-    return Picture(f"data:image/png;base64,{base64.b64encode(png(figure)).decode()}", caption)
-
-
-def pictures(figures: Mapping[str, Figure], captions: Mapping[str, str]) -> tuple[Picture, ...]:
-    """The figures that have captions, in the order of the captions.
-
-    Args:
-        figures: Figures by name.
-        captions: Captions by name of the figure.
-    """
-    return tuple(picture(figures[name], text) for name, text in captions.items() if name in figures)
 
 
 def without_empty(sections: Sequence[Section]) -> tuple[Section, ...]:

@@ -6,34 +6,15 @@ import hashlib
 import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 
-from matplotlib.figure import Figure
-
-from geodrake.boundary.escaping import path_part
-from geodrake.boundary.whole_files import write_together
 from geodrake.diagnosis.results import Diagnosis, Explanation
-from geodrake.errors import OutputError
 from geodrake.identification.logs.model_errors import Comparison
-from geodrake.report import sections, style, words
+from geodrake.report import sections, words
+from geodrake.report.bars import Bars, candidate_bars, joint_bars, step_bars, step_joint_bars
 from geodrake.report.effort_chart import AFTER, BEFORE, effort_chart, explanation_chart
-from geodrake.report.figures import (
-    candidate_figure,
-    joint_error_figure,
-    step_figure,
-    step_stages,
-)
 from geodrake.report.numbers import Units, number, percent
-from geodrake.report.page import Page, Section, Tile, picture, render, without_empty
-from geodrake.report.series_figures import effort_figure, residual_figure
+from geodrake.report.page import Page, Section, Tile, render, without_empty
 from geodrake.report.tables import error_stages
-
-_CAPTIONS = {
-    "steps": "The error on held-out data falling with each step, on a logarithmic axis.",
-    "candidates": "The error on held-out data that each candidate would leave.",
-    "joint_errors": "RMS error of each joint over the standard deviation of its effort, on a "
-    "logarithmic axis.",
-}
 
 
 def render_comparison(
@@ -68,7 +49,7 @@ def render_comparison(
     )
     joints = sections.joints_section({"RMS": errors}, units)
     parts = (
-        with_picture(joints, "joint_errors", joint_error_figure(errors)),
+        with_bars(joints, joint_bars(errors)),
         sections.failing_section(comparison, charts=[effort_chart(comparison, units=units)]),
         sections.dependence_section({BEFORE: comparison}, units),
         sections.method_section(comparison, refitted=False),
@@ -120,11 +101,11 @@ def render_diagnosis(
     )
     ranking = sections.candidates_section(diagnosis, units)
     if diagnosis.candidates:
-        ranking = with_picture(ranking, "candidates", candidate_figure(diagnosis))
+        ranking = with_bars(ranking, candidate_bars(diagnosis))
     joints = sections.joints_section({"RMS": start}, units)
     parts = (
         ranking,
-        with_picture(joints, "joint_errors", joint_error_figure(start)),
+        with_bars(joints, joint_bars(start)),
         sections.failing_section(comparison, charts=[effort_chart(comparison, units=units)]),
         sections.dependence_section({BEFORE: comparison}, units),
         sections.method_section(comparison, refitted=True),
@@ -174,8 +155,7 @@ def render_explanation(
     before, after = explanation.before, explanation.after if explanation.steps else None
     steps = sections.steps_section(explanation, units)
     if explanation.steps:
-        steps = with_picture(steps, "steps", step_figure(explanation))
-    bars = joint_error_figure(explanation.start, step_stages(explanation))
+        steps = with_bars(steps, step_bars(explanation))
     charts = [explanation_chart(explanation, units)]
     models = {BEFORE: before} if after is None else {BEFORE: before, AFTER: after}
     parts = (
@@ -184,7 +164,7 @@ def render_explanation(
         sections.parameters_section(explanation, units),
         sections.bodies_section(explanation),
         sections.signals_section(explanation.model.effort_signals, units),
-        with_picture(joints, "joint_errors", bars),
+        with_bars(joints, step_joint_bars(explanation)),
         *more,
         sections.dependence_section(models, units),
         sections.method_section(explanation.after, refitted=True),
@@ -205,72 +185,6 @@ def render_explanation(
     return render(page)
 
 
-def comparison_figures(comparison: Comparison, *, units: Units | None = None) -> dict[str, Figure]:
-    """The figures of a comparison's report, by name.
-
-    Args:
-        comparison: The comparison.
-        units: Units of the joints; those of revolute joints by default.
-    """
-    return {
-        "efforts": effort_figure(comparison, units=units),
-        "residuals_before": residual_figure(comparison, units=units),
-        "joint_errors": joint_error_figure(comparison.errors),
-    }
-
-
-def diagnosis_figures(diagnosis: Diagnosis, *, units: Units | None = None) -> dict[str, Figure]:
-    """The figures of a diagnosis' report, by name.
-
-    Args:
-        diagnosis: The diagnosis.
-        units: Units of the joints; those of revolute joints by default.
-    """
-    figures = comparison_figures(diagnosis.comparison, units=units)
-    if diagnosis.candidates:
-        figures["candidates"] = candidate_figure(diagnosis)
-    return figures
-
-
-def report_figures(explanation: Explanation) -> dict[str, Figure]:
-    """The figures of an explanation's report, by name."""
-    units = Units.of(explanation.model)
-    before, after = explanation.before, explanation.after
-    if not explanation.steps:
-        return comparison_figures(before, units=units)
-    return {
-        "steps": step_figure(explanation),
-        "joint_errors": joint_error_figure(explanation.start, step_stages(explanation)),
-        "efforts": effort_figure(before, after=after, units=units),
-        "residuals_before": residual_figure(before, units=units),
-        "residuals_after": residual_figure(after, color=style.AFTER, units=units),
-    }
-
-
-def save_figures(figures: Mapping[str, Figure], folder: str | Path) -> tuple[Path, ...]:
-    """Write figures as PNG files, all of them or none.
-
-    Args:
-        figures: Name -> figure, such as `report_figures` gives.
-        folder: Where `<name>.png` goes; made if it does not exist.
-
-    Raises:
-        OutputError: A file cannot be written.
-    """
-    folder = Path(folder)
-    paths = {name: folder / f"{path_part(name)}.png" for name in figures}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"Cannot write to {folder}: {error.strerror}.",
-            advice="Choose another place.",
-            path=folder,
-        ) from error
-    write_together({paths[name]: style.png(figure) for name, figure in figures.items()})
-    return tuple(paths.values())
-
-
 def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
     start, end = explanation.start, explanation.end
     gone = words.explained_share(start.nrms, end.nrms)
@@ -286,15 +200,14 @@ def _explanation_tiles(explanation: Explanation) -> tuple[Tile, ...]:
     )
 
 
-def with_picture(section: Section, name: str, figure: Figure) -> Section:
-    """A section with one figure more, and its caption.
+def with_bars(section: Section, bars: Bars) -> Section:
+    """A section with one figure of bars more.
 
     Args:
         section: The section without it.
-        name: Name of the figure, which decides its caption.
-        figure: The figure.
+        bars: The bars.
     """
-    return replace(section, pictures=(*section.pictures, picture(figure, _CAPTIONS[name])))
+    return replace(section, bars=(*section.bars, bars))
 
 
 def subject(model_name: str, log_names: Sequence[str]) -> str:

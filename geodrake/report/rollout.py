@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geodrake.control.rollout import Rollout
-from geodrake.report import style
 from geodrake.report.charts import Chart, Panel, Plot, Stage
 from geodrake.report.curves import gap_filled
 from geodrake.report.effort_chart import MEASURED
@@ -22,6 +21,7 @@ from geodrake.report.page import (
 )
 from geodrake.report.tables import departures_table
 from geodrake.report.words import departure
+from geodrake.report.worst_joints import MOST_JOINTS
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def _joined(parts: Sequence[Array | Sequence[Array]]) -> Array:
 def _shown(panels: Sequence[Panel], rollout: Rollout) -> tuple[Panel, ...]:
     """The panels, those that depart most shown at first, and the worst one marked."""
     order = np.argsort([-joint.relative for joint in rollout.joints], kind="stable").tolist()
-    seen, badge = order[: style.MOST_JOINTS], "departs most" if len(panels) > 1 else ""
+    seen, badge = order[:MOST_JOINTS], "departs most" if len(panels) > 1 else ""
     return tuple(
         replace(panel, shown=j in seen, badge=badge if j == order[0] else "")
         for j, panel in enumerate(panels)

@@ -16,6 +16,7 @@ from geodrake.identification.logs.model_errors import Comparison, JointError, Se
 from geodrake.report import style
 from geodrake.report.numbers import Units, number
 from geodrake.report.timeline import Timeline
+from geodrake.report.worst_joints import MOST_JOINTS, of_worst, worst_joints
 
 Array = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def effort_figure(
     comparison: Comparison,
     *,
     after: Comparison | None = None,
-    most: int = style.MOST_JOINTS,
+    most: int = MOST_JOINTS,
     units: Units | None = None,
 ) -> Figure:
     """Measured and predicted efforts, and the residual, against time.
@@ -47,7 +48,7 @@ def effort_figure(
         blocks stay gaps; several logs follow each other, each with its own time.
     """
     units = units or Units()
-    joints = style.worst_joints(comparison.errors, most)
+    joints = worst_joints(comparison.errors, most)
     timeline = Timeline.of(comparison.series)
     figure = style.new_figure(0.7 + 2.25 * len(joints))
     grid = figure.subplots(
@@ -68,7 +69,7 @@ def effort_figure(
     for ax in grid[:, 0]:  # in a column; to align them by their ticks takes seconds
         ax.yaxis.set_label_coords(_LABELS_AT, 0.5)
     grid[-1, 0].set_xlabel("time in the log, s", **style.plain(style.SMALL, style.QUIET))
-    style.note_below(figure, style.of_worst(len(joints), len(comparison.errors.joints)))
+    style.note_below(figure, of_worst(len(joints), len(comparison.errors.joints)))
     style.legend_above(figure, _effort_legend(after is not None))
     return figure
 
@@ -78,7 +79,7 @@ def residual_figure(
     comparison: Comparison,
     *,
     color: str = style.BEFORE,
-    most: int = style.MOST_JOINTS,
+    most: int = MOST_JOINTS,
     units: Units | None = None,
 ) -> Figure:
     """Residual against velocity, position and load, with its mean and RMS in bins.
@@ -94,7 +95,7 @@ def residual_figure(
         samples.
     """
     units = units or Units()
-    joints = style.worst_joints(comparison.errors, most)
+    joints = worst_joints(comparison.errors, most)
     figure = style.new_figure(0.9 + 1.55 * len(joints))
     grid = figure.subplots(len(joints), 3, squeeze=False, sharey="row")
     entries = {entry.joint: entry for entry in comparison.errors.joints}
@@ -115,7 +116,7 @@ def residual_figure(
         quiet = style.plain(style.SMALL, style.QUIET)
         row[0].set_ylabel(f"residual, {units.effort([joint])}", **quiet)
         row[2].set_title(f"RMS {number(entries[joint].rms)}", loc="right", pad=4, **quiet)
-    style.note_below(figure, style.of_worst(len(joints), len(comparison.errors.joints)))
+    style.note_below(figure, of_worst(len(joints), len(comparison.errors.joints)))
     style.legend_above(
         figure,
         (

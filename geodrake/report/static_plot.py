@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from geodrake.report.charts import Chart, Panel, Plot, Stage
@@ -161,6 +160,22 @@ def span_of(plot: Plot, curves: Array) -> tuple[float, float]:
     return low - margin, high + margin
 
 
+def round_values(low: float, high: float, most: int) -> Array:
+    """Round numbers that enclose an interval, in steps of 1, 2 or 5 times a power of ten.
+
+    Args:
+        low: Its lower end.
+        high: Its upper end.
+        most: Steps at most, those at its ends apart.
+    """
+    if not high > low:
+        return np.array([low])
+    least = (high - low) / most
+    power = 10.0 ** np.floor(np.log10(least))
+    step = power * next(x for x in (1.0, 2.0, 5.0, 10.0) if x * power >= least * (1.0 - 1e-9))
+    return np.asarray(step * np.arange(np.floor(low / step), np.ceil(high / step) + 1.0))
+
+
 def value_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
     """Round numbers along the axis at the left.
 
@@ -170,7 +185,7 @@ def value_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
     """
     low, high = frame.y
     margin = 0.03 * (high - low)
-    values = MaxNLocator(most, steps=[1, 2, 5, 10]).tick_values(low, high)
+    values = round_values(low, high, most)
     return tuple(
         Tick(round(100 * (high - value) / (high - low), 1), _plain(value))
         for value in values
@@ -186,7 +201,7 @@ def across_ticks(frame: Frame, most: int) -> tuple[Tick, ...]:
         most: About how many.
     """
     low, high = frame.x
-    values = MaxNLocator(most, steps=[1, 2, 5, 10]).tick_values(low, high)
+    values = round_values(low, high, most)
     return tuple(
         Tick(round(100 * (value - low) / (high - low), 1), _plain(value))
         for value in values
@@ -229,7 +244,7 @@ def _time_ticks(chart: Chart) -> tuple[Tick, ...]:
     ticks = []
     for _, start, end, shift in chart.spans:
         share = (end - start) / (high - low)
-        values = MaxNLocator(max(1, round(8 * share)), steps=[1, 2, 5, 10]).tick_values(start, end)
+        values = round_values(start, end, max(1, round(8 * share)))
         inside = [v for v in values if start - 1e-9 <= v <= end + 1e-9] or [start]
         ticks += [Tick(round(100 * (v + shift - low) / (high - low), 1), _plain(v)) for v in inside]
     return tuple(ticks)

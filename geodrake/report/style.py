@@ -18,7 +18,6 @@ from matplotlib.font_manager import findfont, get_font
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from PIL import Image
 
-from geodrake.identification.logs.model_errors import ErrorTable
 from geodrake.report.numbers import shortened
 
 INK = "#1f2a37"
@@ -34,7 +33,6 @@ WIDTH = 10.0
 """Width of every figure, inches."""
 DPI = 130
 SMALL, NORMAL = 8.0, 9.0
-MOST_JOINTS = 8
 _NAME_LENGTH = 30
 _MOST_LETTERS = 160
 _FONT = "DejaVu Sans"  # which comes with matplotlib
@@ -162,37 +160,6 @@ def note_below(figure: Figure, text: str) -> None:
     """
     if text:
         figure.supxlabel(text, x=0.01, ha="left", **plain(SMALL, QUIET))
-
-
-def worst_joints(errors: ErrorTable, most: int = MOST_JOINTS) -> tuple[str, ...]:
-    """The joints of largest error over standard deviation, in the table's order.
-
-    The joint of largest RMS is always among them, and one whose error is no number counts as worst.
-
-    Args:
-        errors: Errors of all joints.
-        most: Most joints.
-    """
-    nrms = np.array([joint.nrms for joint in errors.joints])
-    rms = np.array([joint.rms for joint in errors.joints])
-    order = np.argsort(-np.nan_to_num(nrms, nan=np.inf), kind="stable")
-    worst = int(np.argmax(np.nan_to_num(rms, nan=np.inf)))
-    chosen = [*order[:most]]
-    if most > 1 and worst not in chosen:
-        chosen[-1] = worst
-    return tuple(errors.joints[i].joint for i in sorted(chosen))
-
-
-def of_worst(shown: int, joints: int) -> str:
-    """What to say where not all joints are shown.
-
-    Args:
-        shown: Number of joints that are shown.
-        joints: Number of joints that the robot has.
-    """
-    if shown >= joints:
-        return ""
-    return f"The {shown} joints of largest nrms, of {joints}."
 
 
 @own_look()

@@ -14,7 +14,7 @@ from geodrake.identification.logs.worst_windows import worst_windows
 from geodrake.report import render_comparison, render_explanation
 from geodrake.report.curves import decimated, gap_filled, packed
 from geodrake.report.effort_chart import effort_chart
-from geodrake.report.style import worst_joints
+from geodrake.report.worst_joints import worst_joints
 
 
 def series(residual, joint="elbow", block="a 0.00–10.00 s"):

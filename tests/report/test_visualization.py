@@ -61,12 +61,6 @@ EVIL = "<script>alert('$x_{1')</script>&\"$"
 FIELDS = ("time", "position", "velocity", "acceleration", "measured", "predicted")
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Figures are made and not drawn, which takes most of a report's time."""
-    monkeypatch.setattr("geodrake.report.page.svg", lambda figure: "<svg></svg>")
-
-
 class Reader(HTMLParser):
     """Collects text, tags and what is loaded; checks that tags close in order."""
 
@@ -103,7 +97,6 @@ def check_self_contained(html):
 
 
 @pytest.mark.sampled(3)
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("count", [1, 6, 30])
 def test_pages_hold_all_joints(count):
     joints = joint_names(count)
@@ -121,7 +114,6 @@ def test_pages_hold_all_joints(count):
         assert "How errors were measured" in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_an_explanation_says_what_was_found():
     joints = joint_names(3)
     text = check_self_contained(render_explanation(explanation(joints), **NAMES))
@@ -135,7 +127,6 @@ def test_an_explanation_says_what_was_found():
     assert "a: bandwidth 4 Hz" in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_bodies_are_shown_before_and_after():
     com = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]])
     body = BodyChange("hand", (2.0, 2.5), com, 0.1, np.full(3, 0.002), False, 0.4)
@@ -145,7 +136,6 @@ def test_bodies_are_shown_before_and_after():
     assert "Bodies" not in check_self_contained(render_explanation(found, **NAMES))
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_names_are_escaped():
     joints = (EVIL, "elbow")
     shown = dataclasses.replace(explanation(joints), notes=("<b>note</b>",))
@@ -191,7 +181,6 @@ def test_effects_without_a_class_and_without_deviations():
     ("verdict", "words"),
     [("adequate", "The model is adequate"), ("unexplained", "that no known effect explains")],
 )
-@pytest.mark.usefixtures("undrawn")
 def test_an_explanation_without_steps(verdict, words):
     shown = explanation(joint_names(2), (), verdict=verdict)
     text = check_self_contained(render_explanation(shown, **NAMES))
@@ -201,7 +190,6 @@ def test_an_explanation_without_steps(verdict, words):
     assert len(step_figure(shown).axes[0].get_yticks()) == 1
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_steps_without_evidence_are_not_called_missing():
     joints = joint_names(3)
     doubtful = step("rotor_inertia", joints, {}, {}, false_alarm_probability=0.6)
@@ -213,7 +201,6 @@ def test_steps_without_evidence_are_not_called_missing():
     assert "Added without convincing evidence: rotor inertia and joint spring" in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_a_diagnosis_tells_ties_and_silence():
     joints = joint_names(3)
     text = check_self_contained(render_diagnosis(diagnosis(joints), **NAMES))
@@ -299,7 +286,6 @@ def test_perfect_models_and_nan_positions_can_be_drawn():
     assert "not seen" in html and "not seen" not in render_comparison(one, **NAMES)
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_units_of_prismatic_joints():
     shown = explanation(("slide", "elbow"), prismatic=("slide",))
     text = check_self_contained(render_explanation(shown, **NAMES))
@@ -375,7 +361,6 @@ def test_a_second_deviation_is_shown_where_it_is_not_small(systematic, text):
     assert is_noticed(0.0121, systematic) == (text.count("±") == 2)
 
 
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("systematic", [0.003, 0.154])
 def test_a_second_deviation_is_explained_where_one_is_shown(systematic):
     joints = joint_names(2)
@@ -404,14 +389,12 @@ def test_numbers_in_words():
     assert places_label(("a", "b", "d", "e"), tuple("abcde"), most=3) == "4 joints"
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_where_only_noise_is_left_no_better_model_is_promised():
     text = render_explanation(explanation(joint_names(3), verdict="explained"), **NAMES)
     assert "only sensor noise is left. Sensor noise alone would make" in text
     assert "a better model could" not in text
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_where_no_noise_is_seen_nothing_is_called_removable():
     found = comparison(joint_names(3), 0.5)
     quiet = tuple(dataclasses.replace(joint, floor=0.0) for joint in found.errors.joints)
@@ -427,7 +410,6 @@ def test_where_no_noise_is_seen_nothing_is_called_removable():
     assert written["joints"]["joint_0"]["removable"] == NoNumber("the logs show no sensor noise")
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_an_added_effect_that_makes_things_worse_is_said_to():
     joints = joint_names(3)
     useless = step("joint_spring", joints, {}, {}, error_before=0.565, error_after=0.569)
