@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_results import comparison, diagnosis, errors, explanation, friction, joint_names, step
+from report_results import comparison, diagnosis, errors, explanation, friction, joint_names
 
 from geodrake.report import render_comparison, render_explanation
 from geodrake.report.bars import candidate_bars, joint_bars, step_bars, step_joint_bars
