@@ -159,10 +159,7 @@ class _State:
                 return True
             loads = with_fitted_loads(self.case, self.trail)
             self.case, self.trail = loads or (self.case, self.trail)
-            more = self._suggest()
-            # Loads by fitted bodies know nothing of what acts on the whole robot.
-            tilted = any(e.places == "robot" for e in self.trail.end.unknowns.effects)
-            if not more and (loads is None or tilted):
+            if not self._suggest() and loads is None:
                 return False
         self._refine()
         return True

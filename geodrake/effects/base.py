@@ -271,6 +271,23 @@ class Effect(CheckedFields, abc.ABC):
         del parameters, bodies
         return self
 
+    def gravity_of_bodies(self, gravity: Array) -> Array | None:
+        """Gravity that columns of bodies are made with beside the effect; None for the model's.
+
+        An effect that changes gravity is a product of its parameters with those of bodies. About
+        that gravity it is linear in both.
+
+        Args:
+            gravity: (3,) the model's gravity, m/s².
+        """
+        del gravity
+        return None
+
+    @property
+    def in_bodies(self) -> Array:
+        """(k,) parameters at `gravity_of_bodies`: what the columns of bodies have in them."""
+        return np.zeros(len(self.parameters))
+
     def course(self, along: Array) -> Array:
         """How it goes with time or along a way, for the proposers that try that on a residual.
 

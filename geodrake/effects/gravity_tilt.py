@@ -25,8 +25,9 @@ class GravityTilt(RobotEffect):
         R(θ)ᵀ g − g = sin|θ|/|θ| g × θ + (1 − cos|θ|)/|θ|² (θ θᵀg − g θᵀθ)
 
     linear in θ with `about` in the place of one θ of each product: exact where θ is `about`. About
-    zero it is wrong by |θ|²/2 of the weight. The bodies are those of the model; gravity is taken to
-    be along z, about which a turn changes nothing.
+    zero it is wrong by |θ|²/2 of the weight. The bodies are those of the model; fits see others
+    under the gravity of `about`: moments that a level base hides show only there. Gravity is taken
+    to be along z, about which a turn changes nothing.
 
     Attributes:
         about_x: Angle about x at which the columns are exact, rad.
@@ -67,6 +68,16 @@ class GravityTilt(RobotEffect):
             return self
         about_x, about_y = parameters.tolist()
         return replace(self, about_x=about_x, about_y=about_y)
+
+    def gravity_of_bodies(self, gravity: Array) -> Array | None:
+        """Gravity turned by the angles at which the columns are exact."""
+        at = self.in_bodies
+        return gravity + self._change(gravity) @ at if at.any() else None
+
+    @property
+    def in_bodies(self) -> Array:
+        """(2,) these angles."""
+        return self._about[:2]
 
     @property
     def _about(self) -> Array:

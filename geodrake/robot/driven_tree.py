@@ -95,6 +95,17 @@ def actuator_rows(J: Array | None, rows: Array) -> Array:
     return rows if J is None else np.asarray(np.swapaxes(J, 1, 2) @ rows)
 
 
+def with_gravity(tree: RobotTree, gravity: Array) -> RobotTree:
+    """A tree under another gravity.
+
+    Args:
+        tree: The tree.
+        gravity: (3,) gravity in the world frame, m/s².
+    """
+    own = replace(joint_tree(tree), gravity=gravity)
+    return replace(tree, joint_tree=own) if isinstance(tree, DrivenTree) else own
+
+
 def joint_tree(tree: RobotTree) -> KinematicTree:
     """The tree of the joints, without a transmission."""
     return tree.joint_tree if isinstance(tree, DrivenTree) else tree

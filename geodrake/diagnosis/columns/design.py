@@ -274,6 +274,8 @@ def _columns_of(
         if isinstance(effect, Effect) and (key := keys[effect]) is not None:
             known[key] = blocks
     others = [new[e] if e in new else known[key] for e, key in keys.items()]
+    effects = dict(zip(keys, others, strict=True))
+    held = held - np.stack([np.zeros(len(q)) + layout.in_bodies(j, effects) for j in range(n)], 1)
     return [joined[0][j] for j in range(n)], held, others
 
 

@@ -32,9 +32,10 @@ class JointRows:
         time: (K,) instants, s.
         motion: (K, 3) position, velocity and acceleration of the joint.
         A: (K, p_j) columns, in the order of the joint's column indices.
-        b: (K, d) measured effort less that of known payloads, one column per delay of the dataset.
+        b: (K, d) measured effort less `carried`, one column per delay of the dataset.
         used: (K,) whether the joint moves, so that the row says something.
-        carried: (K,) effort of known payloads, which the measured one has on top of b.
+        carried: (K,) effort beside what is fitted: of known payloads, less what columns of bodies
+            have in them of effects (`Effect.in_bodies`).
     """
 
     time: Array
@@ -84,7 +85,7 @@ class JointData:
             for each fold; the rows themselves where these are fewer than the columns.
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
-        carried: (F, p_j) products Aᵀc with the effort c of known payloads, which b is without.
+        carried: (F, p_j) products Aᵀc with the effort c that b is without.
     """
 
     columns: Indices

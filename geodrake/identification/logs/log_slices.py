@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,7 +21,12 @@ from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
-from geodrake.robot.regressor import inverse_dynamics_regressor, regressor_pieces
+from geodrake.robot.driven_tree import RobotTree, with_gravity
+from geodrake.robot.regressor import (
+    inverse_dynamics,
+    inverse_dynamics_regressor,
+    regressor_pieces,
+)
 
 Array = NDArray[np.float64]
 INERTIA = "inertia"
@@ -67,7 +72,7 @@ class Layout:
             sign_width: (nv,) speed below which the direction of motion is not known, rad/s or m/s.
             still_speed: (nv,) speed below which a joint counts as at rest, rad/s or m/s.
         """
-        inertial = _inertial_structure(model)
+        inertial = _inertial_structure(model, _felt(model, effects)[0])
         starts = column_starts(effects, model.bodies)
         columns = [[np.flatnonzero(inertial[j])] for j in range(len(model.joints))]
         own = tuple(effect for effect in effects if not is_payload(effect))
@@ -84,6 +89,27 @@ class Layout:
     def parts(self) -> tuple[Effect | str, ...]:
         """What has columns of its own, in their order."""
         return (INERTIA, *(effect for effect in self.effects if not is_payload(effect)))
+
+    @property
+    def tree(self) -> RobotTree:
+        """The tree that columns of bodies are computed with, under the gravity that they feel."""
+        return self._felt[0]
+
+    @cached_property
+    def _felt(self) -> tuple[RobotTree, Effect | None]:
+        return _felt(self.model, self.effects)
+
+    def in_bodies(self, joint: int, blocks: Mapping[Effect, Blocks]) -> Array | float:
+        """(K,) effort of effects that a joint's columns of bodies have in them; 0 for none.
+
+        Args:
+            joint: The joint.
+            blocks: Columns of the effects.
+        """
+        effect = self._felt[1]
+        if effect is None or joint not in blocks[effect]:
+            return 0.0
+        return np.asarray(blocks[effect][joint] @ effect.in_bodies)
 
     @cached_property
     def origin(self) -> Hashable:
@@ -116,6 +142,8 @@ class Layout:
         robot, inertial = carrying(self.model, trajectory.payloads), dict[int, Array]()
         if INERTIA in parts:
             inertial, load = self._inertial_at(motion, robot.total_phi.ravel())
+        elif load is None:
+            load = inverse_dynamics(self.tree, motion.q, motion.v, motion.vd, robot.total_phi)
         seen = robot.motion(motion, sign_width=self.sign_width, load=load)
         seen = replace(seen, log=log_number(trajectory.name))
         effects = tuple(part for part in parts if isinstance(part, Effect))
@@ -133,7 +161,7 @@ class Layout:
         """Inertial columns of every joint, and the efforts (N, nv) for φ (10 nb,)."""
         places, ends = self._inertial
         rows, load = np.empty((len(motion), len(places))), np.empty(motion.v.shape)
-        for part, Y in regressor_pieces(self.model.tree, motion.q, motion.v, motion.vd):
+        for part, Y in regressor_pieces(self.tree, motion.q, motion.v, motion.vd):
             np.matmul(Y, phi, out=load[part])
             flat = Y.reshape(len(Y), -1)
             np.take(flat, places, axis=1, out=rows[part], mode="clip")  # (checked modes copy)
@@ -163,7 +191,7 @@ class LogSlice:
     def rows(self, shared: SharedRows) -> list[JointRows]:
         """Filtered rows of every joint; `shared` is used and filled."""
         motion, columns = self._motion_rows(shared), self._columns(shared)
-        efforts, carried = self._efforts(shared), self._carried(columns[0])
+        efforts, carried = self._efforts(shared), self._carried(columns)
         time = motion[-1]
         return [
             JointRows(
@@ -228,25 +256,30 @@ class LogSlice:
             columns.append(found[0])
         return np.stack(columns, -1)
 
-    def _carried(self, inertial: Blocks) -> list[Array]:
-        """Per joint (K,) filtered effort that the log's known payloads need."""
+    def _carried(self, blocks: Sequence[Blocks]) -> list[Array]:
+        """Per joint (K,) filtered effort beside what is fitted: of the log's known payloads.
+
+        It is less by what the columns of bodies have in them of effects that have their own.
+        """
         phi, layout = carried_phi(self.layout.model, self.trajectory.payloads).ravel(), self.layout
+        found = dict(zip(layout.parts, blocks, strict=True))
+        effects = {part: own for part, own in found.items() if isinstance(part, Effect)}
         return [
-            inertial[j] @ phi[columns[columns < phi.size]]
+            found[INERTIA][j] @ phi[columns[columns < phi.size]] - layout.in_bodies(j, effects)
             for j, columns in enumerate(layout.columns)
         ]
 
     def _columns(self, shared: SharedRows) -> list[Blocks]:
         """Filtered columns of all parts of the layout."""
-        layout = self.layout
+        layout, gravity = self.layout, self.layout.tree.gravity.tobytes()
         keys = {
-            part: (part, self.place, None if part == INERTIA else layout.origin)
+            part: (part, self.place, gravity if part == INERTIA else layout.origin)
             for part in layout.parts
         }
         found = {part: shared.get(key) for part, key in keys.items()}
         missing = [part for part, blocks in found.items() if blocks is None]
         if missing:
-            key = ("load", self.place, layout.model.total_phi.tobytes())
+            key = ("load", self.place, layout.model.total_phi.tobytes(), gravity)
             known = shared.get(key)
             motion, load = self._motion(shared), None if known is None else known[0]
             new, load = layout.evaluate(motion, self.trajectory, missing, load)
@@ -314,9 +347,21 @@ def _probe(model: RobotModel, samples: int) -> Motion:
     return Motion(q, random.normal(size=(samples, nv)), random.normal(size=(samples, nv)))
 
 
-def _inertial_structure(model: RobotModel) -> NDArray[np.bool_]:
+def _felt(model: RobotModel, effects: Sequence[Effect]) -> tuple[RobotTree, Effect | None]:
+    """The tree under the gravity that bodies feel beside effects, and that which changes it.
+
+    Where columns are exact about two places, they are so about the latter.
+    """
+    for effect in reversed(effects):
+        gravity = effect.gravity_of_bodies(model.tree.gravity)
+        if gravity is not None:
+            return with_gravity(model.tree, gravity), effect
+    return model.tree, None
+
+
+def _inertial_structure(model: RobotModel, tree: RobotTree) -> NDArray[np.bool_]:
     """(nv, 10·nb) whether an inertial parameter can matter at a joint."""
     motion = _probe(model, 7)
-    regressor = inverse_dynamics_regressor(model.tree, motion.q, motion.v, motion.vd)
+    regressor = inverse_dynamics_regressor(tree, motion.q, motion.v, motion.vd)
     size = np.abs(regressor).max(axis=0)
     return size > 1e-12 * size.max(initial=1e-300)

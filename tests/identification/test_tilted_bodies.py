@@ -1,0 +1,98 @@
+"""Bodies on a slope: their columns and those of the slope are exact together, by Pinocchio."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from pinocchio_logs import MODELS, perturbed, robot
+
+from geodrake import load_model
+from geodrake.effects import GravityTilt, ViscousFriction
+from geodrake.identification.logs.log_slices import INERTIA, Layout
+from geodrake.logs.motion import Motion
+
+ARM = load_model(MODELS / "arm6.urdf")
+NV = len(ARM.joints)
+ORDER = [0, 1, 2, 3, 4, 6, 9, 5, 8, 7]  # of Pinocchio's xx, xy, yy, xz, yz, zz among ours
+
+
+def leaning(model, angles):
+    """A robot whose base is turned by a rotation vector about x and y."""
+    turned = pin.Model(model)
+    turned.gravity.linear = pin.exp3(np.array([*angles, 0.0])).T @ np.array([0.0, 0.0, -9.81])
+    return turned
+
+
+def parameters(model):
+    """(10 nb,) φ of Pinocchio's bodies, in the model's order."""
+    bodies = [model.inertias[i].toDynamicParameters()[ORDER] for i in range(1, model.njoints)]
+    return np.concatenate(bodies)
+
+
+def columns(effects, motion):
+    """Per joint, columns (N, p) of bodies and effects, and what the former have of the latter."""
+    layout = Layout.of(ARM, effects, np.ones(NV), np.zeros(NV))
+    log = SimpleNamespace(payloads=(), name="a")
+    found, load = layout.evaluate(motion, log, layout.parts)
+    parts = dict(zip(layout.parts, found, strict=True))
+    inertial = parts.pop(INERTIA)
+    held = [layout.in_bodies(j, parts) for j in range(NV)]
+    return layout, inertial, parts, held, load
+
+
+@pytest.mark.parametrize("angles", [(0.03, -0.05), (0.4, 0.0), (-0.7, 1.1)])
+def test_efforts_of_any_bodies_are_exact_at_the_slope(angles):
+    rng = np.random.default_rng(4)
+    q, v, vd = rng.normal(size=(3, 20, NV))
+    truth = perturbed(robot("arm6"), rng, 0.4)
+    turned = leaning(truth, angles)
+    data = turned.createData()
+    wanted = [pin.rnea(turned, data, *sample) for sample in zip(q, v, vd, strict=True)]
+    tilt = GravityTilt(about_x=angles[0], about_y=angles[1])
+    layout, inertial, parts, held, _ = columns((tilt,), Motion(q, v, vd))
+    phi = parameters(truth)
+    found = np.empty_like(q)
+    for j, own in enumerate(layout.columns):
+        bodies = inertial[j] @ phi[own[own < phi.size]]
+        found[:, j] = bodies - held[j] + parts[tilt][j] @ np.array(angles)
+    np.testing.assert_allclose(found, wanted, atol=1e-9 * np.abs(wanted).max())
+
+
+def test_the_load_is_that_of_the_tilted_robot():
+    rng = np.random.default_rng(5)
+    q, v, vd = rng.normal(size=(3, 20, NV))
+    turned = leaning(robot("arm6"), (0.2, 0.1))
+    data = turned.createData()
+    wanted = [pin.rnea(turned, data, *sample) for sample in zip(q, v, vd, strict=True)]
+    tilt = GravityTilt(about_x=0.2, about_y=0.1)
+    *_, load = columns((tilt,), Motion(q, v, vd))
+    np.testing.assert_allclose(load, wanted, atol=1e-9 * np.abs(wanted).max())
+    layout = Layout.of(ARM, (tilt,), np.ones(NV), np.zeros(NV))
+    log = SimpleNamespace(payloads=(), name="a")
+    _, again = layout.evaluate(Motion(q, v, vd), log, [tilt])
+    np.testing.assert_allclose(again, load, atol=1e-9 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("effects", [(), (GravityTilt(), ViscousFriction(ARM.joints[0]))])
+def test_a_level_base_changes_nothing(effects):
+    q, v, vd = np.random.default_rng(6).normal(size=(3, 5, NV))
+    layout, inertial, _, held, _ = columns(effects, Motion(q, v, vd))
+    plain, alone, *_ = columns((), Motion(q, v, vd))
+    assert layout.tree is ARM.tree
+    assert held == [0.0] * NV
+    for j in range(NV):
+        np.testing.assert_array_equal(inertial[j], alone[j])
+        width = ARM.phi.size
+        own = layout.columns[j]
+        np.testing.assert_array_equal(own[own < width], plain.columns[j])
+
+
+def test_the_column_of_a_vertical_axis_shows_on_a_slope():
+    """Its moment across that axis, which a level base hides."""
+    level = Layout.of(ARM, (), np.ones(NV), np.zeros(NV)).columns[0]
+    tilt = GravityTilt(about_x=0.03, about_y=-0.05)
+    sloped = Layout.of(ARM, (tilt,), np.ones(NV), np.zeros(NV)).columns[0]
+    hidden = {1, 2}  # hx and hy of the first body
+    assert not hidden & set(level.tolist())
+    assert hidden <= set(sloped.tolist())
