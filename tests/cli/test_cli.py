@@ -119,6 +119,7 @@ def test_add_takes_a_place_and_a_saved_model(log, tmp_path):
     )
 
 
+@pytest.mark.thorough
 def test_calibrated_torque_sensors_leave_what_is_unexplained(log, tmp_path):
     numbers = tmp_path / "found.json"
     arguments = ("add", "coulomb_friction", MODEL, log, "--where", "elbow", "--json", numbers)
@@ -215,6 +216,7 @@ def test_version_and_help():
         assert geodrake_command(command, "--help").exit_code == 0
 
 
+@pytest.mark.thorough
 def test_a_terminal_of_80_columns_is_wide_enough(log):
     model = load_model(MODEL)
     screen = io.StringIO()

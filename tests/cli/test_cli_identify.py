@@ -188,6 +188,7 @@ def test_every_regularizer_knows_friction_to_within_its_size(log):
         np.testing.assert_allclose(firm / regularizer_scale(fits.prior, name) * own, 0.01)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("regularizer", ["pullback", "euclidean", "riemannian"])
 def test_other_regularizers(log, regularizer):
     result = identify(

@@ -177,6 +177,7 @@ def test_all_messages_dropped_for_a_tenth_of_a_second(kind):
     assert error[-20:].max() < 0.06
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["filtered", pytest.param("varying", marks=pytest.mark.thorough)])
 def test_noise_of_velocity(kind):
     _, logs = run(controller(kind), 1.5, sensor=FaultySensor(4, noisy(1e-4, 0.05)))

@@ -197,6 +197,7 @@ def test_reports_say_what_the_model_was_under(arm):
     )
 
 
+@pytest.mark.thorough
 def test_models_on_the_way_have_their_motions(arm):
     """Servos are known, and what the joints have beside them is added bit by bit."""
     log, model = arm

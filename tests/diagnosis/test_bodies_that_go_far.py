@@ -72,6 +72,7 @@ def test_effects_that_explain_as_much_are_the_answer(seed):
     assert end.looseness <= 1.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_body_that_is_another_one_goes_there(seed):
     end = found(seed, heavy)

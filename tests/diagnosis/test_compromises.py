@@ -28,6 +28,7 @@ def steps_of(name, *logs):
     return {step.effect: step for step in explain(model_file(name), logs).steps}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("pace", [0.6, pytest.param(0.08, marks=pytest.mark.thorough)])
 def test_rotor_that_turns_with_the_difference_of_two_joints(pace):
     """It turns with each joint too: alone, none of its three entries explains much."""

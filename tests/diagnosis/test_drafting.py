@@ -227,6 +227,7 @@ def test_screen_agrees_with_cross_validation():
         np.testing.assert_allclose(after[:, k], exact.sse[:, j], rtol=1e-4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("law", "words"),
     [

@@ -26,6 +26,7 @@ def bump(time, start, stop):
     return q, v, np.gradient(v, time)
 
 
+@pytest.mark.thorough
 def test_logs_of_different_clocks(model):
     slow = pendulum_log(3, friction((0.5, 0.2)), rate=100.0)
     off = pendulum_log(4, friction((0.5, 0.2)), rate=200.0)

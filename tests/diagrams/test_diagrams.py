@@ -1,7 +1,7 @@
 """Every script in `diagrams/` runs, shortened, and writes its numbers and figures.
 
-One script runs as a user starts it, in a process of its own with further ones for its draws. The
-others are called in this process, without a second start of Python and Drake.
+One script runs as a user starts it, in a process of its own, and thoroughly with further ones for
+its draws. The others are called in this process, without a second start of Python and Drake.
 """
 
 import hashlib
@@ -25,6 +25,7 @@ LONG = {  # whose parts are tested elsewhere, too
     "long_log",
     "online_payload",
     "pages_and_exports",
+    "readme_figures",
     "real_robots",
     "scara_excitation",
     "servo_gains",
@@ -157,7 +158,7 @@ def test_script(name, tmp_path):
     table, figures = tmp_path / "table.json", tmp_path / "figures"
     arguments = ("--quick", "--seed", 3, "--json", table, "--figures", figures)
     if name == APART:
-        done = start(name, *arguments)
+        done = start(name, *arguments, "--jobs", 1)
         assert done.returncode == 0, done.stderr
     else:
         in_jobs = "run_draws" in (FOLDER / f"{name}.py").read_text(encoding="utf-8")
@@ -167,6 +168,17 @@ def test_script(name, tmp_path):
     if name in SHOWS:
         SHOWS[name](found)
     assert list(figures.glob("*.png"))
+
+
+@pytest.mark.thorough
+def test_draws_are_the_same_in_processes_of_their_own(tmp_path):
+    tables = []
+    for jobs in (1, 2):
+        path = tmp_path / f"{jobs}.json"
+        done = start(APART, "--quick", "--seed", 3, "--jobs", jobs, "--json", path)
+        assert done.returncode == 0, done.stderr
+        tables.append(json.loads(path.read_text(encoding="utf-8"))["rows"])
+    assert tables[0] == tables[1]
 
 
 @pytest.mark.parametrize("name", MEASUREMENTS)

@@ -11,7 +11,7 @@ from geodrake.errors import ArgumentError
 CALLS = good_calls()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", CALLS)
 def test_good_call(name):
     call = CALLS[name]
@@ -19,7 +19,7 @@ def test_good_call(name):
     assert end == "accepted", told
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("name", CALLS)
 def test_wrong_calls(name):
     wrong = [str(outcome) for outcome in outcomes(name, CALLS[name]) if outcome.end not in HELD]

@@ -1126,7 +1126,7 @@ PACKAGES = [
 ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize(
     "row", [*IN_URDF, *IN_SDF, *IN_MJCF, *IN_DIRECTIVES, *PATHS, *PACKAGES], ids=str
 )

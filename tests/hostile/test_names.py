@@ -142,14 +142,14 @@ WRONG_ROWS = [
 ]
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("row", LOG_ROWS + WRONG_ROWS, ids=str)
 def test_row(row, tmp_path, monkeypatch):
     row.check(tmp_path, monkeypatch)
     assert not (tmp_path / "PWNED").exists()
 
 
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(5)
 @pytest.mark.parametrize("whats", list(zip_longest(*[iter(IN_XML)] * 2)), ids=str)
 def test_joints_of_any_names_are_compared_saved_and_read_again(whats, tmp_path, monkeypatch):
     names = IN_XML[whats[0]], IN_XML.get(whats[1], "elbow")

@@ -23,7 +23,7 @@ from geodrake.inertia import is_physical
 QUICK = [n for n in range(44) if random_program(1, n).solver != "csdp"]  # which takes its time
 
 
-@pytest.mark.sampled(4)
+@pytest.mark.sampled(8)
 @pytest.mark.parametrize("number", QUICK)
 def test_random_program(number):
     outcome = run(1, number, compare=False)

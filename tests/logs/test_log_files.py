@@ -173,6 +173,7 @@ def test_failed_write_leaves_nothing(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["folder.csv", "log.csv"]
 
 
+@pytest.mark.thorough
 def test_large_files_are_fast(tmp_path):
     table = np.random.default_rng(0).standard_normal((45_000, 12))
     names = tuple(f"joint_{k}" for k in range(6))

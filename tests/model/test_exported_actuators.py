@@ -235,6 +235,7 @@ def theirs(compiled, command, end, samples=None):
     return data.qpos.copy()
 
 
+@pytest.mark.thorough
 def test_a_late_servo_in_mujoco_moves_as_ours(tmp_path):
     model, end = loaded(tmp_path, text=URDF), 0.25
     effects = [FittedEffect(RotorInertia(joint), np.array([0.05])) for joint in "ab"]

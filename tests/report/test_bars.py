@@ -93,6 +93,7 @@ def test_numbers_beside_an_axis_are_round(low, high, most, values):
     np.testing.assert_allclose(found, values, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_pages_need_no_matplotlib():
     code = (
         "import sys; from geodrake.report import render_explained, render_comparison;"
