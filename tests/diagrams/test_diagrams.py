@@ -172,12 +172,14 @@ def test_script(name, tmp_path):
 
 @pytest.mark.thorough
 def test_draws_are_the_same_in_processes_of_their_own(tmp_path):
+    """All but the time that each takes."""
     tables = []
     for jobs in (1, 2):
         path = tmp_path / f"{jobs}.json"
         done = start(APART, "--quick", "--seed", 3, "--jobs", jobs, "--json", path)
         assert done.returncode == 0, done.stderr
-        tables.append(json.loads(path.read_text(encoding="utf-8"))["rows"])
+        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+        tables.append([{k: v for k, v in row.items() if k != "seconds"} for row in rows])
     assert tables[0] == tables[1]
 
 

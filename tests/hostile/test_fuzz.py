@@ -1,4 +1,4 @@
-"""The quick form of the fuzzer: its long run is `python tests/hostile/fuzz.py`."""
+"""The fuzzer on two kinds of files; thoroughly its quick form. Its long run is a script's."""
 
 import json
 
@@ -8,7 +8,11 @@ from fuzz import main
 
 @pytest.mark.parametrize(
     ("cases", "options"),
-    [(16, ["--quick"]), pytest.param(40, ["--cases", "40"], marks=pytest.mark.thorough)],
+    [
+        (8, ["--cases", "8", "--kind", "CSV log", "--kind", "URDF"]),
+        pytest.param(16, ["--quick"], marks=pytest.mark.thorough),
+        pytest.param(40, ["--cases", "40"], marks=pytest.mark.thorough),
+    ],
 )
 def test_nothing_breaks(cases, options, tmp_path, capsys):
     target, broken = tmp_path / "fuzz.json", tmp_path / "broken"
