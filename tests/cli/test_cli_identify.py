@@ -209,6 +209,7 @@ def test_other_regularizers(log, regularizer):
     assert numbers["error"]["end_nrms"] < 0.3
 
 
+@pytest.mark.thorough
 def test_compare_meets_one_residual(log):
     result = identify(
         MODEL, log, "--effects", FRICTIONS, "--gamma", "10", "--compare", "--json", "-"

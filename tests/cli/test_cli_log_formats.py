@@ -173,6 +173,7 @@ def test_packages_that_are_not_installed(tmp_path, monkeypatch, module, extra, n
     assert f'pip install "geodrake[{extra}]"' in refused("compare", PENDULUM, tmp_path / name)
 
 
+@pytest.mark.thorough
 def test_topic_and_episode_are_chosen_by_options(tmp_path):
     log = small_log(900)
     double = JointLog("log", log.joints, log.time, log.position, 2 * log.effort, log.velocity)

@@ -236,6 +236,7 @@ def dragged(joint, point, drag):
 
 
 class TestAerodynamicDrag:
+    @pytest.mark.thorough
     @pytest.mark.parametrize("seed", SEEDS)
     @pytest.mark.parametrize(
         ("joint", "body", "point", "size"),

@@ -56,6 +56,7 @@ def test_a_log_with_a_contact_keeps_its_bandwidth():
 
 
 class TestPlay:
+    @pytest.mark.thorough
     @pytest.mark.parametrize(
         "more",
         [

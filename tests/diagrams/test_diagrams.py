@@ -20,6 +20,7 @@ from geodrake.logs.files import read_log
 APART = "computed_torque_or_passivity"
 LONG = {  # whose parts are tested elsewhere, too
     "ambidex_sandbags",
+    "criteria_worth",
     "hidden_effects",
     "iiwa_excitation",
     "long_log",

@@ -191,6 +191,7 @@ def test_pages_of_any_names(what, tmp_path, monkeypatch):
     assert html_text(name).replace("&quot;", "&#34;").replace("&#x27;", "&#39;") in page
 
 
+@pytest.mark.thorough
 def test_a_drafted_effect_of_any_name_runs_nothing(tmp_path, monkeypatch):
     """The whole way: a formula is searched, written, and used in another run."""
     log = f"{IN_FILES['colours']}{IN_FILES['a line end']}.csv"

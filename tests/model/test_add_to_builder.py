@@ -167,6 +167,7 @@ def run():
 
 
 class TestMotion:
+    @pytest.mark.thorough
     def test_needed_efforts_make_the_motion(self, run):
         _, _, q, _, state, _ = run
         assert np.abs(state[:, :6] - q).max() < 5e-3
