@@ -41,7 +41,7 @@ from geodrake.report import style
 REGULARIZERS = ("euclidean", "point_mass_euclidean", "pullback", "entropic", "riemannian")
 BASELINE = 1e-2
 ALPHAS, QUICK_ALPHAS = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0), (1e-2, 1.0)
-POINTS, QUICK_POINTS = 1351, 400
+POINTS, QUICK_POINTS = 1351, 240
 BLOCKS, QUICK_BLOCKS = 11, 3
 GAP = 5  # steps beside a block
 

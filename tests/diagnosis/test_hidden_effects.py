@@ -261,40 +261,15 @@ PINOCCHIO = {
 }
 
 
-SIMPLER = (
-    "viscous",
-    "coulomb",
-    "coulomb and viscous",
-    "coulomb at both",
-    "spring",
-    "pendulum's spring",
-    "coulomb and viscous at all",
-    "payload",
-    "payload of seven joints",
-    "asymmetric",
-    "offset",
-    "rotor",
-    "load",
-    "belt",
-    "load and belt",
-    "late efforts",
-    "late elbow",
-    "two late joints",
-)
-"""Cases that others contain, here, in test_hidden_forces.py or in the benchmark's tests."""
-
-
 AS_LIKELY = {  # bodies that are off hide the part that is constant
     (case, 2): {"asymmetric_friction": "coulomb_friction"}
     for case in ("asymmetric", "asymmetric, offset and rotor")
 }
 
 
-@pytest.mark.parametrize("seed", seeds(1, 2))
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(c, marks=pytest.mark.thorough) if c in SIMPLER else c for c in PINOCCHIO],
-)
+@pytest.mark.thorough  # one by one they are in test_hidden_forces.py and in the benchmark's tests
+@pytest.mark.parametrize("seed", (1, 2))
+@pytest.mark.parametrize("case", PINOCCHIO)
 def test_pinocchio_with_bodies_off(case, seed):
     name, hidden, expected = PINOCCHIO[case]
     rng, file = np.random.default_rng(seed), robot(name)

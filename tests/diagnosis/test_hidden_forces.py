@@ -411,8 +411,9 @@ class TestEffortScale:
 
     @pytest.mark.parametrize(
         ("joint", "name"),
-        [pytest.param(1, "shoulder_pitch", marks=pytest.mark.thorough), (4, "wrist_pitch")],
+        [(1, "shoulder_pitch"), (4, "wrist_pitch")],
     )
+    @pytest.mark.thorough
     def test_found(self, known, joint, name):
         def hidden(seen):
             effort = rubbing(seen)

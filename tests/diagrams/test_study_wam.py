@@ -148,9 +148,10 @@ class TestFullAdaptation:
 
 @pytest.fixture(scope="module")
 def loaded():
-    """Rows of all laws by name, with the source's speeds."""
+    """Rows of three laws by name, with the source's speeds."""
     speed = {laws.NONE: 1.0, **gains.speeds("payload", "source")}
-    draws = [payload.Draw("ellipsoid 2", law, speed[law], 1, 3.0) for law in laws.LAWS]
+    some = (laws.NONE, laws.PULLBACK, laws.NATURAL)
+    draws = [payload.Draw("ellipsoid 2", law, speed[law], 1, 3.0) for law in some]
     return {draw.law: payload.run_draw(draw, seed=0) for draw in draws}
 
 
@@ -158,7 +159,7 @@ class TestPayload:
     def test_natural_finds_the_load(self, loaded):
         assert loaded[laws.NATURAL]["mass"] == pytest.approx(3.0, abs=0.3)
         assert loaded[laws.NONE]["mass"] == pytest.approx(1.0)
-        for law in (laws.NONE, laws.EUCLIDEAN, laws.PULLBACK):
+        for law in (laws.NONE, laws.PULLBACK):
             assert loaded[laws.NATURAL]["rms"] < 0.8 * loaded[law]["rms"]
 
     def test_natural_stays_physical(self, loaded):

@@ -26,6 +26,7 @@ README = TESTS.parent / "README.md"
 EFFECTS = PACKAGE / "effects"
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if EFFECTS not in path.parents)
 NAMES = {effect.name for effect in catalogue()}
+LONG_NAMES = re.compile(rf"\b(?:{'|'.join(sorted(name for name in NAMES if '_' in name))})\b")
 CLASSES = {effect.__name__ for effect in catalogue()}
 
 ALLOWED = {
@@ -47,8 +48,7 @@ def docstrings(tree):
 
 def names_in(text):
     """Names of effects in a string; those of one word are words of the language too."""
-    found = {name for name in NAMES if "_" in name and re.search(rf"\b{name}\b", text)}
-    return found | ({text} & NAMES)
+    return {*LONG_NAMES.findall(text)} | ({text} & NAMES)
 
 
 def mentions(path):

@@ -9,7 +9,7 @@ from fuzz import main
 @pytest.mark.parametrize(
     ("cases", "options"),
     [
-        (8, ["--cases", "8", "--kind", "CSV log", "--kind", "URDF"]),
+        (4, ["--cases", "4", "--kind", "CSV log", "--kind", "URDF"]),
         pytest.param(16, ["--quick"], marks=pytest.mark.thorough),
         pytest.param(40, ["--cases", "40"], marks=pytest.mark.thorough),
     ],
