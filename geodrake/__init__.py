@@ -17,6 +17,7 @@ _PACKAGES = (
     "model",
     "identification",
     "diagnosis",
+    "fleet",
     "excitation",
     "control",
     "report",

@@ -45,6 +45,10 @@ class ConvergenceError(GeodrakeError):
     """An iteration did not reach its tolerance."""
 
 
+class DigestError(GeodrakeError):
+    """A digest or its settings cannot be read, or do not fit others."""
+
+
 class OutputError(GeodrakeError):
     """A result cannot be written where it was asked for."""
 

@@ -67,6 +67,8 @@ class JointLog(Short):
             none.
         effort_kinds: Joint -> what its efforts are, of `EFFORT_KINDS`; efforts where it is none.
         temperature: (N, n) temperatures of motors or gears, °C; NaN at joints that have none.
+        origin: Since when time is, ns since 1970, where the file has dates; None if it is not
+            known, or time itself is since 1970.
 
     Raises:
         ArgumentError: If the shapes do not fit together, or a joint is named twice.
@@ -87,6 +89,7 @@ class JointLog(Short):
     command: Array | None = None
     effort_kinds: Mapping[str, str] = field(default_factory=dict)
     temperature: Array | None = None
+    origin: int | None = None
 
     def __post_init__(self) -> None:
         for share in np.ravel(np.asarray(self.effort_uncertainty, object)):

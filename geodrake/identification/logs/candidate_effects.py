@@ -28,6 +28,7 @@ def candidate_effects(
     extra: Sequence[type[Effect]] = (),
     *,
     known_gains: Collection[str] = (),
+    speeds: Array | None = None,
 ) -> tuple[Effect, ...]:
     """All instances of the catalogue's effects, and of a user's own, that a robot can have.
 
@@ -41,10 +42,12 @@ def candidate_effects(
         extra: Further effect classes.
         known_gains: Joints at which known payloads take the place of known inertias, as
             `joints_with_known_gain` gives them.
+        speeds: (nv,) peak speeds, rad/s or m/s; by default those of the logs.
     """
+    peaks = peak_speeds(trajectories) if speeds is None else speeds
     single = [joint for joint in model.joints if joint in model.single_joints]
     known = [joint for joint in single if joint in known_gains]
-    speed = dict(zip(model.joints, peak_speeds(trajectories).tolist(), strict=True))
+    speed = dict(zip(model.joints, peaks.tolist(), strict=True))
     temperatures = mean_temperatures(trajectories)
     found: list[Effect] = []
     for effect in (*catalogue(), *extra):

@@ -86,6 +86,9 @@ class JointData:
         samples: (F,) rows behind each factor.
         rows: Per fold, the kept rows of each of its blocks.
         carried: (F, p_j) products Aᵀc with the effort c that b is without.
+        seen: (F,) rows before those were left out at which the joint stands still.
+        effort_sums: (F, 2) sums of the measured efforts, and of their squares.
+        peaks: (p_j,) largest size of every column in the kept rows.
     """
 
     columns: Indices
@@ -93,6 +96,9 @@ class JointData:
     samples: NDArray[np.int_]
     rows: tuple[tuple[JointRows, ...], ...]
     carried: Array
+    seen: NDArray[np.int_]
+    effort_sums: Array
+    peaks: Array
 
     @property
     def grams(self) -> Array:
@@ -126,6 +132,11 @@ class JointData:
         """
         size = self.factors.shape[2] + 1
         return self._entries.take((left % size)[:, None] * size + right % size, axis=0)
+
+    @property
+    def still(self) -> float:
+        """Share of the rows left out because the joint stands still."""
+        return float(1.0 - self.samples.sum() / self.seen.sum())
 
     def parameters(self, columns: Indices, x: Array) -> Array:
         """(F, p_j) parameters of the columns of this joint.
@@ -222,9 +233,7 @@ class Dataset(Short):
         """(p,) largest value of every column, over the effort's deviation, at any joint."""
         peak = np.zeros(self._width)
         for data, std in zip(self.data, self.effort_std, strict=True):
-            blocks = [rows.A for fold in data.rows for rows in fold if len(rows.A)]
-            largest = np.max([np.abs(A).max(axis=0) for A in blocks], axis=0) / std
-            peak[data.columns] = np.maximum(peak[data.columns], largest)
+            peak[data.columns] = np.maximum(peak[data.columns], data.peaks / std)
         return peak
 
     def delay_of_each(self, delay: Delay) -> tuple[int, ...]:

@@ -21,6 +21,7 @@ from geodrake.logs.motion import MEMORY, Motion, Trajectory
 from geodrake.logs.smoothing import SPLINE_REACH, Segment, Stretch
 from geodrake.model.carried_payloads import carried_phi, carrying
 from geodrake.model.robot_model import RobotModel
+from geodrake.robot.base_parameters import BaseParameters
 from geodrake.robot.driven_tree import RobotTree, with_gravity
 from geodrake.robot.regressor import (
     inverse_dynamics,
@@ -52,6 +53,8 @@ class Layout:
         sign_width: (nv,) speed below which the direction of motion is not known.
         still_speed: (nv,) speed below which a joint counts as at rest.
         columns: Per joint, the global indices of its columns.
+        base: Combinations of inertial parameters that take the place of all of them, if columns
+            are to be no more than a robot can show; see `over_base`.
     """
 
     model: RobotModel
@@ -59,6 +62,7 @@ class Layout:
     sign_width: Array
     still_speed: Array
     columns: tuple[Indices, ...]
+    base: BaseParameters | None = None
 
     @classmethod
     def of(
@@ -84,6 +88,27 @@ class Layout:
                 columns[joint].append(indices)
         joined = tuple(np.concatenate(c) for c in columns)
         return cls(model, effects, sign_width, still_speed, joined)
+
+    def over_base(self, base: BaseParameters) -> Layout:
+        """The layout with the columns of a robot's base parameters alone, which say the same.
+
+        Y φ = Y_B (B φ), and Y_B are some of the columns of Y.
+
+        Args:
+            base: The base parameters of `tree`.
+        """
+        bodies = np.arange(self.model.phi.size)
+        gone = np.setdiff1d(bodies, base.independent)
+        kept = tuple(np.setdiff1d(columns, gone) for columns in self.columns)
+        return replace(self, columns=kept, base=base)
+
+    def seen(self, phi: Array) -> Array:
+        """(10·nb,) inertial parameters of which the columns alone make the efforts of φ."""
+        if self.base is None:
+            return phi
+        parameters = np.zeros_like(phi)
+        parameters[self.base.independent] = self.base.matrix @ phi
+        return parameters
 
     @cached_property
     def parts(self) -> tuple[Effect | str, ...]:
@@ -261,7 +286,8 @@ class LogSlice:
 
         It is less by what the columns of bodies have in them of effects that have their own.
         """
-        phi, layout = carried_phi(self.layout.model, self.trajectory.payloads).ravel(), self.layout
+        layout = self.layout
+        phi = layout.seen(carried_phi(layout.model, self.trajectory.payloads).ravel())
         found = dict(zip(layout.parts, blocks, strict=True))
         effects = {part: own for part, own in found.items() if isinstance(part, Effect)}
         return [

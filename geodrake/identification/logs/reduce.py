@@ -5,19 +5,21 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geodrake.effects.base import Effect
 from geodrake.errors import LogError
-from geodrake.identification.logs.dataset import Dataset, JointData, JointRows
+from geodrake.identification.logs.dataset import Dataset, Indices, JointData, JointRows
 from geodrake.identification.logs.log_slices import Layout, LogSlice
 from geodrake.identification.logs.noise import noise_floor
 from geodrake.identification.logs.shared_rows import SharedRows
 from geodrake.identification.logs.unknowns import payload_reference
 from geodrake.inertia import PARAMETERS_PER_BODY
 from geodrake.logs.folds import Block, Fold
+from geodrake.logs.known_payload import KnownPayload
 from geodrake.logs.motion import Trajectory
 from geodrake.logs.smoothing import CHUNK
 from geodrake.model.carried_payloads import joints_with_known_gain
@@ -80,9 +82,45 @@ def reduce_logs(
         LogError: The effort of a joint never changes, or a joint moves for a moment only.
     """
     effects = tuple(e for e in dict.fromkeys(effects) if e.parameters)
-    layout, shared = _layout(model, effects, trajectories), shared or SharedRows(0)
+    layout = _layout(model, effects, trajectories)
     further = np.array([np.broadcast_to(delay, len(model.joints)) for delay in delays])
-    advance = list(further + model.delays)
+    data = reduced_joints(layout, trajectories, folds, list(further + model.delays), shared)
+    return Dataset(
+        model.joints,
+        model.bodies,
+        effects,
+        further,
+        tuple(fold.name for fold in folds),
+        tuple(trajectory.name for trajectory in trajectories),
+        data,
+        _effort_deviation(model.joints, data),
+        noise_floor(trajectories, model, sign_width=layout.sign_width, fitted=fitted)
+        if floor is None
+        else floor,
+        trajectories[0].filter.bandwidth,
+        np.array([joint.still for joint in data]),
+        payload_reference(model.phi),
+        gain_uncertainty(model, trajectories),
+    )
+
+
+def reduced_joints(
+    layout: Layout,
+    trajectories: Sequence[Trajectory],
+    folds: Sequence[Fold],
+    advance: Sequence[Array],
+    shared: SharedRows | None = None,
+) -> tuple[JointData, ...]:
+    """What logs say about every joint, over the columns of a layout.
+
+    Args:
+        layout: The columns, and below which speeds joints rest. A joint may rest all the time.
+        trajectories: Prepared logs, joints in the model's order.
+        folds: Validation folds of the trajectories.
+        advance: (nv,) seconds by which the efforts were logged late, for each column of efforts.
+        shared: As in `reduce_logs`.
+    """
+    shared = SharedRows(0) if shared is None else shared
     boxes = [[_Box(len(c) + len(advance)) for _ in folds] for c in layout.columns]
     members: dict[tuple[int, int], list[tuple[int, Block]]] = defaultdict(list)
     for f, fold in enumerate(folds):
@@ -97,40 +135,49 @@ def reduce_logs(
                     for j, rows in enumerate(chunk):
                         boxes[j][f].seen += high - low
                         boxes[j][f].add(block, rows.part(low, high))
-    return Dataset(
-        model.joints,
-        model.bodies,
-        effects,
-        further,
-        tuple(fold.name for fold in folds),
-        tuple(trajectory.name for trajectory in trajectories),
-        tuple(
-            JointData(
-                columns,
-                _stacked([box.whole_factor() for box in joint]),
-                np.array([box.samples for box in joint]),
-                tuple(box.blocks() for box in joint),
-                np.array([box.carried[: len(columns)] for box in joint]),
-            )
-            for columns, joint in zip(layout.columns, boxes, strict=True)
-        ),
-        _effort_deviation(model.joints, boxes),
-        noise_floor(trajectories, model, sign_width=layout.sign_width, fitted=fitted)
-        if floor is None
-        else floor,
-        trajectories[0].filter.bandwidth,
-        np.array([1.0 - sum(b.samples for b in x) / sum(b.seen for b in x) for x in boxes]),
-        payload_reference(model.phi),
-        _gain_uncertainty(model, trajectories),
+    return tuple(
+        _joint_data(columns, joint) for columns, joint in zip(layout.columns, boxes, strict=True)
     )
 
 
-def _gain_uncertainty(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
-    """(nv,) how well the gains of the efforts are known; 0 where known payloads say them."""
-    payloads = [log.payloads for log in trajectories]
+def _joint_data(columns: Indices, boxes: Sequence[_Box]) -> JointData:
+    rows = tuple(box.blocks() for box in boxes)
+    kept = [np.abs(each.A).max(axis=0) for fold in rows for each in fold if len(each.A)]
+    return JointData(
+        columns,
+        _stacked([box.whole_factor() for box in boxes]),
+        np.array([box.samples for box in boxes]),
+        rows,
+        np.array([box.carried[: len(columns)] for box in boxes]),
+        np.array([box.seen for box in boxes]),
+        np.array([box.sums for box in boxes]),
+        np.max([np.zeros(len(columns)), *kept], axis=0),
+    )
+
+
+class HasGains(Protocol):
+    """A log, of which it is known how well the gains of its efforts are."""
+
+    @property
+    def payloads(self) -> tuple[KnownPayload, ...]:
+        """Known payloads that the robot carried."""
+
+    @property
+    def gain_deviations(self) -> Array | float:
+        """(n,) how well the gain of each joint's efforts is known."""
+
+
+def gain_uncertainty(model: RobotModel, logs: Sequence[HasGains]) -> Array:
+    """(nv,) how well the gains of the efforts are known; 0 where known payloads say them.
+
+    Args:
+        model: The model.
+        logs: The logs, prepared or digested.
+    """
+    payloads = [log.payloads for log in logs]
     known = joints_with_known_gain(model, payloads) if any(payloads) else ()
     largest = np.max(
-        [np.broadcast_to(log.gain_deviations, len(model.joints)) for log in trajectories], axis=0
+        [np.broadcast_to(log.gain_deviations, len(model.joints)) for log in logs], axis=0
     )
     return np.where(np.isin(model.joints, known), 0.0, largest)
 
@@ -152,8 +199,17 @@ def sign_widths(model: RobotModel, trajectories: Sequence[Trajectory]) -> Array:
         trajectories: Prepared logs.
     """
     noise = np.max([trajectory.speed_noise for trajectory in trajectories], axis=0)
-    least = np.maximum(LEAST_SIGN_WIDTH * peak_speeds(trajectories), SIGN_NOISE * noise)
-    return model.sign_widths(least)
+    return model.sign_widths(least_sign_widths(peak_speeds(trajectories), noise))
+
+
+def least_sign_widths(peaks: Array, noise: Array) -> Array:
+    """(nv,) speed below which the direction of motion is not known.
+
+    Args:
+        peaks: (nv,) peak speeds, rad/s or m/s.
+        noise: (nv,) deviation of the noise of velocities.
+    """
+    return np.maximum(LEAST_SIGN_WIDTH * peaks, SIGN_NOISE * noise)
 
 
 def _layout(
@@ -228,8 +284,8 @@ def _slices(
         first += outputs
 
 
-def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) -> Array:
-    count = np.array([sum(box.samples for box in joint) for joint in boxes])
+def _effort_deviation(joints: Sequence[str], data: Sequence[JointData]) -> Array:
+    count = np.array([joint.samples.sum() for joint in data])
     for joint, used in zip(joints, count.tolist(), strict=True):
         if not used:
             raise LogError(
@@ -238,7 +294,7 @@ def _effort_deviation(joints: Sequence[str], boxes: Sequence[Sequence[_Box]]) ->
                 advice="Record a log in which it moves, or always stands. Did its sensor jump?",
                 joint=joint,
             )
-    total, squares = np.array([np.sum([box.sums for box in joint], axis=0) for joint in boxes]).T
+    total, squares = np.array([joint.effort_sums.sum(axis=0) for joint in data]).T
     mean, power = total / count, squares / count
     deviation = np.sqrt(np.maximum(power - mean**2, 0.0))
     constant = deviation <= LEAST_DEVIATION * np.sqrt(power)

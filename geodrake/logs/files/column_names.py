@@ -57,6 +57,7 @@ class Columns:
         reading: How the user said that the file is to be read.
         standing: Further joints, of which there is the position alone.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
+        origin: Since when time is, ns since 1970, if that is known.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class Columns:
     reading: Reading = field(default_factory=Reading)
     standing: tuple[str, ...] = ()
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    origin: int | None = None
 
     @property
     def kinds(self) -> dict[str, str]:

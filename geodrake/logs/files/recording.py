@@ -119,6 +119,7 @@ class Recording:
             command=values.get("command"),
             effort_kinds=self.columns.kinds,
             temperature=values.get("temperature"),
+            origin=self.columns.origin,
         )
 
     def _place(self, joint: str, rows: int) -> float:

@@ -83,6 +83,7 @@ class _Understood:
         rate: Rows a second, Hz.
         own: Whether joints are those of geodrake's own names, of which none is left out unasked.
         others: Joint -> further columns that could be taken for its efforts, or in their place.
+        origin: Since when time is, ns since 1970, if that is known.
     """
 
     path: Path
@@ -93,6 +94,7 @@ class _Understood:
     rate: float | None
     own: frozenset[str]
     others: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    origin: int | None = None
 
     @classmethod
     def by_names(
@@ -173,8 +175,9 @@ class _Understood:
         if time is None or time.column not in origins:
             return self
         places = {**self.places, ("", "time"): Source(time.column, 1.0, unit_of("s", "time"))}
-        note = f"time is in s since {date_words(origins[time.column])}"
-        return replace(self, places=places, notes=(*self.notes, note))
+        origin = origins[time.column]
+        note = f"time is in s since {date_words(origin)}"
+        return replace(self, places=places, notes=(*self.notes, note), origin=origin)
 
     def joints(
         self, wanted: Sequence[str] | None, *, partial: bool
@@ -265,6 +268,7 @@ class _Understood:
             self.reading,
             tuple(standing),
             self.others,
+            self.origin,
         )
 
     def _having(self, *quantities: str) -> list[str]:

@@ -1,0 +1,311 @@
+"""Digests: what logs say, in a few normal matrices, over columns that all logs of a folder share.
+
+Of each joint j and block t of a log a digest has the triangular factor R of [A | b] with
+RᵀR = [A | b]ᵀ[A | b] = G_tj, where A are the filtered columns of (1) and b the filtered measured
+efforts, one for each delay; n_tj rows; and the autocovariance of what a fit leaves. Fits, changes
+from day to day and hierarchies of robots are small problems on these, and nobody goes back to
+samples. Digests of several logs are one digest: their blocks side by side.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import instances
+from geodrake.boundary.showing import Short
+from geodrake.errors import ArgumentError, DigestError
+from geodrake.fleet.settings import DigestColumn, DigestSettings
+from geodrake.logs.known_payload import KnownPayload
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_UNCORRELATED = 0.02  # autocorrelation from which on there is none
+
+
+@dataclass(frozen=True, eq=False)
+class JointDigest(Short):
+    """What B blocks say about one joint.
+
+    Attributes:
+        joint: Its name.
+        columns: (p_j,) which of the settings' p columns can be nonzero at this joint, ascending.
+        factors: (B, p_j + d, p_j + d) upper triangular factors R of [A | b], for d delays: in N·m
+            or N over the columns' units, and in N·m or N.
+        samples: (B,) rows behind each factor: filtered and decimated samples at which it moves.
+        seen: (B,) rows before those were left out at which the joint stands still.
+        effort_sums: (B, 2) sums of the measured efforts, and of their squares.
+        carried: (B, p_j) products Aᵀc with the effort c of known payloads, which b is without.
+        peaks: (p_j,) largest size of each column.
+        autocovariances: (B, lags) sums over rows of r_t r_{t+k} for k = 0, 1, …, where r is what
+            the model, refitted to the other blocks of the same log, leaves of this one.
+    """
+
+    joint: str
+    columns: Indices
+    factors: Array
+    samples: NDArray[np.int_]
+    seen: NDArray[np.int_]
+    effort_sums: Array
+    carried: Array
+    peaks: Array
+    autocovariances: Array
+
+    @property
+    def effective(self) -> float:
+        """Independent samples that the residual is worth: n / (1 + 2 Σ ρ_k); 0 of a joint at rest.
+
+        The autocorrelation ρ is that of all blocks, summed up to its first value below 0.02.
+        """
+        count, covariance = int(self.samples.sum()), self.autocovariances.sum(axis=0)
+        if not count or covariance[0] <= 0.0:
+            return float(count)
+        correlation = covariance[1:] / covariance[0]
+        counted = ~np.logical_or.accumulate(correlation < _UNCORRELATED)
+        return float(max(1.0, count / (1.0 + 2.0 * correlation[counted].sum())))
+
+    def normal_matrix(self, *, delay: int = 0, block: int | None = None) -> Array:
+        """(p_j + 1, p_j + 1) G = [A | b]ᵀ[A | b] over the columns of this joint.
+
+        Args:
+            delay: Index of the settings' delay by which b is advanced.
+            block: Index of a block; the sum over all of them if None.
+        """
+        kept = [*range(len(self.columns)), len(self.columns) + delay]
+        own = self.factors if block is None else self.factors[[block]]
+        rows = own[:, :, kept].reshape(-1, len(kept))
+        return np.asarray(rows.T @ rows)
+
+
+@dataclass(frozen=True, eq=False)
+class DigestedLog(Short):
+    """What is known of a log beside its normal matrices.
+
+    Attributes:
+        name: Its name.
+        content: SHA-256 of the bytes of its file.
+        fingerprint: Fingerprint of its measurements, as `JointLog.fingerprint`.
+        key: Name of its digest: hash of content, settings and known payloads.
+        date: When it began, s since 1970.
+        date_from: Where the date is from: `stamps`, `option` or `file`, which is when the file was
+            changed last.
+        seconds: Its length, s.
+        period: Time between its samples, s.
+        bandwidth: Bandwidth of the filter that its period allows, nearest to the settings', Hz.
+        payloads: Known payloads that the robot carried; their efforts are taken off.
+        noise_floor: (nv,) estimated RMS of the sensor noise after filtering, N·m or N.
+        noise_weight: Samples behind this.
+        gain_deviations: (nv,) how well the gains of the efforts are known, as shares.
+        position: (2, nv) least and largest position of each joint, rad or m.
+        speed: (2, nv) least and largest velocity, rad/s or m/s.
+        temperature: (nv,) mean temperature of each joint, °C; NaN where it was not measured.
+        notes: What was done to the log and noticed, in words.
+    """
+
+    name: str
+    content: str
+    fingerprint: str
+    key: str
+    date: float
+    date_from: str
+    seconds: float
+    period: float
+    bandwidth: float
+    payloads: tuple[KnownPayload, ...]
+    noise_floor: Array
+    noise_weight: int
+    gain_deviations: Array
+    position: Array
+    speed: Array
+    temperature: Array
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Digest(Short):
+    """What one log says, or several, over columns that are those of `settings`.
+
+    The numbering of columns is that of `columns`: first base parameters of the bodies, then the
+    parameters of effects, those of the model first. Bodies are those of the model and not
+    differences from them: b is the whole measured effort (less what known payloads need).
+
+    Attributes:
+        settings: What all digests of a folder have in common.
+        logs: The logs, one unless it is merged.
+        blocks: Names of the B blocks.
+        block_logs: (B,) which log a block is of.
+        joints: What they say about each joint, in the model's order.
+    """
+
+    settings: DigestSettings
+    logs: tuple[DigestedLog, ...]
+    blocks: tuple[str, ...]
+    block_logs: Indices
+    joints: tuple[JointDigest, ...]
+
+    @property
+    def columns(self) -> tuple[DigestColumn, ...]:
+        """What the p columns are of."""
+        return self.settings.columns
+
+    @property
+    def date(self) -> float:
+        """When the first of the logs began, s since 1970."""
+        return min(log.date for log in self.logs)
+
+    @property
+    def samples(self) -> NDArray[np.int_]:
+        """(nv,) rows of each joint; 0 for one that stands still."""
+        return np.array([joint.samples.sum() for joint in self.joints])
+
+    @cached_property
+    def effective(self) -> Array:
+        """(nv,) independent samples that the residuals of each joint are worth."""
+        return np.array([joint.effective for joint in self.joints])
+
+    @property
+    def effective_share(self) -> Array:
+        """(nv,) effective samples as a share of all, in (0, 1]; 1 for a joint that stands still."""
+        return np.where(self.samples > 0, self.effective / np.maximum(self.samples, 1), 1.0)
+
+    @property
+    def effort_std(self) -> Array:
+        """(nv,) standard deviation of the measured efforts, N·m or N; 0 of a joint at rest."""
+        total, squares = np.array([joint.effort_sums.sum(axis=0) for joint in self.joints]).T
+        count = np.maximum(self.samples, 1)
+        return np.sqrt(np.maximum(squares / count - (total / count) ** 2, 0.0))
+
+    @property
+    def noise_floor(self) -> Array:
+        """(nv,) RMS of the sensor noise after filtering, N·m or N."""
+        weights = np.array([float(log.noise_weight) for log in self.logs])
+        powers = np.array([log.noise_floor**2 for log in self.logs])
+        return np.sqrt(weights @ powers / weights.sum())
+
+    @property
+    def still(self) -> Array:
+        """(nv,) share of the rows left out because the joint stands still."""
+        seen = np.array([joint.seen.sum() for joint in self.joints])
+        return np.asarray(1.0 - self.samples / np.maximum(seen, 1))
+
+    @property
+    def position(self) -> Array:
+        """(2, nv) least and largest position of each joint, rad or m."""
+        return _range([log.position for log in self.logs])
+
+    @property
+    def speed(self) -> Array:
+        """(2, nv) least and largest velocity of each joint, rad/s or m/s."""
+        return _range([log.speed for log in self.logs])
+
+    def normal_matrices(self, *, delay: int = 0, block: int | None = None) -> Array:
+        """(nv, p + 1, p + 1) G_j = [A | b]ᵀ[A | b] of every joint over all columns.
+
+        The last row and column are the effort's. Rows of columns that are zero at a joint are zero.
+
+        Args:
+            delay: Index of the settings' delay by which efforts are advanced.
+            block: Index of a block; the sum over all of them if None.
+        """
+        size = len(self.columns) + 1
+        found = np.zeros((len(self.joints), size, size))
+        for own, joint in zip(found, self.joints, strict=True):
+            at = np.append(joint.columns, size - 1)
+            own[at[:, None], at] = joint.normal_matrix(delay=delay, block=block)
+        return found
+
+    def of_log(self, log: int) -> Digest:
+        """The digest of one of the logs of a merged one; peaks stay those of all.
+
+        Args:
+            log: Index of the log.
+        """
+        kept = np.flatnonzero(self.block_logs == log)
+        return replace(
+            self,
+            logs=(self.logs[log],),
+            blocks=tuple(self.blocks[b] for b in kept),
+            block_logs=np.zeros(len(kept), np.intp),
+            joints=tuple(
+                replace(joint, **{name: getattr(joint, name)[kept] for name in _OF_BLOCKS})
+                for joint in self.joints
+            ),
+        )
+
+
+_OF_BLOCKS = ("factors", "samples", "seen", "effort_sums", "carried", "autocovariances")
+
+
+def merge(digests: Sequence[Digest]) -> Digest:
+    """One digest of the logs of several: as if they had been read together, exactly.
+
+    Blocks stay what they are, so that any normal matrix is the sum of those of the digests, and
+    triangular factors lose no digits.
+
+    Args:
+        digests: Digests by the same settings, of different logs.
+
+    Raises:
+        DigestError: Settings differ, or a log is there twice.
+        ArgumentError: There is none.
+    """
+    digests = instances(digests, "digests", Digest)
+    if not digests:
+        raise ArgumentError("There is no digest to merge.", advice="Give at least one.")
+    first = digests[0].settings
+    for digest in digests[1:]:
+        check_same(digest.settings, first, f"The digest of {digest.logs[0].name}")
+    logs = tuple(log for digest in digests for log in digest.logs)
+    (twice, count), *_ = Counter(log.fingerprint for log in logs).most_common(1)
+    if count > 1:
+        names = [log.name for log in logs if log.fingerprint == twice]
+        raise DigestError(
+            f"The same log is in several of the digests: {', '.join(names)}.",
+            advice="Count each log once.",
+        )
+    starts = np.cumsum([0, *(len(digest.logs) for digest in digests)])
+    return Digest(
+        first,
+        logs,
+        tuple(block for digest in digests for block in digest.blocks),
+        np.concatenate([d.block_logs + at for d, at in zip(digests, starts[:-1], strict=True)]),
+        tuple(_joined(parts) for parts in zip(*(digest.joints for digest in digests), strict=True)),
+    )
+
+
+def check_same(own: DigestSettings, others: DigestSettings, what: str) -> None:
+    """Refuse digests that do not add up.
+
+    Args:
+        own: Settings of one.
+        others: Those that it must have.
+        what: What messages call the one.
+
+    Raises:
+        DigestError: They differ; the message says in what.
+    """
+    if own.hash != others.hash:
+        raise DigestError(
+            f"{what} is by other settings: they differ in {', '.join(own.differences(others))}.",
+            advice="Digest the logs again, all by one model into one folder.",
+        )
+
+
+def _joined(parts: Sequence[JointDigest]) -> JointDigest:
+    """What several digests say about one joint."""
+    together: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_BLOCKS
+    }
+    return replace(parts[0], peaks=np.max([part.peaks for part in parts], axis=0), **together)
+
+
+def _range(ranges: Sequence[Array]) -> Array:
+    low, high = np.swapaxes(np.array(ranges), 0, 1)
+    return np.array([low.min(axis=0), high.max(axis=0)])

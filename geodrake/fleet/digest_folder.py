@@ -1,0 +1,316 @@
+"""A folder of digests: one file a log, under the hash of what it is made of, and their settings.
+
+A digest that is there is not made again, so that the same command may be run whenever logs have
+come. Files appear whole or not at all: a run that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.arguments import file_path, instance, integer, number
+from geodrake.boundary.showing import Short
+from geodrake.boundary.whole_files import Content, check_writable, write_together
+from geodrake.errors import ArgumentError, DigestError, GeodrakeError, OutputError
+from geodrake.fleet.digest import Digest, DigestedLog, check_same
+from geodrake.fleet.digest_dataset import model_of_digests
+from geodrake.fleet.digest_file import digest_content, read_digest
+from geodrake.fleet.making import LogFacts, Wanted, make_digest, make_settings, said_of_reading
+from geodrake.fleet.model_hash import file_hash, text_hash
+from geodrake.fleet.settings import SETTINGS_FILE, DigestSettings, read_settings
+from geodrake.logs.files import check_log, parts_of, read_log
+from geodrake.logs.known_payload import KnownPayload
+from geodrake.model.robot_model import RobotModel
+
+Array = NDArray[np.float64]
+Told = Callable[[str, float], None]
+"""Called with what is going on, and the share of it that is done."""
+
+MADE, THERE, FAILED = "made", "there", "failed"
+"""What became of a log: it was digested, its digest was there already, or there is none."""
+
+_SUFFIX = ".npz"
+
+
+@dataclass(frozen=True, eq=False)
+class DigestRow(Short):
+    """What became of one log.
+
+    Attributes:
+        file: The log's file.
+        status: `made`, `there` or `failed`.
+        digest: Its digest's file, if there is one.
+        about: What that says of the log.
+        samples: (nv,) filtered samples of each joint.
+        effective: (nv,) independent samples that these are worth.
+        reason: Why there is no digest; or why one that was there was made again.
+    """
+
+    file: Path
+    status: str
+    digest: Path | None = None
+    about: DigestedLog | None = None
+    samples: NDArray[np.int_] | None = None
+    effective: Array | None = None
+    reason: str = ""
+
+    @classmethod
+    def of(cls, file: Path, status: str, path: Path, digest: Digest, reason: str = "") -> DigestRow:
+        """The row of a log that has a digest.
+
+        Args:
+            file: The log's file.
+            status: `made` or `there`.
+            path: The digest's file.
+            digest: What is in it.
+            reason: Why it was made again, if it was.
+        """
+        return cls(file, status, path, digest.logs[0], digest.samples, digest.effective, reason)
+
+
+@dataclass(frozen=True, eq=False)
+class DigestRun(Short):
+    """What became of several logs.
+
+    Attributes:
+        folder: Where the digests are.
+        settings: Their settings; None if no log could be used, so that none are chosen.
+        rows: The logs, in the order in which they were named.
+        chosen: Whether the settings are new.
+    """
+
+    folder: Path
+    settings: DigestSettings | None
+    rows: tuple[DigestRow, ...]
+    chosen: bool = False
+
+    def count(self, status: str) -> int:
+        """How many logs have a status."""
+        return sum(row.status == status for row in self.rows)
+
+
+@dataclass(eq=False)
+class _Folder:
+    """A folder of digests, the model, and how logs are read."""
+
+    path: Path
+    model: RobotModel
+    wanted: Wanted
+    version: str
+    settings: DigestSettings | None = None
+    chosen: bool = False
+
+    def add(self, log: Path, facts: LogFacts) -> DigestRow:
+        """The digest of a log, made unless it is there.
+
+        Raises:
+            GeodrakeError: The log cannot be read or used.
+        """
+        reason = ""
+        if self.settings is not None and (file := self._file(self.settings, facts)).exists():
+            try:
+                return DigestRow.of(log, THERE, file, self._there(file))
+            except DigestError as error:
+                reason = f"made again: {error.problem}"
+        known, reading = self.model.known_joints, self.wanted.reading
+        read = read_log(log, joints=known, partial=True, reading=reading)
+        settings = self.settings or make_settings(
+            self.model, read, version=self.version, wanted=self.wanted
+        )
+        digest = make_digest(self.model, read, settings, facts, extra=self.wanted.extra)
+        new: dict[Path, Content] = {}
+        if self.settings is None:
+            if self.take_settings():  # another run was quicker to choose them
+                return self.add(log, facts)
+            new[self.path / SETTINGS_FILE] = settings.text()
+            self.settings, self.chosen = settings, True
+        file = self._file(settings, facts)
+        make_folder(self.path)
+        write_together({**new, file: digest_content(digest)})
+        return DigestRow.of(log, MADE, file, digest, reason)
+
+    def take_settings(self) -> bool:
+        """Take the settings that the folder has, if it has any.
+
+        Raises:
+            DigestError: They are damaged, or do not fit.
+        """
+        self.settings = read_settings(self.path)
+        if self.settings is not None:
+            _check(self.settings, self.model, self.wanted, self.version)
+        return self.settings is not None
+
+    def _file(self, settings: DigestSettings, facts: LogFacts) -> Path:
+        return self.path / f"{facts.key(settings)}{_SUFFIX}"
+
+    def _there(self, file: Path) -> Digest:
+        digest = read_digest(file)
+        if self.settings is not None:
+            check_same(digest.settings, self.settings, str(file))
+        return digest
+
+
+def digest_logs(
+    model: RobotModel,
+    logs: Sequence[str | Path],
+    to: str | Path,
+    *,
+    version: str,
+    wanted: Wanted | None = None,
+    date: float | None = None,
+    payloads: Mapping[Path, Sequence[KnownPayload]] | None = None,
+    told: Told = lambda words, share: None,
+) -> DigestRun:
+    """Digest logs into a folder; those whose digests are there are not read.
+
+    A log that cannot be read or used is a row with its reason, and the others go on.
+
+    Args:
+        model: The model, the same for all digests of the folder.
+        logs: Files of logs.
+        to: The folder. If it has settings, they count; else they are chosen by the model and the
+            first log that can be used, and written.
+        version: Version of geodrake, which digests of one folder share.
+        wanted: How logs are read, and what settings are to be like.
+        date: When logs were recorded whose stamps do not say it, s since 1970.
+        payloads: Log -> what the robot carried all the time, of known mass, beyond its model.
+        told: Called with what is going on.
+
+    Raises:
+        DigestError: The folder's settings are damaged, of another version or model, or not what is
+            wanted.
+        ArgumentError: A setting is no usable number, or there is no log.
+        OutputError: The folder cannot be written to.
+    """
+    instance(model, "model", RobotModel)
+    if not logs:
+        raise ArgumentError("There is no log to digest.", advice="Give at least one.")
+    wanted, carried = wanted or Wanted(), dict(payloads or {})
+    if wanted.bandwidth is not None:
+        number(wanted.bandwidth, "bandwidth", lower=0.0, strict=True)
+    if wanted.blocks is not None:
+        integer(wanted.blocks, "blocks", lower=2, upper=100)
+    path = file_path(to)
+    _check_folder(path)
+    folder = _Folder(path, model, wanted, version)
+    folder.take_settings()
+    rows = []
+    for at, log in enumerate(map(file_path, logs)):
+        told(f"Digesting {log.name}", at / len(logs))
+        rows.append(_row(folder, log, date, tuple(carried.get(log, ()))))
+    return DigestRun(path, folder.settings, tuple(rows), folder.chosen)
+
+
+def digest_files(folder: str | Path) -> tuple[Path, ...]:
+    """The files of digests in a folder, by name.
+
+    Raises:
+        DigestError: There is no such folder.
+    """
+    path = file_path(folder)
+    try:
+        return tuple(sorted(each for each in path.iterdir() if each.suffix == _SUFFIX))
+    except OSError as error:
+        raise DigestError(
+            f"{path} is no folder of digests: {error.strerror}.", advice="Check the path."
+        ) from error
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder unless it is there.
+
+    Raises:
+        OutputError: It cannot be made.
+    """
+    try:
+        path.mkdir(exist_ok=True)
+    except (OSError, ValueError) as error:
+        raise _refused(path, f"cannot be made: {getattr(error, 'strerror', error)}") from error
+
+
+def _row(
+    folder: _Folder, log: Path, date: float | None, payloads: tuple[KnownPayload, ...]
+) -> DigestRow:
+    """What becomes of a log, whatever is wrong with it."""
+    try:
+        files = parts_of(log)
+        for file in files:
+            check_log(file)
+        episode = folder.wanted.reading.episode
+        facts = LogFacts(file_hash(files), files, date, payloads, episode)
+        return folder.add(log, facts)
+    except OutputError:
+        raise
+    except GeodrakeError as error:
+        return DigestRow(log, FAILED, reason=str(error))
+    except (OSError, MemoryError) as error:
+        return DigestRow(log, FAILED, reason=f"{log} cannot be read: {error}.")
+
+
+def _check_folder(path: Path) -> None:
+    """Refuse a folder that cannot be written to, before the work.
+
+    Raises:
+        OutputError: It is none, or must not be changed.
+    """
+    try:
+        if path.is_dir():
+            check_writable(path / f"digest{_SUFFIX}")
+            return
+        if path.exists() or path.is_symlink():
+            raise _refused(path, "is there and is no folder")
+        if not path.parent.is_dir():
+            raise _refused(path, f"is in {path.parent}, which is no folder")
+        check_writable(path.parent / f"digest{_SUFFIX}")
+    except (OSError, ValueError) as error:
+        raise _refused(path, f"cannot be used: {getattr(error, 'strerror', error)}") from error
+
+
+def _refused(path: Path, reason: str) -> OutputError:
+    return OutputError(
+        f"Digests cannot be written to {path}: it {reason}.",
+        advice="Choose another folder.",
+        path=path,
+    )
+
+
+def _check(settings: DigestSettings, model: RobotModel, wanted: Wanted, version: str) -> None:
+    """Refuse settings that are of something else than what is wanted.
+
+    Raises:
+        DigestError: They are; the message says in what.
+    """
+    if settings.version != version:
+        raise DigestError(
+            f"The settings of the digests are of geodrake {settings.version}, this is {version}: "
+            "columns may be computed otherwise.",
+            advice="Digest the logs again into a new folder.",
+        )
+    model_of_digests(model, settings)
+    asked = {"bandwidth": wanted.bandwidth, "blocks": wanted.blocks}
+    for name, value in asked.items():
+        own = getattr(settings, name)
+        if value is not None and not np.isclose(value, own, rtol=1e-9, atol=0.0):
+            raise DigestError(
+                f"The settings of the digests have {name} {own:g}, and {value:g} is asked for.",
+                advice="Leave it out, or choose a new folder.",
+            )
+    said = said_of_reading(wanted.reading)
+    odd = [name for name in said if text_hash(said[name]) != text_hash(settings.reading.get(name))]
+    if odd:
+        raise DigestError(
+            f"The settings of the digests have logs read otherwise: {', '.join(odd)} differ.",
+            advice="Give the options of the first digest, or choose a new folder.",
+        )
+    effects = [effect.made(wanted.extra) for effect in settings.effects]
+    missing = [kind.name for kind in wanted.extra if kind not in map(type, effects)]
+    if missing:
+        raise DigestError(
+            f"The settings of the digests have no columns of {', '.join(missing)}.",
+            advice="Leave the effect out, or choose a new folder.",
+        )

@@ -1,0 +1,58 @@
+"""When a log began: by its time stamps, by what the user says, or by when its file was changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from geodrake.errors import ArgumentError
+from geodrake.logs.motion import JointLog
+
+_EARLIEST, _LATEST = 9e8, 4.2e9  # s since 1970 at which a robot may have been logged
+
+
+def date_seconds(text: str) -> float:
+    """The s since 1970 of a date in ISO 8601, in UTC unless it says another zone.
+
+    Raises:
+        ArgumentError: The text is no date, or one at which no robot was logged.
+    """
+    try:
+        instant = datetime.fromisoformat(text.strip())
+    except ValueError:
+        instant = None
+    if instant is not None:
+        zoned = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
+        if _EARLIEST < (seconds := zoned.timestamp()) < _LATEST:
+            return seconds
+    raise ArgumentError(
+        f"A date is such as 2026-05-01 or 2026-05-01T12:00:00+02:00; got {text!r}.",
+        advice="Write it in ISO 8601, from 1998 on.",
+    )
+
+
+def date_text(seconds: float) -> str:
+    """A date in ISO 8601, of s since 1970."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def date_of_log(
+    log: JointLog, files: Sequence[Path], given: float | None = None
+) -> tuple[float, str]:
+    """When a log began, s since 1970, and where that is from: `stamps`, `option` or `file`.
+
+    Args:
+        log: The log.
+        files: Its files, which count where nothing else is known: the one changed last.
+        given: What the user says, s since 1970, where stamps do not say it.
+    """
+    first = float(log.time[np.isfinite(log.time)][0])
+    began = first + 1e-9 * (log.origin or 0)
+    if _EARLIEST < began < _LATEST:
+        return began, "stamps"
+    if given is not None:
+        return given, "option"
+    return max(path.stat().st_mtime for path in files), "file"

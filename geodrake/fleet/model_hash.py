@@ -1,0 +1,103 @@
+"""The hash of a model: two are the same if everything is that a digest's columns depend on."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import inspect
+import json
+from collections.abc import Iterable, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geodrake.effects import Effect
+from geodrake.effects.column_checks import of_geodrake
+from geodrake.errors import LogError
+from geodrake.model.robot_model import RobotModel
+
+
+def model_hash(model: RobotModel) -> str:
+    """SHA-256 of what a model says: its joints, bodies, effects, and what is known about them.
+
+    Where its file lies and what notes say does not count.
+    """
+    said = (
+        model.joints,
+        model.joint_tree,
+        model.transmission,
+        model.phi,
+        tuple((f.effect, source_hash(type(f.effect)), f.parameters) for f in model.effects),
+        model.information,
+        model.fading_speed,
+        model.effort_signals,
+    )
+    return text_hash(said)
+
+
+def source_hash(kind: type[Effect]) -> str:
+    """SHA-256 of the source of a user's own effect; empty for geodrake's, which has a version."""
+    if of_geodrake(kind):
+        return ""
+    try:
+        return hashlib.sha256(inspect.getsource(kind).encode()).hexdigest()
+    except (OSError, TypeError):  # made in a console: there is no file
+        return "unknown"
+
+
+def text_hash(value: object) -> str:
+    """SHA-256 of numbers, words, arrays and dataclasses, and of whatever holds such."""
+    words = json.dumps(_plain(value), sort_keys=True, ensure_ascii=True, allow_nan=True)
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+def file_hash(paths: Iterable[Path]) -> str:
+    """SHA-256 of the bytes of files, and of all files in folders.
+
+    Raises:
+        LogError: One cannot be read.
+    """
+    found = hashlib.sha256()
+    for path in paths:
+        inside = sorted(each for each in path.rglob("*") if each.is_file())
+        for each in inside if path.is_dir() else [path]:
+            name = str(each.relative_to(path)) if path.is_dir() else ""
+            try:
+                with each.open("rb") as file:
+                    own = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError as error:
+                raise LogError(
+                    f"{each} cannot be read: {error.strerror or error}.",
+                    advice="Check the path and its permissions.",
+                    path=each,
+                ) from error
+            found.update(f"{name!a} {own}\n".encode())
+    return found.hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can hold, different for whatever differs."""
+    plain: Any
+    if isinstance(value, Enum):
+        plain = [type(value).__name__, value.name]
+    elif value is None or isinstance(value, str | int | float | bool):
+        plain = value
+    elif isinstance(value, np.ndarray | np.generic):
+        array = np.ascontiguousarray(value)
+        plain = [str(array.dtype), array.shape, hashlib.sha256(array.tobytes()).hexdigest()]
+    elif dataclasses.is_dataclass(value):
+        own = {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        plain = [type(value).__qualname__, own]
+    elif isinstance(value, Mapping):
+        plain = {str(key): _plain(each) for key, each in value.items()}
+    elif isinstance(value, set | frozenset):  # whose order changes from run to run
+        plain = sorted(json.dumps(_plain(each), sort_keys=True) for each in value)
+    elif isinstance(value, slice):
+        plain = [value.start, value.stop, value.step]
+    elif isinstance(value, Iterable):
+        plain = [_plain(each) for each in value]
+    else:  # such as a function, of a transmission made in Python
+        plain = str(getattr(value, "__qualname__", type(value).__qualname__))
+    return plain

@@ -1,0 +1,346 @@
+"""What all digests of a folder have in common: their columns, and how logs come to them.
+
+Everything that a diagnosis chooses from its logs (a bandwidth, speeds at which joints rest, effects
+to try) is chosen once, by the model and the first log, and kept in a file. Digests by the same
+settings add up; others are refused, with what differs.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geodrake.boundary.input_files import regular_file
+from geodrake.boundary.showing import Short
+from geodrake.effects import Effect, make_effect
+from geodrake.errors import ArgumentError, DigestError
+from geodrake.fleet.model_hash import source_hash, text_hash
+from geodrake.identification.logs.dataset import is_payload
+from geodrake.inertia import PARAMETER_NAMES, PARAMETERS_PER_BODY
+from geodrake.robot.base_parameters import BaseParameters
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+SETTINGS_FILE = "digest_settings.json"
+"""Name of the file in a folder of digests that holds their settings."""
+
+FORMAT = "geodrake digest 1"
+"""Name and version of the format of settings and digests."""
+
+LAGS = 200
+"""Autocovariances of residuals are kept up to so many samples' distance."""
+
+BLOCKS = 4
+"""Blocks of a log, each with a factor of its own."""
+
+_LARGEST_FILE = 50_000_000  # bytes
+_UNITS = ("kg", *("kg·m",) * 3, *("kg·m²",) * 6)
+
+
+@dataclass(frozen=True)
+class DigestColumn:
+    """What a column of a digest is of.
+
+    Attributes:
+        kind: `body`, or `effect`.
+        name: Of a body, a combination of inertial parameters, such as `Izz of arm + 0.1 m of hand`;
+            the name of the effect otherwise.
+        where: The body whose parameter names the combination; joints or bodies of the effect.
+        parameter: `Izz`, for example; the parameter's name.
+        unit: Its unit.
+        shape: Shape parameters of the effect.
+    """
+
+    kind: str
+    name: str
+    where: tuple[str, ...]
+    parameter: str
+    unit: str
+    shape: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class DigestEffect:
+    """An effect that digests have columns for.
+
+    Attributes:
+        name: Its name.
+        where: Its joints or bodies.
+        shape: Its shape parameters.
+        parameters: Names of its linear parameters.
+        units: Their units.
+        in_bodies: Whether its columns are those of the bodies, as a payload's are.
+        source: SHA-256 of the source of an effect of the user's own.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    shape: Mapping[str, float]
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    in_bodies: bool
+    source: str = ""
+
+    @classmethod
+    def of(cls, effect: Effect) -> DigestEffect:
+        """An effect in words and numbers."""
+        return cls(
+            effect.name,
+            tuple(effect.where),
+            {name: float(value) for name, value in effect.shape.items() if value is not None},
+            tuple(parameter.name for parameter in effect.parameters),
+            tuple(parameter.unit for parameter in effect.parameters),
+            is_payload(effect),
+            source_hash(type(effect)),
+        )
+
+    def made(self, extra: Sequence[type[Effect]] = ()) -> Effect:
+        """The effect itself.
+
+        Args:
+            extra: Effect classes of the user's own.
+
+        Raises:
+            DigestError: There is no such effect, or its source is another one now.
+        """
+        try:
+            effect = make_effect(self.name, self.where, self.shape, extra)
+        except ArgumentError as error:
+            raise DigestError(
+                f"Digests have columns of {self.name}, which cannot be made: {error.problem}",
+                advice="Give the file that defines it, if it is an effect of your own.",
+            ) from error
+        if DigestEffect.of(effect) != self:
+            raise DigestError(
+                f"The effect {self.name} is not what it was when the settings were made.",
+                advice="Use its old source, or a new folder.",
+            )
+        return effect
+
+
+@dataclass(frozen=True, eq=False)
+class DigestSettings(Short):
+    """What all digests of a folder have in common.
+
+    Attributes:
+        model: Hash of the model; see `model_hash`.
+        joints: Names of the nv velocities.
+        bodies: Names of the nb bodies.
+        held: Joint that no log says anything of -> where it is held, rad or m.
+        bandwidth: Bandwidth that efforts and regressors are filtered to, Hz.
+        motion_bandwidth: That of the smoothed motion, Hz.
+        sign_width: (nv,) speed below which dry friction fades, rad/s or m/s.
+        still_speed: (nv,) speed below which a joint counts as at rest, rad/s or m/s.
+        delays: Delays between motion and effort that have a column of efforts, on top of the
+            model's, s; the first is 0.
+        effects: What has columns beside the bodies: the model's effects, then candidates.
+        independent: (n_B,) inertial parameters whose columns stand for all; see `BaseParameters`.
+        base_matrix: (n_B, 10·nb) base parameters of inertial parameters, φ_B = B φ.
+        reading: How logs are read, as far as that is the same for all.
+        blocks: Blocks into which each log is cut.
+        lags: Distance up to which autocovariances are kept, samples.
+        version: Version of geodrake.
+        format: Name and version of the format.
+        chosen_from: The log by which they were chosen.
+    """
+
+    model: str
+    joints: tuple[str, ...]
+    bodies: tuple[str, ...]
+    held: Mapping[str, float]
+    bandwidth: float
+    motion_bandwidth: float
+    sign_width: Array
+    still_speed: Array
+    delays: tuple[float, ...]
+    effects: tuple[DigestEffect, ...]
+    independent: Indices
+    base_matrix: Array
+    reading: Mapping[str, Any]
+    blocks: int
+    lags: int
+    version: str
+    format: str = FORMAT
+    chosen_from: str = ""
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of all of them, whichever log they were chosen from."""
+        return text_hash(_numbers(replace(self, chosen_from="")))
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters, without the singular values that they were found by."""
+        return BaseParameters(self.base_matrix, self.independent, np.zeros(0), 0.0)
+
+    @cached_property
+    def columns(self) -> tuple[DigestColumn, ...]:
+        """What the p columns are of: n_B base parameters, then the effects' parameters."""
+        places = [divmod(int(at), PARAMETERS_PER_BODY) for at in self.independent]
+        of_bodies = [
+            DigestColumn("body", label, (self.bodies[body],), PARAMETER_NAMES[k], _UNITS[k])
+            for label, (body, k) in zip(self.base.labels(self.bodies), places, strict=True)
+        ]
+        of_effects = [
+            DigestColumn("effect", effect.name, effect.where, name, unit, effect.shape)
+            for effect in self.effects
+            if not effect.in_bodies
+            for name, unit in zip(effect.parameters, effect.units, strict=True)
+        ]
+        return (*of_bodies, *of_effects)
+
+    def differences(self, other: DigestSettings) -> list[str]:
+        """In what settings differ from others, in words; empty if digests of both add up."""
+        own, others = _numbers(self), _numbers(other)
+        named = [f.name for f in fields(self) if f.name != "chosen_from"]
+        return [
+            f"{_WORDS.get(name, name)} ({_shown(own[name])} and {_shown(others[name])})"
+            for name in named
+            if text_hash(own[name]) != text_hash(others[name])
+        ]
+
+    def text(self) -> str:
+        """What the settings file holds, and `settings_of` reads."""
+        lines = [
+            f"{json.dumps(name)}: {json.dumps(value)}" for name, value in _numbers(self).items()
+        ]
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+_WORDS = {
+    "base_matrix": "base parameters",
+    "independent": "base parameters",
+    "motion_bandwidth": "bandwidth of the motion",
+    "sign_width": "widths of signs",
+    "still_speed": "speeds of rest",
+    "reading": "how logs are read",
+    "version": "version of geodrake",
+}
+
+
+def settings_of(text: str, source: str | Path) -> DigestSettings:
+    """Settings from the text that `DigestSettings.text` makes.
+
+    Args:
+        text: The text.
+        source: What messages call it.
+
+    Raises:
+        DigestError: It is damaged, or of another version of the format.
+    """
+    try:
+        said = json.loads(text)
+        if isinstance(said, dict) and said.get("format") != FORMAT:
+            raise DigestError(
+                f"{source} has the format {said.get('format')!r}; this version of geodrake reads "
+                f"{FORMAT!r}.",
+                advice="Use the version that made it, or digest the logs again into a new folder.",
+            )
+        return _settings(said)
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise DigestError(
+            f"{source} does not hold settings of digests: {' '.join(str(error).split())[:200]}.",
+            advice="Put back a copy of it, or digest the logs again into a new folder.",
+        ) from error
+
+
+def read_settings(folder: str | Path) -> DigestSettings | None:
+    """The settings of a folder of digests; None if it has none yet.
+
+    Raises:
+        DigestError: The file cannot be read, is damaged or of another version.
+    """
+    path = Path(folder) / SETTINGS_FILE
+    if not path.exists() and not path.is_symlink():
+        return None
+    regular_file(path, "settings file", DigestError, largest=_LARGEST_FILE)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DigestError(
+            f"The settings file {path} cannot be read: {error}.", advice="Put back a copy of it."
+        ) from error
+    return settings_of(text, path)
+
+
+def _numbers(settings: DigestSettings) -> dict[str, Any]:
+    """Settings as JSON has them."""
+    plain = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    plain["effects"] = [asdict(effect) for effect in settings.effects]
+    for name, value in plain.items():
+        if isinstance(value, np.ndarray):
+            plain[name] = value.tolist()
+    return json.loads(json.dumps(plain))  # tuples are lists, as those that are read are
+
+
+def _settings(said: Mapping[str, Any]) -> DigestSettings:
+    """Settings from what JSON has, of the shapes that they must have.
+
+    Raises:
+        ValueError: One has another shape; also KeyError, TypeError.
+    """
+    odd = {f.name for f in fields(DigestSettings)}.symmetric_difference(said)
+    if odd:
+        raise ValueError(f"it has too many or too few of {', '.join(sorted(odd))}")
+    nv, inertial = len(said["joints"]), PARAMETERS_PER_BODY * len(said["bodies"])
+    independent = np.array(said["independent"], np.intp)
+    found = DigestSettings(
+        **{
+            **said,
+            "joints": _names(said["joints"]),
+            "bodies": _names(said["bodies"]),
+            "held": {str(joint): float(value) for joint, value in said["held"].items()},
+            "sign_width": _floats(said["sign_width"], (nv,)),
+            "still_speed": _floats(said["still_speed"], (nv,)),
+            "delays": tuple(_floats(said["delays"], (len(said["delays"]),)).tolist()),
+            "effects": tuple(_effect(each) for each in said["effects"]),
+            "independent": independent,
+            "base_matrix": _floats(said["base_matrix"], (len(independent), inertial)),
+        }
+    )
+    numbers = (found.bandwidth, found.motion_bandwidth, found.blocks, found.lags)
+    if not all(isinstance(x, int | float) and 0 < x < np.inf for x in numbers):
+        raise ValueError("a bandwidth or a number of blocks or lags is none")
+    if independent.size and not 0 <= independent.min() <= independent.max() < inertial:
+        raise ValueError("base parameters are of no inertial ones")
+    if not found.delays or found.delays[0] != 0.0:
+        raise ValueError("the first delay is not 0")
+    return found
+
+
+def _effect(said: Mapping[str, Any]) -> DigestEffect:
+    names = {name: _names(said[name]) for name in ("where", "parameters", "units")}
+    shape = {str(name): float(value) for name, value in said["shape"].items()}
+    if len(names["parameters"]) != len(names["units"]):
+        raise ValueError("an effect has not a unit for each parameter")
+    return DigestEffect(**{**said, **names, "shape": shape})
+
+
+def _names(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, list) or not all(isinstance(each, str) for each in values):
+        raise ValueError("names are no list of texts")
+    return tuple(values)
+
+
+def _floats(values: Any, shape: tuple[int, ...]) -> Array:
+    array = np.array(values, float).reshape(shape)
+    if not np.isfinite(array).all():
+        raise ValueError("a number is not finite")
+    return array
+
+
+def _shown(value: Any) -> str:
+    """A value in a few letters."""
+    text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= _MOST_LETTERS else f"{text[:_MOST_LETTERS]}…"
+
+
+_MOST_LETTERS = 24
